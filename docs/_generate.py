@@ -165,6 +165,8 @@ MEANINGS = {
     "NOT_FINITE": "the solver diverged, usually because the gains are too high",
     "CHECK_FAILED": "the kernel reported success but Pinocchio did not confirm it: a bug",
     "COLLISION": "the target was reached, but every solution found is in collision (only with avoid_collisions)",
+    "CONSTRAINT_OPEN": "the target is reached, but a loop, a curved equality or a tendon over several joints of the MJCF is open "
+    "by more than the tolerance; the message says by how much",
     "TOO_FAR": "the solution, if there is one, is further from q0 than follow allows a joint to move",
 }
 

@@ -12,7 +12,7 @@ project = "ik_toolkit"
 copyright = "ik_toolkit contributors, BSD-3-Clause"
 release = version = __version__
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_copybutton"]
-exclude_patterns = ["_build", "data", "reliability_notes.md", "generated/extra", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "data", "generated/extra", "**.ipynb_checkpoints"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3

@@ -28,7 +28,23 @@ def clean(text: object) -> str:
     return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
-class IKError(Exception):
+def rebuild(kind: type[BaseException], args: tuple, state: dict[str, Any]) -> BaseException:
+    """An exception as it was, without a call of its constructor, which may take something else than `args`."""
+    made = kind.__new__(kind, *args)
+    next(base for base in kind.__mro__ if base.__module__ == "builtins").__init__(made, *args)
+    made.__dict__.update(state)
+    return made
+
+
+class Portable(BaseException):
+    """An exception that can be copied and pickled, so that a worker process can raise it in its caller."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """The class, its arguments and all attributes."""
+        return rebuild, (type(self), self.args, self.__dict__)
+
+
+class IKError(Portable, Exception):
     """Base class of every error raised by ik_toolkit."""
 
     def __str__(self) -> str:
@@ -68,6 +84,10 @@ class InvalidConfiguration(IKError, ValueError):
 
 class InvalidOption(IKError, ValueError):
     """An option or parameter that does not exist or whose value is out of range."""
+
+
+class ReadOnlyAttribute(IKError, AttributeError):
+    """An attribute that was read when its object was built: assigning it would change nothing. The message says what does."""
 
 
 class UnknownSolver(IKError, KeyError):

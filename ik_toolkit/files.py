@@ -6,6 +6,7 @@ An interruption, a full disk or a late error never destroys the existing file.
 import csv
 import io
 import os
+import re
 import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from typing import Any, BinaryIO
 from .errors import InvalidOption
 
 PARTIAL = ".partial"  # suffix for an incomplete result
+FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginnings of what a spreadsheet runs, also marked as text
 
 
 def as_path(value: Any, what: str = "it") -> Path:
@@ -124,10 +126,24 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
         stream.write(data.encode() if isinstance(data, str) else data)
 
 
+def inert(text: str) -> str:
+    """Text for a cell of a CSV file that a spreadsheet shows, and does not run as a formula: a quote in front marks it as text."""
+    try:
+        float(text)  # -0.5 is a number
+    except ValueError:
+        return f"'{text}" if FORMULA.match(text) else text
+    return text
+
+
+def without_mark(text: str) -> str:
+    """Text of a cell as `inert` was given it."""
+    return text[1:] if text.startswith("'") and FORMULA.match(text) else text
+
+
 def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float | str]]) -> None:
     """Write a CSV file of numbers in full precision and text; NaN is left empty."""
     text = io.StringIO()
     writer = csv.writer(text)
-    writer.writerow(head)
-    writer.writerows(["" if x != x else x if isinstance(x, str) else repr(x) for x in row] for row in rows)
+    writer.writerow(map(inert, head))
+    writer.writerows(["" if x != x else inert(x) if isinstance(x, str) else repr(x) for x in row] for row in rows)
     write_whole(path, text.getvalue())

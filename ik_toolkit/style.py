@@ -9,6 +9,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 3)))
 GREY, PALE = "#6F6F6F", "#E4E4E4"
 GOOD, BAD = "#1b7837", "#b2182b"  # text colours for solved and not solved: dark enough to read on white
+MUTED = "#4a5766"  # text that is less important
 STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 9.5,

@@ -1,6 +1,7 @@
-"""Run the hostile-input, torture, thread and process tests, including the long ones, and write docs/reliability.md.
+"""Run the hostile-input, torture, thread and process tests, including the long ones, and put the figures into docs/reliability.md.
 
-Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves.
+Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves and
+stand between two marks of the page; the rest of it is written by hand.
 """
 
 import argparse
@@ -39,7 +40,7 @@ PARTS = {
     "tests/show/test_panel.py": "The panel: typed nonsense, foreign origins, hosts that are not this machine",
     "tests/show/test_panel_abuse.py": "The panel: twenty visitors, malformed messages, leaving in the middle of a solve, memory",
 }
-HAND = ROOT / "docs" / "reliability_notes.md"
+MARKS = ("<!-- tests: written by scripts/reliability.py -->", "<!-- end of tests -->")
 MUTANTS, MUTANTS_OF_ROOMS = (ROOT / "docs" / "data" / f"{name}.json" for name in ("mutation", "mutation_rooms"))
 
 
@@ -108,15 +109,11 @@ def mutation(file: Path) -> list[str]:
 
 
 def main() -> None:
-    """Run every part and write the page."""
+    """Run every part and write its figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "reliability.md")
     output = parser.parse_args().output
     lines = [
-        "# Reliability",
-        "",
-        "How the toolkit is tested against broken, hostile and extreme input, which failures this found, and how to run it again.",
-        "",
         f"Written by `python scripts/reliability.py` on {date.today()}, Python {platform.python_version()}, "
         f"{platform.system()} {platform.machine()}. Each row is one test file or folder, slow tests included; the command is "
         '`python -m pytest FILE -m "slow or not slow"`.',
@@ -136,9 +133,9 @@ def main() -> None:
     lines += ["", *(f"- {remark}" for remark in remarks), ""]
     for file in (MUTANTS, MUTANTS_OF_ROOMS):
         lines += mutation(file) if file.exists() else []
-    if HAND.exists():
-        lines += [HAND.read_text(encoding="utf-8").rstrip(), ""]
-    output.write_text("\n".join(lines), encoding="utf-8")
+    before, rest = output.read_text(encoding="utf-8").split(MARKS[0])
+    figures = "\n".join(lines).strip()
+    output.write_text(f"{before}{MARKS[0]}\n\n{figures}\n\n{MARKS[1]}{rest.split(MARKS[1])[1]}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -30,13 +30,25 @@ def turn_about(axis, angle):
 
 
 def origin(joint):
-    """Pose (R, p) of a joint in its parent link: rotation Rz(yaw) Ry(pitch) Rx(roll), point [m]."""
+    """Pose (R, p) of a joint in its parent link: rotation Rz(yaw) Ry(pitch) Rx(roll) or that of quat_xyzw, point [m]."""
     found = joint.find("origin")
     if found is None:
         return np.eye(3), np.zeros(3)
     roll, pitch, yaw = numbers(found.get("rpy"), (0.0, 0.0, 0.0))
     x, y, z = np.eye(3)
+    if found.get("quat_xyzw") is not None:
+        *vector, cos = numbers(found.get("quat_xyzw"), ())
+        sin = math.hypot(*vector)
+        turned = turn_about(np.array(vector) / sin, 2.0 * math.atan2(sin, cos)) if sin > 0.0 else np.eye(3)
+        return turned, numbers(found.get("xyz"), (0.0, 0.0, 0.0))
     return turn_about(z, yaw) @ turn_about(y, pitch) @ turn_about(x, roll), numbers(found.get("xyz"), (0.0, 0.0, 0.0))
+
+
+def across(axis):
+    """Axis and angle of the shortest rotation of z onto a unit axis (about x where they are opposite)."""
+    side = np.array([-axis[1], axis[0], 0.0])
+    sin = math.hypot(*side)
+    return (side / sin if sin > 0.0 else np.array([1.0, 0.0, 0.0])), math.atan2(sin, axis[2])
 
 
 class SecondFK:
@@ -91,6 +103,11 @@ class SecondFK:
                 return ratio * (Q[:, joint_names.index(follower)] - o) / r + offset
         return ratio * self.rest.get(leader, 0.0) + offset
 
+    def _part(self, name, part, Q, joint_names):
+        """Values (N,) of a coordinate of a planar joint; that of the root is called base."""
+        found = [i for i, joint in enumerate(joint_names) if joint in (f"{name}_{part}", f"base_{part}")]
+        return Q[:, found[0]] if found else np.zeros(len(Q))
+
     def _out(self, path, Q, joint_names):
         """Rotation (N, 3, 3) and point (N, 3) of the end of a path in the last common link."""
         N = len(Q)
@@ -104,7 +121,12 @@ class SecondFK:
                 continue
             axis = numbers(None if joint.find("axis") is None else joint.find("axis").get("xyz"), (1.0, 0.0, 0.0))
             axis = axis / math.hypot(*axis)
-            value = np.asarray(self.values(name, Q, joint_names))
+            if self.kind(name) == "planar":  # two slides in the plane perpendicular to the axis, then a turn about it
+                x, y, value = (self._part(name, part, Q, joint_names) for part in ("x", "y", "yaw"))
+                sides = turn_about(*across(axis))
+                p = p + x[:, None] * (R @ sides[:, 0]) + y[:, None] * (R @ sides[:, 1])
+            else:
+                value = np.asarray(self.values(name, Q, joint_names))
             if self.kind(name) == "prismatic":
                 p = p + value[..., None] * (R @ axis)
                 continue
@@ -143,10 +165,10 @@ class SecondFK:
         return J
 
     def limits(self, joint_names):
-        """Lower and upper (n,) [rad or m] that the URDF allows, those of the followers on the path included."""
+        """Lower and upper (n,) [rad or m] that the URDF allows, those of all followers included."""
         lower, upper = np.full(len(joint_names), -np.inf), np.full(len(joint_names), np.inf)
         for i, leader in enumerate(joint_names):
-            for name in {leader, *self.up, *self.down}:
+            for name in self.joints:
                 led, ratio, offset = self.leads(name)
                 limit = self.joints[name].find("limit")
                 if led != leader or limit is None or self.kind(name) not in ("revolute", "prismatic") or ratio == 0.0:
@@ -162,7 +184,7 @@ class SecondFK:
         """
         Q, names = np.atleast_2d(Q), list(joint_names)
         bad = np.zeros(len(Q), dtype=bool)
-        for name in {*names, *self.up, *self.down}:
+        for name in self.joints:
             limit = self.joints[name].find("limit")
             leader, ratio, offset = self.leads(name)
             if limit is None or self.kind(name) not in ("revolute", "prismatic") or leader not in names:

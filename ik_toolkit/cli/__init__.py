@@ -3,6 +3,7 @@
 import functools
 import importlib
 import logging
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
@@ -16,7 +17,7 @@ from . import first_use
 from .arguments import Command, join_vectors
 from .examples import EXAMPLES
 from .output import LogNotices, notice
-from .streams import Output, on_sigterm, open_standard_streams
+from .streams import Output, open_standard_streams, stoppable
 from .usage import Group, UsageError
 
 MODULES = (
@@ -87,22 +88,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     shown.addFilter(lambda _: not first_use.said_before())
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)
-    terminated: list[bool] = []
+    came: list[int] = []  # signals that ended the command
     if argv is None:
         first_use.allow()
     try:
-        with redirect_stdout(Output(sys.stdout)), on_sigterm(terminated):
+        with redirect_stdout(Output(sys.stdout)), stoppable(came):
             try:
                 code = _command().main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
                 sys.stdout.flush()
             except first_use.CompileNeeded as needed:
-                return first_use.again(arguments, needed.folder, terminated)
-        return _stopped(terminated) if code == INTERRUPTED else code
+                return first_use.again(arguments, needed.folder, came)
+        return _stopped(came) if code == INTERRUPTED else code
     except (KeyboardInterrupt, typer.Abort):
-        return _stopped(terminated)
+        return _stopped(came)
     except Exception as error:
-        if terminated:  # while LLVM compiles, ctypes drops the KeyboardInterrupt, and what follows fails
-            return _stopped(terminated)
+        if came:  # where a KeyboardInterrupt was dropped, what follows may fail
+            return _stopped(came)
         if debug:
             raise
         text, code = _explain(error)
@@ -112,7 +113,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         logging.getLogger("ik_toolkit").removeHandler(shown)
 
 
-def _stopped(terminated: list[bool]) -> int:
+def _stopped(came: list[int]) -> int:
+    terminated = signal.SIGTERM in came
     notice("ik: terminated" if terminated else "ik: interrupted")
     return TERMINATED if terminated else INTERRUPTED
 

@@ -165,6 +165,15 @@ Lock = Annotated[
     list[str] | None,
     typer.Option(metavar="JOINT=VALUE", help="Hold a joint at a value; may be repeated.", rich_help_panel="Robot"),
 ]
+Limit = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--limit",
+        metavar="JOINT:LOWER:UPPER",
+        help="Narrow the limits of a joint [rad, m; degrees with --deg]; an end left empty stays; may be repeated.",
+        rich_help_panel="Robot",
+    ),
+]
 PackageDir = Annotated[
     list[str] | None,
     typer.Option(metavar="DIR", help="Folder to search for package:// names.", rich_help_panel="Robot"),
@@ -327,6 +336,25 @@ def load_robot(
             raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
         values[joint] = math.radians(value[0]) if deg and not slides(robot, joint) else value[0]
     return robot.locked(values)
+
+
+def narrowed(robot: Any, limit: Sequence[str] | None, deg: bool, limits: bool = True) -> Any:
+    """The robot with the limits of --limit JOINT:LOWER:UPPER, which are degrees for revolute joints when `deg`."""
+    if not limit:
+        return robot
+    if not limits:
+        raise InvalidOption("--limit narrows limits that --no-limits leaves out; give one of them")
+    ranges = {}
+    for text in limit:
+        joint, *ends = text.rsplit(":", 2)
+        values = [numbers(end) or () if end.strip() else (None,) for end in ends]
+        if len(ends) != 2 or any(len(value) != 1 for value in values):
+            raise InvalidOption(f"--limit takes JOINT:LOWER:UPPER, two numbers or one of them, not '{text}'")
+        if joint in ranges:
+            raise InvalidOption(f"--limit names joint '{joint}' twice")
+        degrees = deg and not slides(robot, joint)
+        ranges[joint] = [math.radians(x) if degrees and x is not None else x for (x,) in values]
+    return robot.narrowed(ranges)
 
 
 def one_or_several(tips: list[str] | None) -> str | list[str] | None:

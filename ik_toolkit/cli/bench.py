@@ -9,6 +9,7 @@ from ..errors import InvalidOption
 from ..files import write_table, write_whole
 from .arguments import PLOTS, Csv, Json, Out, Tips, load_robot, one_or_several, solver_named, writes
 from .output import notice, partial, progress, show, table, write_json
+from .streams import uninterrupted
 
 if TYPE_CHECKING:
     from ..study.benchmark import Benchmark
@@ -114,12 +115,13 @@ def bench(
         found, stopped = interrupt.result, True
         if not found.rows:
             raise KeyboardInterrupt from None
-    write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)
-    for file, write in ((csv_file, _write_csv), (latex, _write_latex)):
-        if file is not None:
-            place = partial(file) if stopped else file
-            write(place, found)
-            notice(f"wrote {place}")
+    with uninterrupted():
+        write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)
+        for file, write in ((csv_file, _write_csv), (latex, _write_latex)):
+            if file is not None:
+                place = partial(file) if stopped else file
+                write(place, found)
+                notice(f"wrote {place}")
     if plot is not None and not stopped:
         from ..show.plot import plot as draw
 

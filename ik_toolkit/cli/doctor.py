@@ -43,7 +43,7 @@ def doctor(
     if prepare:
         _prepare(background)
         return
-    rows = [*_versions(), *_extras(), _cache(), _pinocchio(), _robots()]
+    rows = [*_versions(), *_extras(), _compiler(), _cache(), *_background(), _pinocchio(), _robots()]
     healthy = all(row["state"] != "problem" for row in rows)
     write_json({"healthy": healthy, "checks": rows}, as_json)
     if not as_json:
@@ -65,6 +65,8 @@ def _prepare(background: bool) -> None:
     with first_use.only_one(place) if background and place else nullcontext(True) as alone:
         if alone:
             prepare(progress=notice)
+    if place and not background:
+        first_use.forget(place)
 
 
 def _row(what: str, state: str, detail: str) -> dict[str, Any]:
@@ -102,10 +104,37 @@ def _extras() -> Iterator[dict[str, Any]]:
         yield _row(f"extra {extra}", "missing" if missing else "ok", detail)
 
 
+def _compiler() -> dict[str, Any]:
+    """Whether numba is a release whose own interfaces kernels are compiled with, or compiles them in its usual way."""
+    try:
+        import numba
+
+        from ..kernel.jit import OWN_WAY, TRIED
+    except Exception as error:
+        return _row("compiler", "problem", f"the kernels cannot be imported: {error}")
+    if OWN_WAY:
+        return _row("compiler", "ok", f"numba {numba.__version__} was tried with ik_toolkit")
+    slow = f"is none of those tried ({', '.join(TRIED)}): compiling takes longer, the first time"
+    return _row("compiler", "ok", f"numba {numba.__version__} {slow}")
+
+
+def _background() -> Iterator[dict[str, Any]]:
+    """What became of compiling in the background, if anything."""
+    from ..kernel.cache import folder
+
+    place = folder()
+    if place is None:
+        return
+    if first_use.compiling(place):
+        yield _row("background compiling", "ok", f"at work, see {place / first_use.LOG}")
+    elif why := first_use.died(place):
+        yield _row("background compiling", "problem", why)
+
+
 def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, whether there is room, and whether they are whole; what is damaged is removed."""
     try:
-        from ..kernel.cache import damaged
+        from ..kernel.cache import damaged, open_to_others
         from ..kernel.chain import forward
 
         folder, broken = damaged(forward)
@@ -114,10 +143,13 @@ def _cache() -> dict[str, Any]:
     if folder is None:
         why = getattr(getattr(forward, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")
         return _row("compile cache", "missing", f"every process compiles again ({why}); set NUMBA_CACHE_DIR")
+    place = Path(forward._cache.cache_path)
+    if why := open_to_others(place):
+        remedy = f"chmod go-w {place}, or set NUMBA_CACHE_DIR to a folder of your own"
+        return _row("compile cache", "problem", f"{why}, so every process compiles again: {place}; {remedy}")
     try:
         for path in broken:
             path.unlink()
-        place = Path(forward._cache.cache_path)
         place.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=place) as file:
             file.write(bytes(ROOM))

@@ -80,7 +80,8 @@ def check(
         raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
-    from ..robot.check import Finding, check_urdf
+    from ..robot.check import check_urdf
+    from ..robot.finding import odd, wrong
     from ..robot.library import find
     from ..robot.load import urdf_of
 
@@ -89,10 +90,12 @@ def check(
     options["xacro_args"] = assignments(xacro_arg, "--xacro-arg", ":=") or None
     try:
         read = urdf_of(entry, **options)
+        expanded = read.made
         text, findings = read.text, check_urdf(read.text, read.package_dirs, file=read.file)
+        findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
     except ModelError as error:
-        text = ""
-        findings = [Finding("error", "file", str(error), "give a URDF, xacro or MJCF file that can be read")]
+        text, expanded = "", False
+        findings = [wrong("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
     forms = {} if errors else _closed_forms(entry.tips, text)
@@ -103,12 +106,14 @@ def check(
         payload["self_collision"] = {**asdict(found), "reasons": pairs, "counts": found.counts()}
     write_json(payload, as_json)
     if not as_json:
-        made = table("<severity", "element", "problem", "what to do")
+        made = table("<severity", ">line", "element", "problem", "what to do")
         for finding in findings:
-            colour = "red" if finding.severity == "error" else "yellow"
-            made.add_row(Text(finding.severity, colour), finding.element, finding.problem, finding.advice)
+            colour, line = "red" if finding.severity == "error" else "yellow", str(finding.line or "")
+            made.add_row(Text(finding.severity, colour), line, finding.element, finding.problem, finding.advice)
         if findings:
             show(made)
+        if any(finding.line for finding in findings) and expanded:
+            show("the lines are those of the URDF that ik convert writes")
         warnings = len(findings) - len(errors)
         counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
         show(f"{entry.name}: {counts if findings else 'no problems found'}")
@@ -145,13 +150,17 @@ def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, se
 
 def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
     """Description by tip of the closed form that fits there; text: a URDF that can be loaded."""
+    from ..robot.base import carried
+    from ..robot.build import build_model
     from ..robot.robot import Robot
+    from ..robot.tips import guess_tip
     from ..solvers.closed_form import describe
 
-    found = {}
-    for tip in tips or (None,):
+    found, model = {}, build_model(text)
+    for tip in tips or (guess_tip(model).tips if len(guess_tip(model).tips) == 1 else ()):
+        held = carried(model, tip)
         try:
-            robot = Robot.load(text, tip=tip)
+            robot = Robot(model, tip=tip, base=held[1] if held else None, urdf=text)
         except IKError:  # several ends and none named: no single arm to describe
             continue
         if describe(robot):

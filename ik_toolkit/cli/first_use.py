@@ -12,7 +12,9 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from ..errors import clean
 from .output import notice
 
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # environment: compile and wait; this is the second run
@@ -20,6 +22,7 @@ AGAIN = "IK_TOOLKIT_AGAIN"  # environment: this is the second or third run
 BUDGET = 2000  # evaluations of the uncompiled kernel, about a second's worth
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
 LOCK, LOG = "compiling.lock", "compiling.log"  # next to the kernels
+BEGUN = "compiling.begun"  # there while a process compiles in the background, and after it died
 _here = {"allowed": False, "past": False}
 
 
@@ -74,23 +77,26 @@ def said_before() -> bool:
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 
-def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bool]) -> int:
+def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) -> int:
     """Run the command without compilation, then compile in the background; return its exit code.
 
-    terminated: not empty when it is SIGTERM that raises KeyboardInterrupt.
+    came: signals that have raised KeyboardInterrupt.
     """
     # The module path of this process, not the current folder in front of it as `-m` has: files there must not be run.
     start = f"import sys; sys.path[:] = {sys.path!r}; from ik_toolkit.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", start]
     waiting = {**os.environ, WAIT: "1"}
     without = {**os.environ, AGAIN: "1", INTERPRETED: "1", "NUMBA_DISABLE_JIT": "1"}
-    code = _run([*command, *arguments], without, terminated)
+    code = _run([*command, *arguments], without, came)
     if code == NOT_ANSWERED:
-        return _run([*command, *arguments], {**waiting, AGAIN: "1"}, terminated)
+        return _run([*command, *arguments], {**waiting, AGAIN: "1"}, came)
     if code not in (0, 1):  # a mistake or an interruption, already explained
         return code
     if folder is None:
         notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
+        return code
+    if why := died(folder):
+        notice(f"solved without compiled code: {why}")
         return code
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -106,7 +112,7 @@ def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bo
     return code
 
 
-def _run(command: Sequence[str], environment: dict[str, str], terminated: Sequence[bool]) -> int:
+def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int]) -> int:
     """Exit code of a command run in place of this one: Ctrl-C and SIGTERM end it as well, and it reports them."""
     with subprocess.Popen(command, env=environment) as process:
         try:
@@ -115,7 +121,7 @@ def _run(command: Sequence[str], environment: dict[str, str], terminated: Sequen
             try:
                 process.wait(1.0)  # Ctrl-C in a terminal reaches it as well
             except subprocess.TimeoutExpired:
-                process.send_signal(signal.SIGTERM if terminated else signal.SIGINT)
+                process.send_signal(signal.SIGTERM if signal.SIGTERM in came else signal.SIGINT)
             code = process.wait()
             if code < 0:  # ended before it could report anything
                 raise
@@ -124,15 +130,69 @@ def _run(command: Sequence[str], environment: dict[str, str], terminated: Sequen
 
 @contextmanager
 def only_one(folder: Path) -> Iterator[bool]:
-    """Context that tells whether no other process compiles in the background, and claims that role. Lowers the priority."""
-    import fcntl
+    """Context that tells whether no other process compiles in the background, and claims that role. Lowers the priority.
 
+    Ended by an error, or dead, it leaves behind what `died` sees; stopped by a signal it does not.
+    """
     os.nice(19)
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / LOCK, "a") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        if not _lock(lock):
             yield False
             return
-        yield True
+        (folder / BEGUN).write_text(_versions())
+        try:
+            yield True
+        except Exception:
+            raise
+        except BaseException:
+            forget(folder)
+            raise
+        forget(folder)
+
+
+def _lock(file: Any) -> bool:
+    import fcntl
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _versions() -> str:
+    """What is compiled with what: another release may do better."""
+    import llvmlite
+    import numba
+
+    from ..kernel.cache import KERNEL, stamp_of
+
+    return f"kernels {stamp_of(KERNEL)}, numba {numba.__version__}, llvmlite {llvmlite.__version__}, {sys.version}"
+
+
+def compiling(folder: Path) -> bool:
+    """Whether a process compiles in the background."""
+    try:
+        with open(folder / LOCK) as lock:
+            return not _lock(lock)
+    except OSError:
+        return False
+
+
+def died(folder: Path) -> str:
+    """What became of a process that compiled in the background with these versions and died; '' when none did."""
+    try:
+        if compiling(folder) or (folder / BEGUN).read_text() != _versions():
+            return ""
+        said = (folder / LOG).read_text(errors="replace").strip().splitlines()
+    except OSError:
+        return ""
+    last = f": {clean(said[-1])[:200]}" if said else ""
+    how = "'ik doctor --prepare' compiles where its errors are seen"
+    return f"compiling in the background ended before it was done{last} ({folder / LOG}); {how}"
+
+
+def forget(folder: Path) -> None:
+    """What was to be compiled is there, or was not to be."""
+    (folder / BEGUN).unlink(missing_ok=True)

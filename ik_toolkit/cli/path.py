@@ -19,6 +19,7 @@ from .arguments import (
     Deg,
     Group,
     Json,
+    Limit,
     Lock,
     PackageDir,
     RobotArg,
@@ -27,11 +28,13 @@ from .arguments import (
     XacroArg,
     joint_vector,
     load_robot,
+    narrowed,
     writes,
 )
 from .obstacles import avoided
 from .output import facts, notice, partial, progress, show, table, write_json
 from .pictures import Html, Live, present
+from .streams import uninterrupted
 
 if TYPE_CHECKING:
     from ..paths.result import PathResult
@@ -129,6 +132,7 @@ def path(
     base_xyz: BaseXyz = None,
     base_rpy: BaseRpy = None,
     lock: Lock = None,
+    limit: Limit = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
     srdf: SrdfFile = None,
@@ -155,24 +159,26 @@ def path(
 
     tips = by_tip.choose_tips(robot, tip, None, None, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
+    arm = narrowed(arm, limit, deg)
     _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], poses.name)
     options = _options(line, arm)
+    result = made = None
     try:
         with progress("searching", 100) as bar:
             result = solve_path(arm, targets, progress=lambda share, words: bar(100.0 * share, words), **options)
-    except PathInterrupted as stop:
-        if output is not None and not retime:
-            kept = partial(output)
-            stop.result.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
-            notice(f"partial: the best path so far, {stop.result.status.name}, is in {kept}")
+        if retime and result.success:
+            made = result.retime(
+                _numbers(velocity, "--velocity"), _numbers(acceleration, "--acceleration"), rate=rate, seed=seed
+            )
+    except KeyboardInterrupt as stop:
+        found = stop.result if isinstance(stop, PathInterrupted) else result
+        if output is not None and found is not None:
+            _keep(found, output, "the path, without times," if retime else "the best path so far")
         raise
-    made = None
-    if retime and result.success:
-        made = result.retime(
-            _numbers(velocity, "--velocity"), _numbers(acceleration, "--acceleration"), rate=rate, seed=seed
-        )
-    _write(result, made, line)
+    with uninterrupted():
+        _write(result, made, line)
+    _draw(result, made, line)
     write_json(_payload(result, made), as_json)
     if not as_json:
         _show(result, made)
@@ -233,9 +239,16 @@ def _numbers(text: str | None, option: str) -> Any:
     return found[0] if len(found) == 1 else found
 
 
+def _keep(found: "PathResult", output: Path, what: str) -> None:
+    """Keep the path of an interrupted command beside the file asked for."""
+    with uninterrupted():
+        kept = partial(output)
+        found.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
+        notice(f"partial: {what}, {found.status.name}, is in {kept}")
+
+
 def _write(result: "PathResult", made: "Trajectory | None", line: SimpleNamespace) -> None:
-    """Write the files asked for."""
-    what = result if made is None else made
+    """Write the file asked for."""
     if line.output is not None:
         if made is not None:
             save = made.to_json if line.output.suffix.lower() == ".json" else made.to_csv
@@ -244,6 +257,11 @@ def _write(result: "PathResult", made: "Trajectory | None", line: SimpleNamespac
             notice(f"wrote {result.save(line.output)}")
         else:
             notice(f"nothing written to {line.output}: the path is not followed, so there is no trajectory")
+
+
+def _draw(result: "PathResult", made: "Trajectory | None", line: SimpleNamespace) -> None:
+    """Make the pictures asked for."""
+    what = result if made is None else made
     if line.plot is not None:
         from ..show.plot import plot
 

@@ -11,6 +11,7 @@ import typer
 from ..errors import InvalidOption, near_match
 from .arguments import Json
 from .output import facts, notice, progress, show, table, write_json
+from .streams import uninterrupted
 
 PaperArg = Annotated[str | None, typer.Argument(metavar="[PAPER]", help="Name of a paper; omit to list them.")]
 Folder = Annotated[
@@ -28,7 +29,7 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     """Recompute a paper: a report with tables and pictures, with every published number next to ours.
 
     Writes report.md, report.json and the pictures (PNG, with matplotlib). Nothing in it is typed in but the published
-    numbers; times are of this run.
+    numbers; times are of this run. Ctrl-C keeps the report so far as report.md.partial and report.json.partial.
     """
     from ..papers import PAPERS
 
@@ -50,8 +51,16 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     if not os.access(folder, os.W_OK):
         raise InvalidOption(f"cannot write to '{folder}': no permission")
     notice(f"computing the report of '{paper}': takes a minute or two ...")
-    with progress("computing", None):  # a report does not tell its progress
-        report = getattr(importlib.import_module(module), function)()
+    from ..papers.report import ReportInterrupted
+
+    try:
+        with progress("computing", None):  # a report does not tell its progress
+            report = getattr(importlib.import_module(module), function)()
+    except ReportInterrupted as stop:
+        with uninterrupted():
+            files = stop.report.write_partial(folder)
+            notice(f"partial: the report so far is in {' and '.join(map(str, files))}")
+        raise
     files = report.write(folder)
     write_json({**report.data, "files": [str(file) for file in files]}, as_json)
     if not as_json:

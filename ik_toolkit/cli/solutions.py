@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..files import PARTIAL, WholeFile
+from ..files import PARTIAL, WholeFile, inert
 from ..solvers.batch_result import BatchResult
 from ..solvers.status import Status
 from .output import notice
@@ -42,7 +42,7 @@ class CsvWriter:
         lines = io.StringIO()
         writer = csv.writer(lines)
         if not self.started:
-            writer.writerow(columns)
+            writer.writerow(map(inert, columns))
         self.started = True
         writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
         self.file.write(lines.getvalue())

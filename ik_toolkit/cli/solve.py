@@ -18,6 +18,7 @@ from .arguments import (
     Deg,
     Group,
     Json,
+    Limit,
     Lock,
     Out,
     PackageDir,
@@ -26,6 +27,7 @@ from .arguments import (
     Tips,
     XacroArg,
     load_robot,
+    narrowed,
 )
 from .by_tip import choose_tips, in_base
 from .output import facts, notice, number, show, table, unit, write_json
@@ -90,6 +92,7 @@ def solve(
     base_xyz: BaseXyz = None,
     base_rpy: BaseRpy = None,
     lock: Lock = None,
+    limit: Limit = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
     srdf: SrdfFile = None,
@@ -121,17 +124,15 @@ def solve(
     method = asked.choose_solver(solver, param, preset)
     tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line), group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
-    if from_q is not None:
-        target = asked.reached(line, arm)
+    arm = narrowed(arm, limit, deg, limits)
+    target = target if from_q is None else asked.reached(line, arm)
     options = asked.read_options(line, arm)
     start = options.pop("q0")
     if file is not None:
         from .targets import solve_file
 
-        solve_file(
-            arm, file, output, method, start, options,
-            threads=threads, cluster=cluster, deg=deg, as_json=as_json,
-        )  # fmt: skip
+        asked_for = {"threads": threads, "cluster": cluster, "deg": deg, "as_json": as_json}
+        solve_file(arm, file, output, method, start, options, **asked_for)
     elif every:
         _solve_all(arm, target, method, start, options, line)
     else:

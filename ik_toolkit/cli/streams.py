@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+RAISED_AGAIN = 0.05  # [s] after which Ctrl-C that was dropped is raised again
+
 
 def open_standard_streams() -> None:
     """Give a process started with a closed stdin, stdout or stderr (`>&-`) the null device in its place.
@@ -25,24 +27,42 @@ def open_standard_streams() -> None:
 
 
 @contextmanager
-def on_sigterm(came: list[bool]) -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, and note in `came` that it was SIGTERM."""
+def stoppable(came: list[int]) -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C does, and note in `came` which of the two came.
+
+    Where the exception is dropped, as in code that C calls (numba's compiler, finalizers), it is raised again soon after.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    process = os.getpid()
+    process, show_dropped = os.getpid(), sys.unraisablehook
 
-    def stop(*_: Any) -> None:
+    def stop(number: int, *_: Any) -> None:
         if os.getpid() != process:  # a worker forked from here
-            os._exit(143)
-        came.append(True)
+            os._exit(128 + number)
+        came.append(number)
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, stop)
+    def dropped(what: Any) -> None:
+        if came and issubclass(what.exc_type, KeyboardInterrupt):
+            main = threading.main_thread().ident  # which may be waiting
+            threading.Timer(RAISED_AGAIN, signal.pthread_kill, [main, came[-1]]).start()
+        else:
+            show_dropped(what)
+
+    # A shell lets commands in the background ignore Ctrl-C, which then is meant for others.
+    heard = [
+        signal.SIGTERM,
+        *([signal.SIGINT] if signal.getsignal(signal.SIGINT) is signal.default_int_handler else []),
+    ]
+    before = {number: signal.signal(number, stop) for number in heard}
+    sys.unraisablehook = dropped
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before if before is not None else signal.SIG_DFL)
+        sys.unraisablehook = show_dropped
+        for number, handler in before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
 
 @contextmanager

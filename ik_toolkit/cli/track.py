@@ -20,6 +20,7 @@ from .arguments import (
     Deg,
     Group,
     Json,
+    Limit,
     Lock,
     PackageDir,
     RobotArg,
@@ -29,11 +30,13 @@ from .arguments import (
     assignments,
     joint_vector,
     load_robot,
+    narrowed,
     writes,
 )
 from .by_tip import choose_tips
 from .obstacles import avoided
-from .output import facts, notice, progress, show, table, turns, unit, write_json
+from .output import facts, notice, partial, progress, show, table, turns, unit, write_json
+from .streams import uninterrupted
 from .track_path import Asked, advice, asked_path, doubt_metres
 
 if TYPE_CHECKING:
@@ -208,6 +211,7 @@ def track(
     base_xyz: BaseXyz = None,
     base_rpy: BaseRpy = None,
     lock: Lock = None,
+    limit: Limit = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
     srdf: SrdfFile = None,
@@ -223,7 +227,8 @@ def track(
 
     Without --radius, --length, --start or --end the command chooses a path that the robot can follow and reports it. A path
     given with any of them is used as it is; if the robot cannot follow it, the command says how far it gets and which changes
-    work. Gains that are unstable at the given rate are reported, with better ones.
+    work. Gains that are unstable at the given rate are reported, with better ones. Ctrl-C keeps the part of the run that is done
+    as FILE.partial.
 
     Exit code 0 when every sample was within tolerance (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run
     diverged.
@@ -234,19 +239,16 @@ def track(
     counts = shared.read_counting(line)
     tips = choose_tips(robot, tip, None, relative, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
+    arm = narrowed(arm, limit, deg, limits)
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
-    with progress("tracking", None):
-        asked = asked_path(arm, line, first, counts)
-        doubt_metres(arm, asked.reference)
-        result = _run(arm, line, asked, counts)
-    if output is not None:
-        notice(f"wrote {result.save(output)}")
-    if plot is not None:
-        from ..show.plot import plot as draw
-
-        draw(result, arm, file=plot)
-        notice(f"wrote {plot}")
-    tried = [] if result.reach is None else _changes(arm, line, asked, first, result.reach, counts)
+    asked, result = _follow(arm, line, first, counts)
+    _write(result, arm, line)
+    stopped, tried = None, []
+    try:
+        if result.reach is not None:
+            tried = _changes(arm, line, asked, first, result.reach, counts)
+    except KeyboardInterrupt as stop:  # the run itself is finished
+        stopped = stop
     more = {"path_chosen": asked.words} if asked.words else {"works": tried} if result.reach is not None else {}
     tips_of = {"tips": [*arm.tips]} if arm.by_tip else {"tip": arm.tip}
     write_json({**result.to_dict(), "path": asked.shown, **more, "base": arm.base, **tips_of}, as_json)
@@ -257,7 +259,40 @@ def track(
         _show(result, arm, asked, deg)
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
+    if stopped is not None:
+        raise stopped
+    if not result.success:
         raise typer.Exit(1)
+
+
+def _follow(arm: Any, line: SimpleNamespace, first: Any, counts: dict[str, Any]) -> "tuple[Asked, TrackResult]":
+    """What was asked for, and the run; of an interrupted one the part that is done is kept beside the file asked for."""
+    from ..tracking.track import TrackInterrupted
+
+    try:
+        with progress("tracking", None):
+            asked = asked_path(arm, line, first, counts)
+            doubt_metres(arm, asked.reference)
+            return asked, _run(arm, line, asked, counts)
+    except TrackInterrupted as stop:
+        if line.output is not None:
+            with uninterrupted():
+                part, kept = stop.result, partial(line.output)
+                part.save(line.output.with_name(f"{line.output.stem}.part{line.output.suffix}")).replace(kept)
+                notice(f"partial: {part.message.partition('; ')[0].rstrip('.')}, in {kept}")
+        raise
+
+
+def _write(result: "TrackResult", arm: Any, line: SimpleNamespace) -> None:
+    """Write the files asked for."""
+    if line.output is not None:
+        with uninterrupted():
+            notice(f"wrote {result.save(line.output)}")
+    if line.plot is not None:
+        from ..show.plot import plot as draw
+
+        draw(result, arm, file=line.plot)
+        notice(f"wrote {line.plot}")
 
 
 def _run(

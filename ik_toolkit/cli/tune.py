@@ -28,6 +28,7 @@ from .arguments import (
     writes,
 )
 from .output import facts, notice, partial, progress, show, write_json
+from .streams import uninterrupted
 
 if TYPE_CHECKING:
     from ..study.tune import TuneResult
@@ -153,15 +154,13 @@ def tune(
         )
     if result.interrupted:
         preset = partial(preset)
-    result.save(preset)
+    with uninterrupted():
+        result.save(preset)
+        _write_csv(csv_file, result)
     if plot is not None and not result.interrupted:
         from ..show.plot import plot as draw
 
         draw(result, file=plot)
-    if csv_file is not None:
-        place = partial(csv_file) if result.interrupted else csv_file
-        _write_csv(place, result)
-        notice(f"wrote {place}")
     write_json({**result.to_dict(), "preset": str(preset)}, as_json)
     if not as_json:
         _show(result, preset)
@@ -172,13 +171,17 @@ def tune(
         raise KeyboardInterrupt
 
 
-def _write_csv(file: Path, result: "TuneResult") -> None:
-    """The scores as CSV: a row for each rule, the tuned one also on the training targets."""
+def _write_csv(file: Path | None, result: "TuneResult") -> None:
+    """The scores as CSV, where asked for: a row for each rule, the tuned one also on the training targets."""
+    if file is None:
+        return
+    file = partial(file) if result.interrupted else file
     scores = {f"{name}, held out": one for name, one in result.scores.items()} | {"tuned, training": result.train}
     rows = (
         (name, one.total, sum(one.successes), one.share, *one.interval, one.iterations) for name, one in scores.items()
     )
     write_table(file, ["rule", "targets", "solved", "share", "low", "high", "iterations"], rows)
+    notice(f"wrote {file}")
 
 
 @contextmanager

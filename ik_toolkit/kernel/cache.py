@@ -2,15 +2,19 @@
 
 numba's own cache watches the file of the cached function only, keeps all kernels of a function in one index that two
 processes may overwrite for each other, and passes on whatever a damaged file makes of unpickling. Here each kernel is one
-file, named by its key; it holds its key and a checksum, and what does not match is compiled again.
+file, named by its key; it holds its key and a checksum, and what does not match is compiled again. Loading a file runs what is in
+it, so only files that nobody else can have written are loaded.
 """
 
 import functools
+import grp
 import hashlib
 import inspect
 import logging
 import os
 import pickle
+import pwd
+import stat
 import types
 import uuid
 from collections.abc import Iterator
@@ -67,6 +71,10 @@ class DiskCache(FunctionCache):
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
         path = self.path(key)
+        if why := open_to_others(path.parent):
+            not_kept(str(path.parent), why)
+            COMPILING.info("compiling %s (%s)", self.what, f"in every process: {why}")
+            return None
         try:
             stored, payload = pickle.loads(content(path))  # noqa: S301  our own file, and whole
             if stored == key:
@@ -81,7 +89,7 @@ class DiskCache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep compiled code; where that cannot be written, the process continues with the code it has."""
-        if not self._impl.check_cachable(data):
+        if not self._impl.check_cachable(data) or open_to_others(Path(self._cache_path)):
             return
         key = self._index_key(sig, data.codegen)
         try:
@@ -102,14 +110,49 @@ def not_kept(folder: str, why: str) -> None:
 def folder() -> Path | None:
     """Where the kernels of this package are kept; None where nothing can be kept."""
     try:
-        return Path(DiskCache(stamp_of, "", "").cache_path)
+        place = Path(DiskCache(stamp_of, "", "").cache_path)
     except (RuntimeError, OSError):
         return None
+    return None if open_to_others(place) else place
+
+
+def open_to_others(path: Path) -> str:
+    """Why others than this user and root may have written a file, or files in a folder; '' when they cannot."""
+    try:
+        return _open_to_others(os.stat(path))
+    except OSError:
+        return ""
+
+
+def _open_to_others(found: os.stat_result) -> str:
+    if found.st_uid not in (os.geteuid(), 0):
+        return "it belongs to another user"
+    kept = (
+        stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
+    )  # as in /tmp: others add files, but replace none
+    if found.st_mode & stat.S_IWOTH and not kept:
+        return "every user may write to it"
+    if found.st_mode & stat.S_IWGRP and not kept and not _is_own_group(found.st_gid):
+        return "other users of its group may write to it"
+    return ""
+
+
+def _is_own_group(group: int) -> bool:
+    """Whether a group is that of this user alone, as many systems make one for each user. That of root may be shared."""
+    try:
+        user, own = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
+    except KeyError:
+        return False
+    alone = user.pw_gid == group and own.gr_name == user.pw_name and set(own.gr_mem) <= {user.pw_name}
+    return alone and user.pw_uid != 0
 
 
 def content(path: Path) -> bytes:
-    """What `write` wrote; ValueError when the file is not whole."""
-    data = path.read_bytes()
+    """What `write` wrote; ValueError when the file is not whole, or others may have written it."""
+    with path.open("rb") as file:
+        if why := _open_to_others(os.fstat(file.fileno())):
+            raise ValueError(why)
+        data = file.read()
     body = data[len(HEAD) + 32 :]
     if data[: len(HEAD)] != HEAD or data[len(HEAD) : len(HEAD) + 32] != hashlib.sha256(body).digest():
         raise ValueError("the file is damaged")
@@ -138,6 +181,7 @@ def write(path: Path, body: bytes) -> None:
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:
         part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
+        part.chmod(0o644)  # also where new files may be written by a group
         os.replace(part, path)
     except BaseException:
         part.unlink(missing_ok=True)

@@ -9,16 +9,22 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import numba
 from numba import njit, types
 from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-try:
+# Releases of numba whose private interfaces parts.py and quick.py were tried with; scripts/try_numba.py tries another. Without
+# the two a release raises at best, and at worst LLVM ends the process, so any other compiles in its usual, slower way.
+TRIED = ("0.66", "0.67", "0.68")
+OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
+PARTS: dict[str, Any] = {}
+CALLED: dict[str, Any] = {}
+KERNEL: dict[str, Any] = {}
+if OWN_WAY:
     from .parts import CalledPipeline, KernelPipeline, PartPipeline
-except (AttributeError, ImportError):  # another release of numba compiles parts in its usual way, which takes longer
-    PARTS, CALLED, KERNEL = {}, {}, {}
-else:
+
     PARTS, CALLED = {"pipeline_class": PartPipeline}, {"pipeline_class": CalledPipeline}
     KERNEL = {"pipeline_class": KernelPipeline}
 

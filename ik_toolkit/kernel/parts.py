@@ -1,23 +1,18 @@
-"""How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run separately."""
+"""How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run separately.
 
-import inspect
+This uses undocumented interfaces of numba, so jit.py imports it only for the releases with which it was tried.
+"""
+
 from functools import partial
 from typing import Any, ClassVar
 
 from llvmlite.binding import Linkage, parse_assembly
 from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
 from numba.core.cgutils import normalize_ir_text
-from numba.core.codegen import CPUCodegen, JITCodeLibrary
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
 from .quick import Passes, remembering, size_of
-
-# Undocumented parts of numba; where they are missing or take other arguments, jit.py does without this module.
-USED = ("_optimize_functions", "_optimize_final_module", "_finalize_final_module")
-KNOWN = "no_compile" in Flags.options and all(hasattr(JITCodeLibrary, name) for name in USED)
-_, *asked = inspect.signature(CPUCodegen._function_pass_manager).parameters.values()
-if not KNOWN or any(one.kind == one.POSITIONAL_OR_KEYWORD and one.default is one.empty for one in asked):  # numba 0.61
-    raise ImportError("this numba compiles otherwise")
 
 # LLVM's first level of optimising: the third makes kernels no faster (scripts/benchmarks/against.py) and code that takes thrice the
 # time to turn into machine code: of a tracker's 45 s of compiling, 16, and 5 to 7 at the first.

@@ -1,7 +1,8 @@
 """What a tracker's loop reads and writes, in four blocks: each array that a call from Python hands over takes it 0.1 microseconds.
 
 Python and the kernel cut the parts of a block in the same way: Python once, as arrays, the kernel at every call, as views. The
-first number of a block is that of `cut`; the next ones are counts, from which all lengths follow.
+first number of a block is that of `cut`; the next ones are counts, from which all lengths follow. A copy of one is a copy of its
+block, cut anew.
 """
 
 import math
@@ -31,6 +32,9 @@ class Settings(NamedTuple):
     level: Array  # (rows,)
     measured: Array  # (n,) where the joints are, when law.measured says so
 
+    def __reduce__(self) -> tuple:
+        return settings_of, (self.block,)
+
 
 @compiled
 class Carried(NamedTuple):
@@ -49,6 +53,9 @@ class Carried(NamedTuple):
     kept: Array
     starts: Array  # (4, n + rows) int8 ... and those it found on the way
 
+    def __reduce__(self) -> tuple:
+        return carried_of, (self.block,)
+
 
 @compiled
 class Samples(NamedTuple):
@@ -59,6 +66,9 @@ class Samples(NamedTuple):
     V: Array  # (N, m) twist
     A: Array  # (N, m) acceleration
     caps: Array  # (3, N) highest rate of the clock, joint that sets it, steps to the end at these rates
+
+    def __reduce__(self) -> tuple:
+        return samples_of, (self.block,)
 
 
 @compiled
@@ -71,6 +81,9 @@ class Record(NamedTuple):
     E: Array  # (N, m) errors [m, rad]
     S: Array  # (N, 4) clock, its rate, joint that sets it (-1: none), lost directions (1 in a step down near a singular pose)
     C: Array  # (N - 1, n) bits of limits, uint8
+
+    def __reduce__(self) -> tuple:
+        return record_of, (self.block,)
 
 
 @shared

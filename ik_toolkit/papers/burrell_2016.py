@@ -71,26 +71,28 @@ def counts(robot: Robot, rule: Any, q0: np.ndarray | None = None, seeds: Any = S
 
 def reproduce(seeds: int = 10) -> Report:
     """Compute the report; `seeds`: sets of 1000 goals for the counts."""
-    report = Report("burrell", "Burrell et al. (2016): IK-PID and state-space solver of the HydroLek-7W, reproduced")
-    robot = Robot.load("hydrolek_7w")
-    report.text(
-        """Published numbers next to ours, and why they differ. Model: Table I read as classic D-H; paper frame = Rx(-90 deg) of
-        base_link; errors in mm, increments in degrees; literal delay of eq. (14). The paper does not give the start
-        configuration, the goals, the tolerance and iteration limit of sections 6.1 and 6.2, or the tuned matrices. We use 1
-        mm, 1000 iterations and goals (the paper's word for targets) uniform in the joints. No result was selected by its
-        seed."""
-    )
-    some = SEEDS[:seeds]
-    _model(report, robot)
-    goal = existence(report, robot, starts(robot)["clipped zero"])
-    _counts(report, robot, some)
-    gains(report, robot, starts(robot), some)
-    swarm(report, robot, starts(robot)["mid-range"], [goals(robot, k) for k in some])
-    _responses(report, robot, goal, some)
-    speed(report, robot, starts(robot)["mid-range"])
-    _planar(report, some)
-    _other_robots(report)
-    _misprints(report)
+    with Report(
+        "burrell", "Burrell et al. (2016): IK-PID and state-space solver of the HydroLek-7W, reproduced"
+    ) as report:
+        robot = Robot.load("hydrolek_7w")
+        report.text(
+            """Published numbers next to ours, and why they differ. Model: Table I read as classic D-H; paper frame = Rx(-90 deg) of
+            base_link; errors in mm, increments in degrees; literal delay of eq. (14). The paper does not give the start
+            configuration, the goals, the tolerance and iteration limit of sections 6.1 and 6.2, or the tuned matrices. We use 1
+            mm, 1000 iterations and goals (the paper's word for targets) uniform in the joints. No result was selected by its
+            seed."""
+        )
+        some = SEEDS[:seeds]
+        _model(report, robot)
+        goal = existence(report, robot, starts(robot)["clipped zero"])
+        _counts(report, robot, some)
+        gains(report, robot, starts(robot), some)
+        swarm(report, robot, starts(robot)["mid-range"], [goals(robot, k) for k in some])
+        _responses(report, robot, goal, some)
+        speed(report, robot, starts(robot)["mid-range"])
+        _planar(report, some)
+        _other_robots(report)
+        _misprints(report)
     return report
 
 

@@ -40,31 +40,31 @@ ROUNDS = 15
 
 def reproduce(count: int = 20_000, seed: int = 0) -> Report:
     """Compute the report: `count` random targets for the convergence table."""
-    report = Report("chinyai", "Chinyai: Newton-Raphson against the closed form, tested")
-    report.text(
-        "The paper compares Newton-Raphson with the closed form of a planar two-link arm and concludes that Newton "
-        "is faster. It prints **no number**: no link lengths, start, tolerance, iteration count, machine or time, "
-        "and its section 'Application' is empty. So only the formulas and the claim can be checked; "
-        "both are tested here."
-    )
-    rng = np.random.default_rng(seed)
-    _formulas(report, rng, count)
-    ratio = _speed(report, rng)
-    _convergence(report, rng, count)
-    _failures(report, rng)
-    report.heading("Verdict")
-    slower = min(values.min() for values in ratio.values()) > 1.0
-    words = {name: spread(values) for name, values in ratio.items()}
-    report.text(
-        f"The claim {'does not hold' if slower else 'holds in part'} on this arm: in this run Newton-Raphson from a "
-        f"fixed start takes {words['compiled']} times as long as the closed form when both are compiled, "
-        f"{words['python']} times in plain Python and {words['numpy']} times in numpy, and still {words['warm']} times "
-        f"from a start 0.001 rad away (compiled; median [min-max] of {ROUNDS} rounds); and it returns one answer, or "
-        "none, where the closed form returns both. The other half of the argument holds: Newton needs only the "
-        "forward kinematics and the Jacobian, so it also serves arms without a closed form. The claim may "
-        "come from timing a symbolic solve of the two equations against a numeric loop."
-    )
-    _misprints(report)
+    with Report("chinyai", "Chinyai: Newton-Raphson against the closed form, tested") as report:
+        report.text(
+            "The paper compares Newton-Raphson with the closed form of a planar two-link arm and concludes that Newton "
+            "is faster. It prints **no number**: no link lengths, start, tolerance, iteration count, machine or time, "
+            "and its section 'Application' is empty. So only the formulas and the claim can be checked; "
+            "both are tested here."
+        )
+        rng = np.random.default_rng(seed)
+        _formulas(report, rng, count)
+        ratio = _speed(report, rng)
+        _convergence(report, rng, count)
+        _failures(report, rng)
+        report.heading("Verdict")
+        slower = min(values.min() for values in ratio.values()) > 1.0
+        words = {name: spread(values) for name, values in ratio.items()}
+        report.text(
+            f"The claim {'does not hold' if slower else 'holds in part'} on this arm: in this run Newton-Raphson from a "
+            f"fixed start takes {words['compiled']} times as long as the closed form when both are compiled, "
+            f"{words['python']} times in plain Python and {words['numpy']} times in numpy, and still {words['warm']} times "
+            f"from a start 0.001 rad away (compiled; median [min-max] of {ROUNDS} rounds); and it returns one answer, or "
+            "none, where the closed form returns both. The other half of the argument holds: Newton needs only the "
+            "forward kinematics and the Jacobian, so it also serves arms without a closed form. The claim may "
+            "come from timing a symbolic solve of the two equations against a numeric loop."
+        )
+        _misprints(report)
     return report
 
 

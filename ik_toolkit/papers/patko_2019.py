@@ -16,22 +16,22 @@ from .report import Report
 
 def reproduce() -> Report:
     """Everything in the paper that can be checked, next to our results; takes about ten seconds."""
-    made = Report("patko_2019", "Patko and Zelei (2019): tracking at velocity and acceleration level")
-    made.text(
-        """The paper compares four ways of following a moving target: classical feedback at velocity level (cv) and at
-        acceleration level (ca), and alternatives that remove the error in one step (av, aa). It prints gains, mapping matrices
-        and charts, but no error values, paths, link lengths, initial errors, durations or start values. So matrices and
-        verdicts are compared exactly, and the curves are redrawn for our own choices: PP l = 0.5 m on a
-        circle of 0.3 m about (1, 1) at 1 rad/s; RR l = 1 m on a circle of 0.35 m about (1, 0.6) at 0.5 rad/s; initial errors
-        0.1, (0.1, -0.05) and (0.05, -0.05) m. Errors are target minus actual; the paper uses the opposite sign."""
-    )
-    dynamics(made, {name: (SETS[name].kp, SETS[name].kd) for name in ("PP good", "RR good")})
-    _radii(made)
-    _figures(made)
-    runs = _errors(made)
-    _orders(made)
-    growths = _growth(made)
-    _claims(made, runs, growths)
+    with Report("patko_2019", "Patko and Zelei (2019): tracking at velocity and acceleration level") as made:
+        made.text(
+            """The paper compares four ways of following a moving target: classical feedback at velocity level (cv) and at
+            acceleration level (ca), and alternatives that remove the error in one step (av, aa). It prints gains, mapping matrices
+            and charts, but no error values, paths, link lengths, initial errors, durations or start values. So matrices and
+            verdicts are compared exactly, and the curves are redrawn for our own choices: PP l = 0.5 m on a
+            circle of 0.3 m about (1, 1) at 1 rad/s; RR l = 1 m on a circle of 0.35 m about (1, 0.6) at 0.5 rad/s; initial errors
+            0.1, (0.1, -0.05) and (0.05, -0.05) m. Errors are target minus actual; the paper uses the opposite sign."""
+        )
+        dynamics(made, {name: (SETS[name].kp, SETS[name].kd) for name in ("PP good", "RR good")})
+        _radii(made)
+        _figures(made)
+        runs = _errors(made)
+        _orders(made)
+        growths = _growth(made)
+        _claims(made, runs, growths)
     return made
 
 

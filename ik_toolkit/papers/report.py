@@ -6,18 +6,27 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from ..errors import MissingExtra
-from ..files import write_whole
+from ..errors import MissingExtra, Portable
+from ..files import PARTIAL, write_whole
 from ..style import PRINTED
 from ..text import plain
 
 
+class ReportInterrupted(Portable, KeyboardInterrupt):
+    """Ctrl-C while a report is made; `report` is what there is of it."""
+
+    def __init__(self, report: "Report") -> None:
+        """Keep the finished part."""
+        super().__init__(f"interrupted in the report '{report.title}'")
+        self.report = report
+
+
 class Report:
-    """Collects the parts of a report in reading order.
+    """Collects the parts of a report in reading order; Ctrl-C in a `with` block of it raises ReportInterrupted.
 
     name: short file-name-safe name; title: heading. `data` holds every table under its key (rows as lists, columns named)
     and every number given to `number`: what `report.json` and `ik reproduce --json` contain.
@@ -30,6 +39,15 @@ class Report:
         self.data: dict[str, Any] = {"paper": name, "title": title}
         self._parts: list[str] = [f"# {title}"]
         self._figures: list[tuple[str, Callable[[Any], Any]]] = []
+
+    def __enter__(self) -> Self:
+        """From here on parts are added."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+        """Hand on what there is."""
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
+            raise ReportInterrupted(self) from None
 
     def heading(self, text: str) -> None:
         """Start a section."""
@@ -65,11 +83,11 @@ class Report:
 
         pictures: None draws them if matplotlib is installed. Raises MissingExtra if True and it is not.
         """
+        folder = Path(folder)
         if pictures is None:
             pictures = importlib.util.find_spec("matplotlib") is not None
         elif pictures and importlib.util.find_spec("matplotlib") is None:
             raise MissingExtra("matplotlib", "plots")
-        folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         files = [folder / "report.md", folder / "report.json"]
         text = self.markdown()
@@ -87,6 +105,13 @@ class Report:
                     figure = draw(plt)
                     figure.set_size_inches(*(figure.get_size_inches() * min(1.0, WIDEST / figure.get_figwidth())))
                     files.append(save(figure, folder / file))
+        return files
+
+    def write_partial(self, folder: str | Path) -> list[Path]:
+        """Write what there is as report.md.partial and report.json.partial, without pictures; return the files."""
+        files = [Path(folder) / f"{name}{PARTIAL}" for name in ("report.md", "report.json")]
+        write_whole(files[0], f"{self.markdown()}\nThe report was interrupted here.\n")
+        write_whole(files[1], json.dumps(plain(self.data), indent=1) + "\n")
         return files
 
 

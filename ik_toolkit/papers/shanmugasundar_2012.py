@@ -50,18 +50,18 @@ from .timing import Work, rounds, spread
 
 def reproduce(poses: int = 2000, seed: int = 0) -> Report:
     """Compute the report: `poses` random poses for the formulas of Fig 4."""
-    report = Report("shanmugasundar", "Shanmugasundar and Sivaramakrishnan (2012), reproduced")
-    robot = Robot.load("inspection_7dof")
-    printed = pose_matrix(PRINTED_POSE)
-    table_pose = printed.copy()
-    table_pose[:3, :3] = nearest_rotation(printed[:3, :3])[0]
-    model(report, robot)
-    _target(report, printed)
-    answers(report, printed, table_pose)
-    formulas(report, robot, poses, seed)
-    sample(report, robot, printed, table_pose)
-    _speed(report, robot)
-    _misprints(report, printed)
+    with Report("shanmugasundar", "Shanmugasundar and Sivaramakrishnan (2012), reproduced") as report:
+        robot = Robot.load("inspection_7dof")
+        printed = pose_matrix(PRINTED_POSE)
+        table_pose = printed.copy()
+        table_pose[:3, :3] = nearest_rotation(printed[:3, :3])[0]
+        model(report, robot)
+        _target(report, printed)
+        answers(report, printed, table_pose)
+        formulas(report, robot, poses, seed)
+        sample(report, robot, printed, table_pose)
+        _speed(report, robot)
+        _misprints(report, printed)
     return report
 
 

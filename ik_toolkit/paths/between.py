@@ -6,8 +6,8 @@ import numpy as np
 
 from ..kernel.task import FREE, POSITION
 from ..robot.pose import angles_between
-from .continuity import interpolate
 from .finish import Motion
+from .interpolate import interpolate
 from .proof import Continuity
 
 FAR = (0.015, np.radians(3.0))  # [fraction of the reach], [rad] between poses: joints then mostly stay within max_step
@@ -70,6 +70,7 @@ def collapsed(motion: Motion, at: np.ndarray) -> Motion:
         proof.clearance,
         tuple(one._replace(place=x) for one in proof.contacts for x in where([one.place])),
         tuple(where(proof.unproven)),
+        None if proof.lacking is None else np.where(next_to, proof.lacking[:, kept[:-1]], 0.0),
     )
     found = found._replace(q=found.q[asked], tracks=found.tracks[asked], breaks=sorted(broken))
     return Motion(found, q, motion.curve[kept], places[kept], proof, where(motion.leaps))

@@ -9,7 +9,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from ..errors import InvalidOption
 from ..kernel.chain import levers
@@ -17,12 +16,13 @@ from ..kernel.smooth import settle as settle_rows
 from ..kernel.task import FREE, POSITION
 from ..robot.pose import angles_between
 from ..solvers.task import relatives, what_counts
-from ..tracking.reference import exp
 from .contact import find_contacts
+from .freedom import freedom, missed
+from .interpolate import interpolate
 from .proof import Continuity
 
 ROUNDS = (
-    8  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice
+    12  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice
 )
 MOST_PIECES = 256  # per segment between two poses; if that many do not help, the path is not continuous there
 MOST_ROWS = 200_000  # of a curve: twenty for each of ten thousand poses
@@ -49,15 +49,17 @@ def check(
 ) -> Continuity:
     """Verify the motion along a curve (M, n) whose rows are at places `at` (M,) among the poses T (N, F, 4, 4).
 
-    Every row without NaN must be inside the tolerances of its target. cut (M-1,): where the motion breaks. collision: a
-    CollisionModel, or None.
+    Every row without NaN must be inside the tolerances of its target, or as near as the arm comes (see freedom.py). cut (M-1,):
+    where the motion breaks. collision: a CollisionModel, or None.
     """
-    deviation, turn = bounds(plan, kinds, curve, at, T)
+    judged = bounds(plan, kinds, curve, at, T)
+    deviation, turn = bounds(plan, kinds, curve, at, T, beyond=missed(plan, kinds, curve, at, T))
+    lacking = np.array([deviation - judged[0], turn - judged[1]])
     moving = ~cut & np.isfinite(curve[1:] + curve[:-1]).all(axis=1)
     deviation[~moving], turn[~moving] = np.nan, np.nan
     if collision is None:
-        return Continuity(deviation, turn)
-    return Continuity(deviation, turn, *find_contacts(collision, curve, at, moving))
+        return Continuity(deviation, turn, lacking=lacking)
+    return Continuity(deviation, turn, *find_contacts(collision, curve, at, moving), lacking=lacking)
 
 
 def densify(
@@ -106,7 +108,7 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[new], good = settle(plan, kinds, rows[new], interpolate(T, places[new], kinds))
+        rows[new], good = settle_between(plan, kinds, rows[new], interpolate(T, places[new], kinds))
         # Give up on a segment with an unsolved row.
         given_up[np.unique(places[new][~good].astype(int))] = True
         keep = ~new | ~given_up[np.minimum(places, len(q) - 2).astype(int)]
@@ -123,38 +125,34 @@ def settle(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.nd
     return q, good
 
 
+def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `settle`, for interpolated poses: an arm that cannot reach them is brought as near as it comes."""
+    q, good = settle(plan, kinds, q, T)
+    return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
+
+
 def targets(robot: Any, T: np.ndarray) -> np.ndarray:
     """Targets T (M, F, 4, 4) in the kernel's form: without the axis F for a single tip."""
     return np.ascontiguousarray(T if robot.by_tip else T[:, 0])
 
 
 # --------------------------------------------------------------------------------------------------------- between poses
-def interpolate(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Targets (M, F, 4, 4) at places among the poses T (N, F, 4, 4): straight in position, rotations along the geodesic."""
-    k = np.minimum(at.astype(int), max(len(T) - 2, 0))
-    share = at - k
-    made = T[k].copy()
-    if len(T) < 2:
-        return made
-    made[..., :3, 3] += share[:, None, None] * (T[k + 1][..., :3, 3] - T[k][..., :3, 3])
-    for f, kind in enumerate(kinds):
-        if kind in (POSITION, FREE):
-            continue
-        between = np.flatnonzero(share > 0.0)
-        gaps, which = np.unique(k[between], return_inverse=True)
-        turns = np.array([pin.log3(T[j, f, :3, :3].T @ T[j + 1, f, :3, :3]) for j in gaps.tolist()]).reshape(-1, 3)
-        made[between, f, :3, :3] = T[k[between], f, :3, :3] @ exp(share[between, None] * turns[which])
-    return made
-
-
 def bounds(
-    plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray, sag: np.ndarray | None = None
+    plan: Any,
+    kinds: tuple,
+    curve: np.ndarray,
+    at: np.ndarray,
+    T: np.ndarray,
+    sag: np.ndarray | None = None,
+    beyond: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bounds on the deviation [m] and [rad] of the worst tip, over each segment between rows of a curve (M, n).
 
-    sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows; default 0.
+    sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows; default 0. beyond (2, M-1): by
+    how much [m] and [rad] the rows leave the tolerances; default 0.
     """
     robot, o = plan.robot, plan.options
+    beyond = np.zeros((2, len(curve) - 1)) if beyond is None else beyond
     sag = np.zeros((len(curve) - 1, robot.n)) if sag is None else sag
     arms = list(zip(robot.arms, robot.places, strict=True))
     tips = [_speeds(arm.chain, np.ascontiguousarray(curve[:, place]), sag[:, place]) for arm, place in arms]
@@ -167,11 +165,11 @@ def bounds(
         goal = interpolate(T[:, [f]], at, (kind,))[:, 0]
         other = None if others[f] < 0 else (tips[others[f]], poses[others[f]])
         tip = Between(tips[f], poses[f], goal, other, counts.frame)
-        position = o.position_tolerance + tip.position(counts)
+        position = o.position_tolerance + beyond[0] + tip.position(counts)
         deviation = np.maximum(deviation, position)
         if kind != POSITION:
             axis = counts.free_turn is not None or isinstance(kind, tuple)
-            turn = np.maximum(turn, tip.rotation(counts, axis, o.orientation_tolerance))
+            turn = np.maximum(turn, tip.rotation(counts, axis, o.orientation_tolerance + beyond[1]))
     return deviation, turn
 
 
@@ -235,13 +233,13 @@ class Between:
         second += 8.0 * (self.off + self.off_turn * (self.away + self.off))  # off_turn rotates the axes, too
         return max((counts.mask or (1.0,))[:3]) * 0.125 * second
 
-    def rotation(self, counts: Any, axis: bool, tolerance: float) -> np.ndarray:
-        """Bound on the rotation error that counts."""
+    def rotation(self, counts: Any, axis: bool, tolerance: np.ndarray) -> np.ndarray:
+        """Bound on the rotation error that counts; tolerance (M-1,): on that of the rows."""
         if any(counts.mask or ()) or any((counts.slack or (0.0,))[3:]):
             weight = max((counts.mask or (1.0,))[-3:])
             return tolerance + weight * (0.125 * self._vector() + (LOG_GAIN + math.pi) * self.off_turn)
         if axis:  # two curves on the sphere, against their chords
-            chord = 2.0 * math.sin(0.5 * min(tolerance, math.pi)) + 0.125 * (self.rate**2 + self.swing**2)
+            chord = 2.0 * np.sin(0.5 * np.minimum(tolerance, math.pi)) + 0.125 * (self.rate**2 + self.swing**2)
             return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) + self.off_turn
         bent = 0.25 * np.maximum(self.rate, self.swing)  # half the angle at the rotation group's curvature of 1/4
         secant = np.where(bent < 0.5 * math.pi, 1.0 / np.cos(np.minimum(bent, 1.57)), np.inf)

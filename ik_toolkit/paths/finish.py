@@ -52,7 +52,8 @@ def proven(
     curve = p.inside(curve)
     proof = check(p.single, p.kinds, curve, at, p.poses, cut, model)
     longest = np.where(p.robot.slides, step[1], step[0]) * (1.0 + ROUNDING)
-    leaps = (proof.deviation > tolerance[0]) | (proof.turn > tolerance[1])
+    deviation, turn = proof.judged
+    leaps = (deviation > tolerance[0]) | (turn > tolerance[1])
     leaps |= ~cut & (np.abs(np.diff(curve, axis=0)) > longest).any(axis=1)
     return Motion(found, q, curve, at, proof, at[:-1][leaps].tolist())
 

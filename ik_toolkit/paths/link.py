@@ -29,7 +29,7 @@ class Program:
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        self.price = np.zeros((3, Q.shape[2]))
+        self.price = np.zeros((3, max(Q.shape[2], 2)))  # the last row holds two prices, whatever the number of joints
         self.price[0] = 1.0
         self.price[1] = 1.0 / most
         self.price[2, :2] = LONG, LEAP

@@ -12,9 +12,12 @@ from ..solvers.plan import Plan
 from ..solvers.protocol import Asked
 from ..solvers.search_all import ONE_ATTEMPT
 from .continuity import settle
+from .freedom import freedom
 
 # [rad], [m] from CppFlow; also the shortest step in which tracks are followed: shorter ones prove nothing.
 STEP = (np.radians(7.0), 0.02)
+# For an arm that cannot follow the interpolated poses: a step of a joint [rad], [m], and a deviation [m], [rad], of any size.
+ANY_STEP, ANY_DEVIATION = (1e3, 1e6), (1e9, 1e9)
 
 
 class Problem:
@@ -49,7 +52,10 @@ class Problem:
         self.orders = self.single.orders(kinds, True)
         self.unit = robot.chain.unit
         self.stand = (robot.home if q0 is None else q0) / self.unit
-        turn, slide = np.maximum(max_step, STEP)
+        able = freedom(self.single, kinds)
+        turn, slide = ANY_STEP if able.lacks else np.maximum(max_step, STEP)
+        if able.lacks:  # between the poses there is nothing to reach: the steps are judged when they are known
+            self.deviation = np.array(ANY_DEVIATION)
         self.most = np.where(robot.slides, slide, turn) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
         free = np.full(robot.n, np.inf)
@@ -57,7 +63,7 @@ class Problem:
         self.limits = np.array([low / self.unit, high / self.unit, np.isfinite(low) & np.isfinite(high)])
         self.turning = np.flatnonzero((np.asarray(robot.chain.turns) > 0) & ~self.endless & plan.options.limits)
         asked = Asked(robot, kinds, options=plan.options)
-        self.redundant = bool(robot.n - len(plan.held) > asked.rows or plan.options.slack is not None)
+        self.redundant = bool(robot.n - len(plan.held) > min(able.rank, asked.rows) or plan.options.slack is not None)
         self.room = self.limits.copy()
         if not self.redundant:
             self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf

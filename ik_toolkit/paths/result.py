@@ -25,6 +25,7 @@ class PathStatus(Enum):
     RECONFIGURES = "every pose, with reconfigurations, no more than allowed"
     INCOMPLETE = "a pose is not reached, or it takes more reconfigurations than allowed"
     COLLISION = "every pose, but only in collision"
+    CONSTRAINT_OPEN = "every pose, but at one a loop of the robot's description is open"
 
 
 class Reconfiguration(NamedTuple):
@@ -81,7 +82,7 @@ class PathResult:
 
     @property
     def success(self) -> bool:
-        """Whether every pose is reached, with no more reconfigurations than allowed and without contact."""
+        """Whether every pose is reached, with no more reconfigurations than allowed, without contact or an open loop."""
         return self.status in (PathStatus.FOLLOWED, PathStatus.RECONFIGURES)
 
     @property

@@ -8,7 +8,8 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, check_progress, floats, whole
+from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
+from ..robot.constraints import first_open
 from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -22,6 +23,7 @@ from ..solvers.task import counted_errors
 from ..tracking.reference import Reference
 from .between import collapsed, gaps, inserted
 from .finish import finished
+from .freedom import freedom
 from .half_turns import HalfTurns
 from .problem import STEP, Problem
 from .result import PathResult, PathStatus, Reconfiguration
@@ -46,7 +48,7 @@ NOT_HERE = (
 )
 
 
-class PathInterrupted(KeyboardInterrupt):
+class PathInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a path search; `result` is the PathResult of the best path so far."""
 
     def __init__(self, result: PathResult) -> None:
@@ -93,6 +95,7 @@ def solve_path(
             )
     check_progress(progress, "a fraction and a text")
     solver = Solver(robot, seed=seed, **options)
+    robot = solver.robot  # the variant with narrower limits, where they are given
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     asked = avoided(avoid_collisions)
@@ -102,7 +105,9 @@ def solve_path(
     threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh() -> Search:
-        poses, at = inserted(robot, turns.poses(), kinds)
+        poses, at = turns.poses(), None
+        if not freedom(solver.plan_for(kinds), kinds).lacks:
+            poses, at = inserted(robot, poses, kinds)
         problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
@@ -233,4 +238,10 @@ def _result(
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip
-    return replace(result, message=sentence(result, needed, allowed))
+    result = replace(result, message=sentence(result, needed, allowed))
+    o = problem.single.options
+    broken = first_open(problem.robot, q, o.position_tolerance, o.orientation_tolerance) if result.success else None
+    if broken is None:
+        return result
+    message = f"{result.message}; but at pose {broken[0]} {broken[1]}"
+    return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)

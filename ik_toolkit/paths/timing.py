@@ -18,8 +18,10 @@ from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..tracking.inputs import positive
 from .contact import find_contacts
-from .continuity import bounds, interpolate, settle
+from .continuity import bounds, settle_between
 from .free_motion import connect
+from .freedom import missed
+from .interpolate import interpolate
 from .trajectory import Piece, Trajectory, sample
 
 ROUNDS = 12  # rounds of inserting poses: each halves the amount by which corners are cut
@@ -127,7 +129,8 @@ def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple
     for _ in range(ROUNDS):
         knots = _coordinate(curve, robot.chain.unit)
         cubics = _cubics(robot, curve, knots)
-        deviation, turn = bounds(plan, result.kinds, curve, at, result.targets, _sag(knots, cubics))
+        beyond = missed(plan, result.kinds, curve, at, result.targets)
+        deviation, turn = bounds(plan, result.kinds, curve, at, result.targets, _sag(knots, cubics), beyond)
         broken = (deviation > allowed[0]) | (turn > allowed[1])
         clearance = 0.0
         if not broken.any():
@@ -136,7 +139,7 @@ def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple
             return curve, at, Proof(float(deviation.max()), float(turn.max()), clearance, True)
         near = np.flatnonzero(broken | np.append(broken[1:], False) | np.append(False, broken[:-1]))
         middle = 0.5 * (since[near + 1] + at[near + 1])
-        rows, good = settle(
+        rows, good = settle_between(
             plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), interpolate(result.targets, middle, result.kinds)
         )
         if not good.all():

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from ..errors import InvalidOption, floats
 from ..files import as_path, write_table, write_whole
+from ..robot.robot import Robot
 from ..robot.ros import joint_trajectory
 from ..tracking.reference import Reference, Samples
 
@@ -127,17 +129,18 @@ class Trajectory:
         if not self.duration > 0.0:
             raise InvalidOption("the trajectory has no motion, so there is no reference to follow")
         f = 0 if tip is None else tips.index(tip)
-        chain, columns = self.robot.arms[f].chain, self.robot.places[f]
-
-        def function(t: np.ndarray) -> Samples:
-            q, dq, ddq, _ = sample(self.pieces, t)
-            q, dq, ddq = q[:, columns], dq[:, columns], ddq[:, columns]
-            T, J = chain.forward(q, jacobian=True)
-            ahead, behind = (chain.forward(q + h * dq, jacobian=True)[1] for h in (DIFFERENCE, -DIFFERENCE))
-            drift = np.einsum("tij,tj->ti", ahead - behind, dq) / (2.0 * DIFFERENCE)
-            return T, np.einsum("tij,tj->ti", J, dq), np.einsum("tij,tj->ti", J, ddq) + drift
-
+        function = partial(_motion_of, self.robot.arms[f], self.robot.places[f], self.pieces)
         return Reference(function, self.duration, name=f"trajectory of {tips[f]}")
+
+
+def _motion_of(arm: Robot, columns: Any, pieces: Any, t: np.ndarray) -> Samples:
+    """Motion of the tip of an arm, whose joints are these columns."""
+    q, dq, ddq, _ = sample(pieces, t)
+    q, dq, ddq = q[:, columns], dq[:, columns], ddq[:, columns]
+    T, J = arm.chain.forward(q, jacobian=True)
+    ahead, behind = (arm.chain.forward(q + h * dq, jacobian=True)[1] for h in (DIFFERENCE, -DIFFERENCE))
+    drift = np.einsum("tij,tj->ti", ahead - behind, dq) / (2.0 * DIFFERENCE)
+    return T, np.einsum("tij,tj->ti", J, dq), np.einsum("tij,tj->ti", J, ddq) + drift
 
     def __repr__(self) -> str:
         """One line."""

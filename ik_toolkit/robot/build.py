@@ -1,78 +1,153 @@
-"""URDF text -> Pinocchio model that follows mimic joints."""
+"""URDF text -> Pinocchio model that follows mimic joints.
 
-import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+Pinocchio's parser gets a text of ours that holds what concerns the motion and nothing else, every number checked and written
+out. It therefore has nothing to complain about on stderr, and nothing that it does not know (extensions, encodings, processing
+instructions, quaternions, limits without an effort) can make it refuse a file or misread it.
+"""
 
+import html
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
 import pinocchio as pin
 
 from .mimic import MOVING, Followers, followers
-from .read import parse, wrong_scale
+from .read import ENDLESS, Item, numbers, parse, plain_origin, span
 
-ENDLESS = "1e16"  # a limit that Robot reads as "no limit" (NO_LIMIT)
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def build_model(text: str) -> pin.Model:
-    """Pinocchio's model of a URDF that `safe_read` has accepted. Raises what Pinocchio raises.
+    """Pinocchio's model of a URDF that `require_loadable` has accepted. Raises what Pinocchio raises.
 
-    Things that Pinocchio cannot read but that do not affect the motion are repaired in its copy of the text: a missing name, shapes
-    with an invalid mesh scale, capsules (which its parser complains about), followers of joints that do not exist or are followers
-    themselves, and the order of the joints (see mimic.py).
+    Followers of joints that do not exist or are followers themselves are tied as mimic.py says.
     """
-    items = parse(text)
-    found = followers(text)
-    shapes = any(
-        tag == "capsule" or (tag == "mesh" and wrong_scale(attributes))
-        for item in items
-        for tag, attributes in item.inside
-    )
-    if not (found.tied or found.loose or shapes or not items[0].name):
-        return pin.buildModelFromXML(text, True)
+    items, found = parse(text), followers(text)
     # Pinocchio traverses the tree depth first by name, so joints temporarily get names that sort in the required order.
     lent = {name: f"{place:04d} {name}" for place, name in enumerate(found.order)}
-    model = pin.buildModelFromXML(_mended(text, found, lent, shapes), True)
+    model = pin.buildModelFromXML(motion_text(items, found, lent), True)
     own = {name: joint for joint, name in lent.items()}
-    for j, name in enumerate(model.names):
-        model.names[j] = own.get(name, name)
-    for frame in model.frames:
-        if frame.type in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT):
-            frame.name = own.get(frame.name, frame.name)
+    if own:
+        for j, name in enumerate(model.names):
+            model.names[j] = own.get(name, name)
+        for frame in model.frames:
+            if frame.type in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT):
+                frame.name = own.get(frame.name, frame.name)
+    for item in items:
+        if item.tag == "joint" and item.attributes["type"] == "planar":
+            _turn_plane(model, item)
     return model
 
 
-def _mended(text: str, found: Followers, lent: Mapping[str, str], shapes: bool) -> str:
-    """URDF text as Pinocchio can read it; lent: joint name -> temporary name; shapes: whether to leave out shapes.
+def motion_text(items: Sequence[Item], found: Followers, lent: Mapping[str, str]) -> str:
+    """URDF of the links and joints that urdfdom reads without a word; lent: joint name -> temporary name."""
+    both = {*found.tied, *(tie.leader for tie in found.tied.values())}
+    rows = [f'<robot name="{_quoted(items[0].name or "robot")}">']
+    for item in items:
+        if item.tag == "link":
+            rows.append(f'<link name="{_quoted(item.name)}">{_inertial(item)}</link>')
+        elif item.tag == "joint":
+            rows += _joint(item, found, lent, item.name in both)
+    return "".join([*rows, "</robot>"])
 
-    A continuous joint that leads or follows another becomes a revolute joint without limits. Stored as cosine and sine it would
-    lose whole turns, and a follower with ratio 0.5 would be off by half a turn; nor does Pinocchio let a continuous joint lead or
-    follow one of another type.
+
+def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -> Iterable[str]:
+    """Pieces of a joint's text; both: whether it leads or follows another one.
+
+    A continuous joint that does becomes a revolute joint without limits. Stored as cosine and sine it would lose whole turns, and
+    a follower with ratio 0.5 would be off by half a turn; nor does Pinocchio let a continuous joint lead or follow one of another
+    type.
     """
-    root = ET.fromstring(text)  # noqa: S314 - the parse before has rejected every DOCTYPE and entity
-    root.set("name", root.get("name") or "robot")
-    tied = found.tied
-    both = {*tied, *(tie.leader for tie in tied.values())}
-    for joint in root.findall("joint"):
-        name = joint.get("name", "")
-        for mimic in joint.findall("mimic"):
-            joint.remove(mimic)
-        if name in tied and joint.get("type") in MOVING:
-            tie = tied[name]
-            ET.SubElement(
-                joint,
-                "mimic",
-                joint=lent.get(tie.leader, tie.leader),
-                multiplier=repr(tie.ratio),
-                offset=repr(tie.offset),
-            )
-        if name in both and joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            limit = joint.find("limit")
-            if limit is None:
-                limit = ET.SubElement(joint, "limit", effort=ENDLESS, velocity=ENDLESS)
-            limit.set("lower", f"-{ENDLESS}")
-            limit.set("upper", ENDLESS)
-        joint.set("name", lent.get(name, name))
-    if shapes:
-        for link in root.findall("link"):
-            for shape in (*link.findall("visual"), *link.findall("collision")):
-                link.remove(shape)
-    return ET.tostring(root, "unicode")
+    name, kind = joint.name, joint.attributes["type"]
+    shown = "revolute" if both and kind == "continuous" else kind
+    yield f'<joint name="{_quoted(lent.get(name, name))}" type="{shown}">'
+    for role in ("parent", "child"):
+        yield f'<{role} link="{_quoted((joint.first(role) or {})["link"])}"/>'
+    yield _origin(joint.first("origin"))
+    if kind in MOVING:
+        yield f'<axis xyz="{_text(axis_of(joint))}"/>'
+        limit = joint.first("limit")
+        low, high = (-ENDLESS, ENDLESS) if kind == "continuous" else span(limit)
+        effort, velocity = (_most(limit, key) for key in ("effort", "velocity"))
+        if shown != "continuous" or limit is not None:
+            yield f'<limit lower="{low!r}" upper="{high!r}" effort="{effort!r}" velocity="{velocity!r}"/>'
+        losses = _numbers(joint.first("dynamics") or {}, ("damping", "friction"))
+        if losses:
+            yield f"<dynamics {_pairs(losses)}/>"
+        if name in found.tied:
+            tie = found.tied[name]
+            leader = _quoted(lent.get(tie.leader, tie.leader))
+            yield f'<mimic joint="{leader}" multiplier="{tie.ratio!r}" offset="{tie.offset!r}"/>'
+    yield "</joint>"
+
+
+def axis_of(joint: Item) -> list[float]:
+    """Axis of a joint, along x where none is given, as URDF says; one too long for Pinocchio to square is shortened."""
+    axis = numbers((joint.first("axis") or {}).get("xyz", "1 0 0")) or []
+    length = math.hypot(*axis)
+    return [x / length for x in axis] if length > 1e100 else axis
+
+
+def _turn_plane(model: pin.Model, joint: Item) -> None:
+    """Turn a planar joint's plane: it is perpendicular to the axis, says URDF, but Pinocchio's is always that of x and y.
+
+    The frame of the joint is turned by the shortest rotation of z onto the axis, and all that it carries back.
+    """
+    axis = np.array(axis_of(joint))
+    R = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis), np.zeros(3))
+    back = R.inverse()
+    j = model.getJointId(joint.name)
+    model.jointPlacements[j] = model.jointPlacements[j] * R
+    model.inertias[j] = back.act(model.inertias[j])
+    for child in range(1, model.njoints):
+        if model.parents[child] == j:
+            model.jointPlacements[child] = back * model.jointPlacements[child]
+    for frame in model.frames:
+        if frame.parentJoint == j:
+            frame.placement = back * frame.placement
+
+
+def _most(limit: Mapping[str, str] | None, key: str) -> float:
+    """Effort or velocity limit; ENDLESS where it is missing, not a number, negative, infinite, or a velocity of 0."""
+    value = (numbers((limit or {}).get(key, "")) or [math.nan])[0]
+    return value if (0.0 if key == "velocity" else -1e-300) < value < ENDLESS else ENDLESS
+
+
+def _inertial(link: Item) -> str:
+    """The <inertial> of a link, or nothing where urdfdom could not read it."""
+    inside = {part.tag: part.attributes for part in reversed(link.inside) if part.above == ("inertial",)}
+    mass = _numbers(inside.get("mass", {}), ("value",))
+    inertia = _numbers(inside.get("inertia", {}), INERTIA)
+    place = _origin(inside.get("origin"))
+    if not mass or len(inertia) < len(INERTIA) or "nan" in place:
+        return ""
+    return f"<inertial>{place}<mass {_pairs(mass)}/><inertia {_pairs(inertia)}/></inertial>"
+
+
+def _origin(given: Mapping[str, str] | None) -> str:
+    """Text of an <origin>; 'nan' stands for what are not three finite numbers."""
+    if given is None:
+        return ""
+    origin = plain_origin(given)
+    rows = [numbers(origin.get(key, "0 0 0")) or [] for key in ("xyz", "rpy")]
+    xyz, rpy = (_text(row) if len(row) == 3 and all(map(math.isfinite, row)) else "nan" for row in rows)
+    return f'<origin xyz="{xyz}" rpy="{rpy}"/>'
+
+
+def _numbers(attributes: Mapping[str, str], keys: Iterable[str]) -> dict[str, float]:
+    """Those of the attributes that are one finite number."""
+    found = {key: numbers(attributes.get(key, "")) or [] for key in keys}
+    return {key: row[0] for key, row in found.items() if len(row) == 1 and math.isfinite(row[0])}
+
+
+def _pairs(values: Mapping[str, float]) -> str:
+    return " ".join(f'{key}="{value!r}"' for key, value in values.items())
+
+
+def _text(values: Iterable[float]) -> str:
+    return " ".join(map(repr, values))
+
+
+def _quoted(name: str) -> str:
+    return html.escape(name)

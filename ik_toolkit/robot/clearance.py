@@ -214,6 +214,14 @@ class Clearance:
         """Forget the nearest points found before."""
         self._held[:] = False
 
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """The nearest points found before: what `recall` takes."""
+        return self._corners, self._held
+
+    def recall(self, found: tuple[np.ndarray, np.ndarray]) -> None:
+        """Go on with nearest points found before, those of another one of the same model."""
+        self._corners, self._held = (one.copy() for one in found)
+
     def facing(self, ks: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nearest points of pairs ks (K,), their distances [m] known, and points that were nearest before and nearly still are.
 

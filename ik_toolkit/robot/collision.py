@@ -4,9 +4,9 @@ A broad phase compares bounding boxes first (a tree of them, in C++); shapes are
 """
 
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pinocchio as pin
@@ -36,6 +36,14 @@ class CollisionModel(Surroundings):
     its next call on, and a tracker from its next step. Raises ModelError (no collision shapes, over 300, one without extent, or a
     mesh that cannot be read), InvalidOption.
     """
+
+    _INSTEAD: ClassVar[Mapping[str, str]] = {
+        "margin": "make a CollisionModel with margin=",
+        "ignore": "make a CollisionModel with ignore=",
+        "obstacles": "use add, move and remove",
+        "attached": "use attach and detach",
+        "": "make a new CollisionModel",
+    }
 
     def __init__(
         self,
@@ -79,6 +87,7 @@ class CollisionModel(Surroundings):
         self._closer: dict[tuple[int, int], float] = {}
         self.excluded: tuple[tuple[str, str], ...] = ()
         self._pair_links()
+        self._seal()
 
     # ------------------------------------------------------------------------------------------------ what is tested
     def _add_tools(self) -> None:
@@ -170,12 +179,12 @@ class CollisionModel(Surroundings):
         self._names = [*self._links, *self._placed]
         self._state = geometry, margins
         self._local = threading.local()
-        self.version += 1
+        self._put(version=self.version + 1)
 
     def _moved(self, name: str) -> None:
         shape = self.geometry.geometryObjects[self._names.index(name)]
         shape.placement = self._object(name, self._placed[name]).placement
-        self.version += 1
+        self._put(version=self.version + 1)
 
     def _meet(self, one: Placed, two: Placed) -> bool:
         """Whether two added shapes can move relative to each other."""

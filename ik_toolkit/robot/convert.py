@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from ..errors import ModelError
 from .load import read
 from .meshes import find_mesh, mesh_folders, mesh_packages
+from .read import plain_origin
 
 
 class Converted(NamedTuple):
@@ -34,6 +35,10 @@ def convert(
     made = read(source, package_dirs, xacro_args)[1]
     home = None if folder is None else Path(folder).expanduser().resolve()
     root = ET.fromstring(made["urdf"], ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
+    for origin in root.iter("origin"):
+        given = dict(origin.attrib)
+        origin.attrib.clear()
+        origin.attrib.update(plain_origin(given))
     elements = [mesh for mesh in root.iter("mesh") if mesh.get("filename")]
     names = [mesh.get("filename", "") for mesh in elements]
     packages = mesh_packages(names, made["path"], made["package_dirs"])

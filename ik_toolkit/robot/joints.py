@@ -4,7 +4,7 @@ import functools
 import html
 import logging
 from collections.abc import Iterable, Mapping
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +21,9 @@ from ..errors import (
     whole,
 )
 from ..kernel.records import POINTS
+from ..readonly import ReadOnly
 from .base import Given
+from .narrow import narrowed
 from .probe import Path
 from .srdf import Srdf
 
@@ -46,13 +48,35 @@ def values_by_joint(locked: Mapping[str, float] | None) -> dict[str, float]:
     return dict(locked or {})
 
 
-class Joints:
+class Joints(ReadOnly):
     """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration.
 
     Robots and trees have `arms`, one Robot per tip; `tips`, their names; `places`, index arrays that select each arm's
     coordinates from q; and `memo`, a dict that caches things made for this robot (a bound solver, its collision shapes), each
-    under its own key. Copies and pickles start with an empty one.
+    under its own key. Copies and pickles start with an empty one. Attributes cannot be assigned (ReadOnlyAttribute), except for
+    the name: solvers are made from them.
     """
+
+    _LOOSE = ("name",)
+    _INSTEAD: ClassVar[Mapping[str, str]] = {
+        "lower": "narrow limits with limits= of a call, or robot.narrowed({joint: (lower, upper)})",
+        "upper": "narrow limits with limits= of a call, or robot.narrowed({joint: (lower, upper)})",
+        "limits": "narrow limits with limits= of a call, or robot.narrowed({joint: (lower, upper)})",
+        "velocity_limits": "give other speed limits to tracker.change_limits(speed=) or retime(velocity=)",
+        "home": "give q0= to a call, or home= to ik.Robot",
+        "rest": "hold joints elsewhere with robot.locked({joint: value})",
+        "locked_joints": "hold joints with robot.locked({joint: value})",
+        "tool": "use robot.with_tool(T_tip_tool)",
+        "tool_shapes": "use robot.with_tool(T_tip_tool, shape)",
+        "tip": "load it with tip=",
+        "tips": "load it with tips=",
+        "base": "load it with base=",
+        "srdf": "load it with srdf=",
+        "on_base": "load it with on_base=",
+        "base_limits": "load it with base_limits=",
+        "package_dirs": "load it with package_dirs=",
+        "": "load the robot again as it should be",
+    }
 
     name: str
     model: pin.Model
@@ -68,11 +92,20 @@ class Joints:
     arms: tuple[Any, ...]
     places: tuple[np.ndarray, ...]
     memo: dict[Any, Any]
+    notes: tuple[str, ...]
     srdf: Srdf
     by_tip = False  # whether targets are given by tip, as for a tree, even with a single tip
     _path: Path
     _given: Given | None
     _original: pin.Model | None
+    _wide: Any = None  # the robot of which this is a variant with narrower limits
+
+    def _note(self, notes: Iterable[str]) -> None:
+        """Keep notes on the description, and log those that are new."""
+        new = [note for note in notes if note not in self.notes]
+        self.notes = (*self.notes, *new)
+        for note in new:
+            LOG.warning("%s: %s", self.name, note)
 
     def _route(self) -> str:
         """Base and tips, for display."""
@@ -99,13 +132,16 @@ class Joints:
 
     @property
     def named(self) -> Named:
-        """Configurations by name: those of the SRDF that set any joint of q (the others stay at home), and always "home"."""
-        found = Named()
-        for state, values in {"home": {}, **self.srdf.states}.items():
-            given = {i: values[joint][0] for i, joint in enumerate(self.joint_names) if len(values.get(joint, ())) == 1}
-            if given or state == "home":
-                found[state] = self.home.copy()
-                found[state][list(given)] = list(given.values())
+        """Configurations by name: those of the SRDF that set any joint of q (the others stay at home), and always "home".
+
+        Where several groups of the SRDF use a name, see `Srdf.state`.
+        """
+        found = Named(home=self.home.copy())
+        for name in self.srdf.states:
+            given = self.srdf.state(name, self.joint_names, self.tips, self.model)
+            if given:
+                found[name] = self.home.copy()
+                found[name][[self.joint_names.index(joint) for joint in given]] = list(given.values())
         return found
 
     def check_tips(self, names: Iterable[Any]) -> None:
@@ -157,6 +193,19 @@ class Joints:
 
     def _locked(self, joints: Mapping[str, float]) -> Self:
         """The copy of `locked`."""
+        raise NotImplementedError
+
+    def narrowed(self, limits: Any) -> Self:
+        """Return a variant with narrower limits; the same as `limits=` of a call, which makes and keeps one.
+
+        limits: a dict from joint names to (lower, upper) [rad or m], None for an end that stays, or a pair of arrays (lower,
+        upper), each (n,) or None. Home is moved inside. A model of collisions made for the robot serves its variants too.
+        Raises InvalidOption (wider than the robot's own, reversed, not a number), JointNotFound.
+        """
+        return narrowed(self, limits)
+
+    def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> Self:
+        """The variant of `narrowed` for ranges of all joints."""
         raise NotImplementedError
 
     def check_home(self, home: Any) -> np.ndarray:

@@ -5,57 +5,74 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pinocchio as pin
-
 from ..errors import InvalidOption, ModelError
 from .base import carried
 from .build import build_model
 from .check import require_loadable
+from .constraints import Constraint
 from .library import RobotEntry, find
 from .mjcf import to_urdf
 from .read import HasMacros, IsMjcf, safe_read, source_text
 from .tips import guess_tip
-from .xacro import expand
+from .xacro import expand, expanded, has_macros
 
 LOG = logging.getLogger("ik_toolkit")
 
 
 class Urdf(NamedTuple):
-    """URDF text of a source; file: base of relative paths; notes, states: further contents of MJCF (see `Read`)."""
+    """URDF text of a source; file: base of relative paths; notes, states, constraints: contents of MJCF (see `Read`).
+
+    made: whether the text, and with it the lines that findings give, is not the file's own (xacro, MJCF).
+    """
 
     text: str
     file: Path | None
     package_dirs: list[Path]
     notes: tuple[str, ...] = ()
     states: Mapping[str, Mapping[str, tuple[float, ...]]] = {}
+    constraints: tuple[Constraint, ...] = ()
+    made: bool = False
 
 
-def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None) -> Urdf:
-    """URDF text of a URDF, xacro or MJCF source. Raises as `Robot.load` does for files that cannot be read."""
+def urdf_of(
+    entry: RobotEntry,
+    package_dirs: Iterable[str | Path],
+    xacro_args: Mapping[str, Any] | None = None,
+    elsewhere: bool = False,
+) -> Urdf:
+    """URDF text of a URDF, xacro or MJCF source; elsewhere: another file may use the arguments. Raises as `Robot.load` does."""
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
         text = safe_read(entry.source)
-        if xacro_args:
+        if entry.path is not None and entry.path.suffix == ".xacro" and "<xacro:" in text:
+            raise HasMacros("it calls macros")  # left over only in a file that says it is a URDF
+        if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
     except HasMacros:
         if entry.path is None:
             raise
         text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
+        return Urdf(text, entry.path, folders, made=True)
     except IsMjcf:
-        if xacro_args:
+        if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
         flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
-        return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states)
+        return Urdf(
+            safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, flat.constraints, made=True
+        )
     return Urdf(text, entry.path, folders)
 
 
 def read(
-    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
+    source: str | Path,
+    package_dirs: Iterable[str | Path],
+    xacro_args: Mapping[str, Any] | None = None,
+    elsewhere: bool = False,
 ) -> tuple[RobotEntry, dict[str, Any]]:
     """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
     entry = find(source)
-    text, file, folders, notes, states = urdf_of(entry, package_dirs, xacro_args)
-    require_loadable(text)
+    text, file, folders, notes, states, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
+    notes = (*notes, *require_loadable(text, lines=not written))
     try:
         model = build_model(text)
     except Exception as error:
@@ -64,22 +81,32 @@ def read(
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
     made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
-    return entry, made | {"notes": notes, "states": states}
+    return entry, made | {"notes": notes, "states": states, "constraints": constraints}
+
+
+def read_both(
+    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None, srdf: Any
+) -> tuple[RobotEntry, dict[str, Any], Any]:
+    """What `read` returns, and the SRDF, as text where it is named as a xacro file, which may use the arguments too."""
+    entry, made = read(source, package_dirs, xacro_args, has_macros(srdf))
+    return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
 
 
 def default_base(
-    entry: RobotEntry, model: pin.Model, base: str | None, tip: str | None, on_base: Any, base_limits: Any
+    entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Base frame to use: the one given, the known one, or the link above the tip that a free joint without limits carries."""
-    if base is not None or on_base is not None:
-        return base
+    """Base frame to use: the one given, the known one, or the link above the tip that a free joint without limits carries.
+
+    made: what `read` returns; its notes then say that the joint is held.
+    """
+    model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
     held = carried(model, tip) if base_limits is None and tip else None
-    if held is None:
-        return entry.base
-    LOG.warning(
-        "%s: joint '%s' is held still and poses are given in '%s'; base_limits= lets it move", entry.name, *held
-    )
+    if held is None or base is not None or on_base is not None:
+        return base if base is not None or on_base is not None else entry.base
+    note = "joint '{}' is held still and poses are given in '{}'; base_limits= lets it move".format(*held)
+    made["notes"] = (*made["notes"], note)
+    LOG.warning("%s: %s", entry.name, note)
     return entry.base or held[1]
 
 

@@ -27,7 +27,7 @@ MAX_TRIANGLES = 2_000_000  # per file; that one has 351,394
 MAX_MESHES = 1_000  # different files per robot
 MAX_PACKAGES = 50  # different packages per robot
 MEMORY = 2_000_000_000  # bytes for the reading process; that file takes 0.5 GB
-SECONDS, SECONDS_PER_MB = 20.0, 2.0  # processor time per file; that file takes 1.6 s in all
+SECONDS, SECONDS_PER_MB = 4.0, 2.0  # processor time per file; that file takes 1.6 s in all
 MAX_CRASHES = 5  # reading processes that may crash per robot
 KEPT = 256  # files whose triangles are cached
 WORKER = Path(__file__).with_name("mesh_worker.py")
@@ -169,7 +169,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
-                timeout=3.0 * math.fsum(seconds),  # wall time: allows for a busy machine or a slow disk
+                timeout=6.0 * math.fsum(seconds),  # wall time: allows for a busy machine or a slow disk
                 env={**os.environ, **threads},
                 check=False,
             )

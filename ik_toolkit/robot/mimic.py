@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from .read import Item, numbers, parse
+from .read import Item, numbers, parse, span
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -26,12 +26,14 @@ class Tie(NamedTuple):
 class Followers(NamedTuple):
     """The followers of a robot: tied (name -> Tie), loose (name -> why it cannot be tied and stays fixed), order of all joints.
 
-    order is empty if Pinocchio's own order already has every leader before its followers.
+    order is empty if Pinocchio's own order already has every leader before its followers. rest: leaders in place of the file's ->
+    value [rad or m] at which the file's leader is at 0, where a joint that is not moved stands.
     """
 
     tied: dict[str, Tie]
     loose: dict[str, str]
     order: list[str]
+    rest: dict[str, float]
 
 
 @functools.lru_cache(maxsize=4)
@@ -40,7 +42,7 @@ def followers(text: str) -> Followers:
     items = parse(text)
     tied, loose = ties(items)
     if not tied:
-        return Followers(tied, loose, [])
+        return Followers(tied, loose, [], {})
     own = leaders_first(items, {})[0]
     given = tied
     order, late = leaders_first(items, given)
@@ -49,7 +51,8 @@ def followers(text: str) -> Followers:
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
     tied = {name: tie for name, tie in tied.items() if name not in late}
-    return Followers(tied, loose | late, order if order != own else [])
+    rest = {tie.leader: given[tie.leader].offset for tie in tied.values() if tie.leader in given}
+    return Followers(tied, loose | late, order if order != own else [], rest)
 
 
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
@@ -64,8 +67,23 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
             continue
         limit, lower, upper = item.first("limit"), -math.inf, math.inf
         if limit is not None and item.attributes.get("type") != "continuous":
-            lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
+            lower, upper = span(limit)
         found[item.name] = (*tied[item.name], lower, upper)
+    return found
+
+
+def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
+    """Follower joint -> (multiplier, its own velocity limit [rad/s or m/s]), of those that have one.
+
+    A velocity of 0 counts as none, because a follower that may not move is not meant.
+    """
+    tied = followers(text).tied
+    found = {}
+    for item in parse(text):
+        limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
+        speed = float(limit.get("velocity", 0.0)) if limit is not None else 0.0
+        if speed > 0.0 and tied[item.name].ratio != 0.0:
+            found[item.name] = (tied[item.name].ratio, speed)
     return found
 
 

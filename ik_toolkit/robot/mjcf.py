@@ -1,7 +1,8 @@
 """MJCF -> URDF text: MuJoCo compiles it (defaults, includes, frames, angles), and the result is written link by link.
 
 So MJCF has the same caps, meshes, collisions and pictures as a URDF. What a URDF cannot express is noted: ball joints become
-three revolute joints, loops stay open, shapes of other kinds are left out. Keyframes become named configurations, sites links.
+revolute joints, loops become constraints that results are held against, shapes of other kinds are left out. Keyframes become
+named configurations, sites links.
 """
 
 import importlib.util
@@ -16,26 +17,33 @@ import numpy as np
 
 from ..errors import MissingExtra, ModelError
 from .base import BALL_PITCH, TURNS
+from .constraints import Constraint
 from .meshes import mesh_folders
 from .mjcf_text import flatten
+from .mjcf_ties import Ties, read_ties
 from .pose import matrix_rpy, quat_matrix
 from .worker import ask
 from .write import numbers_text, origin, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
 MEMORY = 2_000_000_000  # bytes; a humanoid takes 0.2 GB, MuJoCo itself most of it
-SECONDS = 20  # of processor time; large robots take 1 s
+SECONDS = 4  # of processor time; large robots take 1 s
 ENDLESS = "1e16"  # stands for "no limit" (see NO_LIMIT in probe.py)
 HIDDEN = 3  # shape groups from this one on are not drawn, as in MuJoCo's viewer
+AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")  # joints of a ball with a range
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 
 class Read(NamedTuple):
-    """URDF text of an MJCF model; states: keyframes (name -> {joint: (value,)}, as in an SRDF); notes: what the URDF lacks."""
+    """URDF text of an MJCF model; states: keyframes (name -> {joint: (value,)}, as in an SRDF); notes: what the URDF lacks.
+
+    constraints: loops and relations that the URDF does not hold.
+    """
 
     urdf: str
     states: dict[str, dict[str, tuple[float, ...]]]
     notes: list[str]
+    constraints: tuple[Constraint, ...] = ()
 
 
 def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
@@ -89,6 +97,7 @@ class _Writer:
         self.links: set[str] = set()
         self.names: set[str] = set()
         self.values: list[Any] = []  # keyframe -> {joint: value}, one function per joint
+        self.back: dict[str, tuple[str, float, float]] = {}  # joints of balls that turn back -> (leader, ratio, offset)
         self.left_out: set[str] = set()
 
     def read(self) -> Read:
@@ -97,10 +106,12 @@ class _Writer:
         bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
         self._shapes(bodies)
         joints = [_free(joint["name"] or f"{bodies[joint['body']]}_joint", self.names) for joint in model["joints"]]
-        leaders = self._equalities(joints)
+        self._doubtful(joints)
+        ties = read_ties(model, joints, bodies)
+        self.notes += ties.notes
         for i, body in enumerate(model["bodies"][1:], 1):
             own = [j for j, joint in enumerate(model["joints"]) if joint["body"] == i]
-            self._body(body, bodies[i], bodies[body["parent"]], [(joints[j], model["joints"][j]) for j in own], leaders)
+            self._body(body, bodies[i], bodies[body["parent"]], [(j, joints[j]) for j in own], ties)
         for site in model["sites"]:
             if site["name"]:
                 link = self._link(site["name"] if site["name"] not in self.links else f"{site['name']}_site")
@@ -109,11 +120,27 @@ class _Writer:
                 )
         if self.left_out:
             self.notes.append(f"shapes that a URDF cannot hold are left out: {', '.join(sorted(self.left_out))}")
-        states = {
-            key["name"] or f"key{k}": {name: (x,) for one in self.values for name, x in one(key["qpos"])}
-            for k, key in enumerate(model["keys"])
-        }
-        return Read(to_text(self.robot), states, self.notes)
+        return Read(to_text(self.robot), self._states(), self.notes, ties.constraints)
+
+    def _states(self) -> dict[str, dict[str, tuple[float, ...]]]:
+        """Configurations of the keyframes; one with a value that is not a finite number is left out, with a note."""
+        states = {}
+        for k, key in enumerate(self.model["keys"]):
+            name = key["name"] or f"key{k}"
+            if np.isfinite(key["qpos"]).all():
+                states[name] = {joint: (x,) for one in self.values for joint, x in one(key["qpos"])}
+            else:
+                self.notes.append(f"keyframe '{name}' is left out: a value in its qpos is not a finite number")
+        return states
+
+    def _doubtful(self, joints: Sequence[str]) -> None:
+        """Note ranges that MuJoCo ignores because their ends are reversed or equal."""
+        for name, joint in zip(joints, self.model["joints"], strict=True):
+            low, high = joint["given"]
+            if joint["range"] is None and low >= high and (low, high) != (0.0, 0.0):
+                self.notes.append(
+                    f"joint '{name}' has no limits, as in MuJoCo: its range {low:g} {high:g} does not go from lower to upper"
+                )
 
     # ------------------------------------------------------------------------------------------------ elements
     def _link(self, name: str) -> str:
@@ -144,87 +171,72 @@ class _Writer:
                 limit.set("upper", repr(float(limits[1])))
         return joint
 
-    def _equalities(self, joints: Sequence[str]) -> dict[str, tuple[str, float, float]]:
-        """Follower -> (leader, ratio, offset) from the linear joint equalities; the others are listed in a note."""
-        found: dict[str, tuple[str, float, float]] = {}
-        loops = curved = 0
-        for equality in self.model["equalities"]:
-            if not equality["active"]:
-                continue
-            if equality["type"] in ("connect", "weld"):
-                loops += 1
-            if equality["type"] != "joint" or equality["second"] < 0:
-                continue
-            first, second = int(equality["first"]), int(equality["second"])
-            a, b = self.model["joints"][first], self.model["joints"][second]
-            constant, ratio, *higher = equality["data"]
-            name = joints[first]
-            if (
-                any(higher)
-                or ratio == 0.0
-                or name in found
-                or joints[second] in found
-                or not {a["type"], b["type"]} <= {"hinge", "slide"}
-            ):
-                curved += 1
-                continue
-            found[name] = (joints[second], ratio, constant + a["ref"] - ratio * b["ref"])
-        if loops:
-            self.notes.append(f"{loops} loop{'s' * (loops > 1)} (connect, weld) left open")
-        if curved:
-            self.notes.append(f"{curved} nonlinear joint equalities are left out")
-        return found
-
     def _body(
         self,
         body: dict[str, Any],
         link: str,
         parent: str,
-        joints: Sequence[tuple[str, dict[str, Any]]],
-        leaders: dict[str, tuple[str, float, float]],
+        joints: Sequence[tuple[int, str]],
+        ties: Ties,
     ) -> None:
         """Write the joints between a body and its parent; several, or one off its origin, get empty links in between."""
         T = _matrix(body["pos"], body["quat"])
         if not joints:
             self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
             return
-        if joints[0][1]["type"] == "free":
-            name, joint = joints[0]
-            self._joint(name, "floating", parent, link, np.eye(4))  # MuJoCo stores the pose in the world
+        if self.model["joints"][joints[0][0]]["type"] == "free":
+            self.notes.append(
+                f"free joint '{joints[0][1]}' of '{link}' is held still; that of the robot's own base moves with base_limits="
+            )
+            self._joint(joints[0][1], "floating", parent, link, np.eye(4))  # MuJoCo stores the pose in the world
             return
         steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
-        for name, joint in joints:
+        for j, name in joints:
+            joint = self.model["joints"][j]
             T = T @ _shift(joint["pos"])
             if joint["type"] == "ball":
                 self._ball(name, joint, steps, T)
             else:
-                steps.append(self._single(name, joint, T))
+                steps.append(self._single(name, joint, T, ties.held.get(j), ties.ranges.get(j) or joint["range"]))
             T = _shift(-np.array(joint["pos"]))
         off = bool(np.abs(T[:3, 3]).max() > 0.0)
         for k, (name, kind, at, axis, limits) in enumerate(steps):
             child = link if k == len(steps) - 1 and not off else self._link(f"{link}_at_{name}")
             made = self._joint(name, kind, parent, child, at, axis, limits)
-            if name in leaders:
-                leader, ratio, offset = leaders[name]
+            mimic = ties.tied.get(name) or self.back.get(name)
+            if mimic is not None:
+                leader, ratio, offset = mimic
                 ET.SubElement(made, "mimic", joint=leader, multiplier=repr(ratio), offset=repr(offset))
             parent = child
         if off:
             self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
 
-    def _single(self, name: str, joint: dict[str, Any], T: np.ndarray) -> tuple:
-        """A hinge or slide joint; its value is relative to MuJoCo's `ref`."""
+    def _single(
+        self, name: str, joint: dict[str, Any], T: np.ndarray, held: float | None, limits: Sequence[float] | None
+    ) -> tuple:
+        """A hinge or slide joint, fixed where it is held at a value; its value is relative to MuJoCo's `ref`."""
         axis, place = np.array(joint["axis"]), joint["place"]
+        shift = (0.0 if held is None else held) - joint["ref"]
+        if joint["type"] == "slide":
+            T = T @ _shift(shift * axis)
+        else:
+            T = T @ _matrix((0, 0, 0), (math.cos(0.5 * shift), *(math.sin(0.5 * shift) * axis)))
+        if held is not None:
+            return name, "fixed", T, None, None
         self.values.append(lambda qpos: [(name, qpos[place])])
         if joint["type"] == "slide":
-            return name, "prismatic", T @ _shift(-joint["ref"] * axis), axis, joint["range"] or (-1e16, 1e16)
-        half = 0.5 * joint["ref"]
-        T = T @ _matrix((0, 0, 0), (math.cos(half), *(-math.sin(half) * axis)))
-        return name, "revolute" if joint["range"] else "continuous", T, axis, joint["range"]
+            return name, "prismatic", T, axis, limits or (-1e16, 1e16)
+        if limits is not None and not np.isfinite(limits).all():  # of a tendon, which limits one side only
+            limits = np.nan_to_num(limits, posinf=1e16, neginf=-1e16).tolist()
+        return name, "revolute" if limits else "continuous", T, axis, limits
 
     def _ball(self, name: str, joint: dict[str, Any], steps: list, T: np.ndarray) -> None:
-        """Write a ball as three revolute joints Rz Ry Rx; its angle limit applies to each of them."""
+        """Write a ball as revolute joints: Rz Ry Rx, or with a range as one turn about an axis in any direction."""
         most = joint["range"][1] if joint["range"] else math.inf
         place = joint["place"]
+        if most < math.pi:  # no two rotations are further apart than half a turn
+            self._limited_ball(name, most, place, steps, T)
+            return
         names = [_free(f"{name}_{turn}", self.names) for turn in TURNS]
 
         def values(qpos: Sequence[float]) -> list[tuple[str, float]]:
@@ -234,11 +246,35 @@ class _Writer:
 
         self.values.append(values)
         for part, axis in zip(names, BALL_AXES, strict=True):
-            reach = min(most, BALL_PITCH if axis == BALL_AXES[1] else math.inf)
-            limits = (-reach, reach) if math.isfinite(reach) else None
+            limits = (-BALL_PITCH, BALL_PITCH) if axis == BALL_AXES[1] else None
             steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
             T = np.eye(4)
         self.notes.append(f"ball joint '{name}' becomes three revolute joints: {', '.join(names)}")
+
+    def _limited_ball(self, name: str, most: float, place: int, steps: list, T: np.ndarray) -> None:
+        """Rz(a) Ry(b) Rz(angle) Ry(-b) Rz(-a): a turn by `angle` about an axis, so that MuJoCo's range is the limit of one joint.
+
+        The last two joints mimic the first two.
+        """
+        a, b, angle, down, back = (_free(f"{name}_{part}", self.names) for part in AXIS_ANGLE)
+        self.back |= {down: (b, -1.0, 0.0), back: (a, -1.0, 0.0)}
+
+        def values(qpos: Sequence[float]) -> list[tuple[str, float]]:
+            w, x, y, z = qpos[place : place + 4]
+            turn = 2.0 * math.atan2(math.hypot(x, y, z), w)
+            turn -= 2.0 * math.pi * (turn > math.pi)
+            return [(a, math.atan2(y, x)), (b, math.atan2(math.hypot(x, y), z)), (angle, turn)]
+
+        self.values.append(values)
+        z, y = BALL_AXES[:2]
+        for part, axis in ((a, z), (b, y), (angle, z), (down, y), (back, z)):
+            limits = (-most, most) if part == angle else None
+            steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
+            T = np.eye(4)
+        self.notes.append(
+            f"ball joint '{name}' becomes a turn by {angle} about an axis whose direction {a} and {b} set (Rz Ry Rz); "
+            f"its range is the limit of {angle}: +-{math.degrees(most):.6g} degrees"
+        )
 
     # ------------------------------------------------------------------------------------------------ shapes
     def _shapes(self, bodies: Sequence[str]) -> None:

@@ -9,8 +9,9 @@ from ..errors import ModelError
 from .meshes import lies_in
 from .read import MAX_BYTES, check_names, source_text, walk
 
+MAX_COPIES = 20_000  # elements once replication is carried out, and keyframes times bodies
 MAX_INCLUDES = 200  # files; the largest model of the MuJoCo Menagerie has 5
-KEPT = ("compiler", "default", "asset", "worldbody", "equality", "keyframe")
+KEPT = ("compiler", "default", "asset", "worldbody", "tendon", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
 NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
 # A placeholder for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
@@ -98,6 +99,7 @@ def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
     flattener = Flattener(path, folders)
     root = tree(text)
     flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())
+    _check_copies(root)
     flat = Flat("")
     folders_of = _directories(root)
     for section in list(root):
@@ -105,12 +107,33 @@ def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
             root.remove(section)
     _strip(root, flat, folders_of)
     for section in root:
+        if section.tag == "compiler":
+            section[:] = []
         if section.tag == "keyframe":
+            bodies = sum(1 for _ in root.iter("body"))
+            section[:] = section[: max(MAX_COPIES // max(bodies, 1), 1)]
             for key in section:
                 for attribute in set(key.attrib) - {"name", "qpos", "time"}:
                     del key.attrib[attribute]
     flat.xml = ET.tostring(root, "unicode")
     return flat
+
+
+def _check_copies(root: ET.Element) -> None:
+    """Raise ModelError for more elements than any robot has once <replicate> has copied them."""
+    if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
+        raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
+
+
+def _copies(element: ET.Element) -> int:
+    """Elements that one comes to."""
+    inside = sum(map(_copies, element))
+    if element.tag != "replicate":
+        return 1 + inside
+    try:
+        return max(int(element.get("count", "1")), 1) * max(inside, 1)
+    except ValueError:
+        return inside  # MuJoCo says what is wrong
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:
@@ -132,8 +155,9 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
             if child.tag in ("attach", "composite", "flexcomp"):
                 flat.notes.append(f"<{child.tag}> is not read")
             continue
-        if element.tag == "equality" and child.tag not in ("joint", "connect", "weld"):
+        if element.tag == "equality" and child.tag not in ("joint", "connect", "weld", "tendon"):
             element.remove(child)
+            flat.notes.append(f"an equality of <{child.tag}> is left out")
             continue
         if asset:
             _asset(child, flat, where)

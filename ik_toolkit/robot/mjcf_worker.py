@@ -15,7 +15,9 @@ from typing import Any
 
 JOINTS = ("free", "ball", "slide", "hinge")
 GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
-MOST = 20_000  # largest number of bodies, joints, geoms or sites
+EQUALITIES = ("connect", "weld", "joint", "tendon")
+SITE = 6  # MuJoCo's number of an equality between sites
+MOST = 20_000  # largest number of bodies, joints, geoms, sites, equalities or tendons
 
 
 def at(pos: Any, quat: Any) -> dict:
@@ -23,13 +25,45 @@ def at(pos: Any, quat: Any) -> dict:
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
 
+def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
+    """One dict for each number."""
+    return [one(i) for i in range(count)]
+
+
+def ties(m: Any) -> dict:
+    """Equalities and tendons of a compiled model."""
+    return {
+        "equalities": listed(
+            m.neq,
+            lambda i: {
+                "name": m.eq(i).name,
+                "type": EQUALITIES[m.eq_type[i]] if m.eq_type[i] < len(EQUALITIES) else "other",
+                "sites": int(m.eq_objtype[i]) == SITE,
+                "active": bool(m.eq_active0[i]),
+                "first": int(m.eq_obj1id[i]),
+                "second": int(m.eq_obj2id[i]),
+                "data": m.eq_data[i][:11].tolist(),
+            },
+        ),
+        "tendons": listed(
+            m.ntendon,
+            lambda i: {
+                "name": m.tendon(i).name,
+                "range": m.tendon_range[i].tolist() if m.tendon_limited[i] else None,
+                "rest": float(m.tendon_length0[i]),
+                "parts": [
+                    [int(m.wrap_type[k]), int(m.wrap_objid[k]), float(m.wrap_prm[k])]
+                    for k in range(m.tendon_adr[i], m.tendon_adr[i] + m.tendon_num[i])
+                ],
+            },
+        ),
+    }
+
+
 def describe(m: Any) -> dict:
     """Bodies, joints, shapes, sites, equalities and keyframes of a compiled model."""
-    if max(m.nbody, m.njnt, m.ngeom, m.nsite) > MOST:
-        return {"error": f"it has more than {MOST:,} bodies, joints, geoms or sites"}
-
-    def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
-        return [one(i) for i in range(count)]
+    if max(m.nbody, m.njnt, m.ngeom, m.nsite, m.neq, m.ntendon, m.nwrap) > MOST:
+        return {"error": f"it has more than {MOST:,} bodies, joints, geoms, sites, equalities or tendons"}
 
     return {
         "name": m.names[: m.names.index(b"\0")].decode(errors="replace"),
@@ -50,6 +84,7 @@ def describe(m: Any) -> dict:
                 "pos": m.jnt_pos[i].tolist(),
                 "axis": m.jnt_axis[i].tolist(),
                 "range": m.jnt_range[i].tolist() if m.jnt_limited[i] else None,
+                "given": m.jnt_range[i].tolist(),
                 "ref": float(m.qpos0[m.jnt_qposadr[i]]),
                 "place": int(m.jnt_qposadr[i]),
             },
@@ -83,16 +118,7 @@ def describe(m: Any) -> dict:
                 **at(m.site_pos[i], m.site_quat[i]),
             },
         ),
-        "equalities": listed(
-            m.neq,
-            lambda i: {
-                "type": ("connect", "weld", "joint")[m.eq_type[i]] if m.eq_type[i] < 3 else "other",
-                "active": bool(m.eq_active0[i]),
-                "first": int(m.eq_obj1id[i]),
-                "second": int(m.eq_obj2id[i]),
-                "data": m.eq_data[i][:5].tolist(),
-            },
-        ),
+        **ties(m),
         "keys": listed(m.nkey, lambda i: {"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()}),
     }
 

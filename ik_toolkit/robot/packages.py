@@ -7,11 +7,13 @@ import importlib.metadata
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 
 MANIFESTS = ("package.xml", "manifest.xml")  # a folder with one of these is a ROS package
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,255}")
 LEVELS = 8  # parent folders of a file that are searched for neighbouring packages
+INSIDE, FOLDERS = 3, 2_000  # depth below a given folder, and number of folders, that are searched for a manifest
 DATA = {  # distribution -> folders inside it that contain packages
     "example-robot-data": ("cmeel.prefix/share/example-robot-data/robots", "cmeel.prefix/share"),
     "rtb-data": ("rtbdata/xacro",),
@@ -24,7 +26,7 @@ def find_package(
     package_dirs: Iterable[str | Path] = (),
     environment: Mapping[str, str] = os.environ,
 ) -> Path | None:
-    """Folder of a ROS package, symbolic links resolved, or None.
+    """Folder of a ROS package, symbolic links resolved, or None. Its name is that in its package.xml, or the folder's.
 
     package_dirs: folders that are packages or contain some; start: the referring file (its parent folders and the packages next to
     them are searched); then ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and data packages installed by pip.
@@ -41,27 +43,51 @@ def _places(
     name: str, start: Path | None, package_dirs: Iterable[str | Path], environment: Mapping[str, str]
 ) -> Iterator[tuple[Path, bool]]:
     """Candidate folders, best first, and whether each counts as a package without a manifest."""
-    for given in package_dirs:
-        folder = Path(given).expanduser()
-        yield folder / name, True
+    given = [Path(folder).expanduser() for folder in package_dirs]
+    for folder in given:
+        yield folder / name, (folder / name).resolve().is_relative_to(folder.resolve())  # no link that leads out
         if folder.name == name:
             yield folder, True
-    if start is not None:
-        for above in [*start.expanduser().resolve().parents][:LEVELS]:
-            if above.name == name or _named(above, name):
-                yield above, above.name != name
-            yield above / name, False
+    for folder in given:
+        yield from ((found, True) for found in _below(folder, INSIDE) if _named(found, name))
+    above = [] if start is None else [*start.expanduser().resolve().parents][:LEVELS]
+    for folder in above:
+        if folder.name == name or _named(folder, name):
+            yield folder, folder.name != name
+        yield folder / name, False
+    for folder in above:
+        yield from ((found, True) for found in _below(folder, 1) if _named(found, name))
     for variable, inner in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
         for word in filter(None, environment.get(variable, "").split(os.pathsep)):
             root = Path(word) / inner
             yield root / name, False
             yield from ((found, False) for found in sorted(root.glob(f"*/{name}")))
+            yield from ((found, True) for found in _below(root, INSIDE) if _named(found, name))
     for distribution, folders in DATA.items():
         try:
             found = importlib.metadata.distribution(distribution)
         except importlib.metadata.PackageNotFoundError:
             continue
         yield from ((Path(str(found.locate_file(folder))) / name, True) for folder in folders)
+
+
+def _below(folder: Path, depth: int) -> Iterator[Path]:
+    """A folder and those below it, the upper ones first, down to a depth and below no package; hidden ones are left out."""
+    level = [folder]
+    for k in range(depth + 1):
+        yield from level
+        inner = (one for one in level if k < depth and (one == folder or not (one / MANIFESTS[0]).is_file()))
+        level = [found for one in inner for found in _folders(one)][:FOLDERS]
+
+
+def _folders(folder: Path) -> list[Path]:
+    """Folders in a folder, by name."""
+    try:
+        with os.scandir(folder) as found:
+            names = sorted(one.name for one in islice(found, FOLDERS) if one.is_dir() and not one.name.startswith("."))
+    except OSError:
+        return []
+    return [folder / name for name in names]
 
 
 def _named(folder: Path, name: str) -> bool:

@@ -13,22 +13,27 @@ import csv
 import json
 import math
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
-from ..errors import InvalidTarget, floats, near_match
+from ..errors import IKError, InvalidTarget, floats, near_match
+from ..files import without_mark
 from .pose import rpy_matrix
 
 LINES = 16384  # rows read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
 ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w
-# Largest array [bytes], or as a multiple of the file size; poses compress to a fifth at best.
-UNPACKED, EXPANSION = 2**30, 20
+# Largest arrays of a file together [bytes]: the first, and the second for each byte of the file; poses compress to a fifth at best.
+UNPACKED, EXPANSION = 2**26, 20
+NAMES = 2**18  # bytes of an array of names
+NUMBERS, TEXTS = "fiu", "U"  # kinds of dtype that are read as numbers, and as names
+JSON_BYTES = 100_000_000  # lists take up to 20 times as much
+LONGEST_LINE = 2**20  # characters
 
 
 class Block(NamedTuple):
@@ -58,9 +63,9 @@ def read_poses(
         if path.suffix.lower() != ".csv":
             raise InvalidTarget(f"a {what} file is .csv, .npz or .json, not '{path.name}'")
         with path.open("rb") as stream:
-            count = max(sum(block.count(b"\n") for block in iter(lambda: stream.read(1 << 20), b"")) - 1, 0)
+            rows = max(sum(block.count(b"\n") for block in iter(lambda: stream.read(1 << 20), b"")) - 1, 0)
         columns = _tip_columns(path, tips) if tips else {"": _header(path, times)}
-        return count, _read_csv(path, columns, times, deg)
+        return rows, _read_csv(path, columns, len(_first_line(path)), times, deg)
     except InvalidTarget:
         raise
     except Exception as error:  # damaged files raise many types: zip, zlib, lzma, npy and csv errors
@@ -81,13 +86,18 @@ def _short(text: str) -> str:
 def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
     """Arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
     if path.suffix.lower() == ".json":
-        content = json.loads(path.read_text(encoding="utf-8"))
+        if path.stat().st_size > JSON_BYTES:
+            raise InvalidTarget(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ")
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except RecursionError:
+            raise InvalidTarget(f"'{path.name}': its lists are nested too deep") from None
         content = content if isinstance(content, dict) else {"targets": content}
         yield {name: _array(path, name, content[name]) if name in names else None for name in content}
         return
     if not zipfile.is_zipfile(path):  # numpy would suggest unpickling it
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
-    _check_size(path, names)
+    check_arrays(path, names, ("tips",), InvalidTarget)
     with np.load(path, allow_pickle=False) as file:
         yield file
 
@@ -95,7 +105,9 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
 def _array(path: Path, name: str, value: Any) -> np.ndarray:
     """Numbers (or names) from JSON."""
     if name == "tips":
-        return np.array(value, dtype=str)
+        if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < NAMES // 4 for one in value):
+            raise InvalidTarget(f"'{path.name}': tips must be a list of names")
+        return np.array(value, dtype=object)
     return floats(value, f"'{path.name}': {name} must be lists of numbers", InvalidTarget)
 
 
@@ -156,33 +168,54 @@ def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray
     return {tip: targets[:, f] for f, tip in enumerate(order)}
 
 
-def _check_size(path: Path, names: Sequence[str]) -> None:
-    """Reject an archive that is a decompression bomb, or that holds less than an array's header declares."""
-    packed = path.stat().st_size
+def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: type[IKError]) -> None:
+    """Look at the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
+
+    Of the arrays called `names`: those in `texts` hold names, all others real numbers (no dates, complex numbers, truth values or
+    objects); none is larger than its data, and together they take no more than a file of this size can hold.
+    """
+    packed, together = path.stat().st_size, 0
     with zipfile.ZipFile(path) as archive:
-        for member in archive.infolist():
-            if member.filename.removesuffix(".npy") not in names:
-                continue
-            if member.file_size > max(UNPACKED, EXPANSION * packed):
-                raise InvalidTarget(
-                    f"'{path.name}': {member.filename} unpacks to {member.file_size / 1e9:.1f} GB from "
-                    f"{packed / 1e6:.1f} MB; save it with numpy.savez, without compression"
-                )
+        members = [member for member in archive.infolist() if member.filename.removesuffix(".npy") in names]
+        for member in members:
+            name = member.filename.removesuffix(".npy")
             with archive.open(member) as stream:
                 version = np.lib.format.read_magic(stream)
                 read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
                 shape, _, dtype = read(stream)
-                promised = math.prod(shape) * dtype.itemsize
-                if promised > member.file_size:
-                    raise InvalidTarget(
-                        f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
-                    )
+            what, kinds = ("names", TEXTS) if name in texts else ("real numbers", NUMBERS)
+            if dtype.kind not in kinds:
+                raise error(f"'{path.name}': the array {name} holds values of the type {dtype}, not {what}")
+            promised = math.prod(shape) * dtype.itemsize
+            if promised > member.file_size:
+                raise error(
+                    f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
+                )
+            together += member.file_size
+            if name in texts and promised > NAMES:
+                raise error(f"'{path.name}': the array {name} takes {promised:,} bytes, too many for names")
+            if together > UNPACKED + EXPANSION * packed:
+                raise error(
+                    f"'{path.name}': {member.filename} unpacks to {together / 1e6:,.1f} MB from {packed / 1e6:,.1f} MB; save it "
+                    "with numpy.savez, without compression"
+                )
+
+
+def _lines(stream: TextIO, name: str) -> Iterator[str]:
+    """Lines of a file. Raises InvalidTarget for one that is too long to be a row."""
+    for k in count(1):
+        line = stream.readline(LONGEST_LINE + 1)
+        if len(line) > LONGEST_LINE:
+            raise InvalidTarget(f"'{name}', line {k} has more than {LONGEST_LINE:,} characters")
+        if not line:
+            return
+        yield line
 
 
 def _first_line(path: Path) -> list[str]:
     """Names of the columns."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
-        return [cell.strip() for cell in next(csv.reader(stream), [])]
+        return [without_mark(cell.strip()) for cell in next(csv.reader(_lines(stream, path.name)), [])]
 
 
 def _header(path: Path, times: bool) -> list[int]:
@@ -200,6 +233,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str) -> lis
     if missing:
         raise InvalidTarget(
             f"'{file}' has no column {', '.join(missing)}; its first line must be {forms}, not {_short(','.join(header))}"
+            f"{_other_separator(header)}"
         )
     quat, rpy = ([name for name in names if name in header] for names in (every_quat, every_rpy))
     if (quat and rpy) or len(quat) not in (0, 4) or len(rpy) not in (0, 3):
@@ -209,6 +243,14 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str) -> lis
     if twice:
         raise InvalidTarget(f"'{file}' has the column {', '.join(twice)} more than once")
     return [header.index(name) for name in names]
+
+
+def _other_separator(header: list[str]) -> str:
+    """Sentence tail for a first line whose names are separated by something else."""
+    other = next(
+        (name for mark, name in ((";", "semicolons"), ("\t", "tabs")) if len(header) == 1 and mark in header[0]), ""
+    )
+    return f" (not {other}: columns are separated by commas, and decimals written with a point)" if other else ""
 
 
 def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
@@ -231,20 +273,20 @@ def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
         forms = ",".join(f"{tip}.{name}" for tip in tips for name in POSITION)
         raise InvalidTarget(
             f"'{path.name}' has no columns of {', '.join(tips)}; its first line is {forms}, with .qx,.qy,.qz,.qw or "
-            f".roll,.pitch,.yaw of a tip for its poses, not {_short(','.join(header))}"
+            f".roll,.pitch,.yaw of a tip for its poses, not {_short(','.join(header))}{_other_separator(header)}"
         )
     return found
 
 
-def _read_csv(path: Path, columns: dict[str, list[int]], times: bool, deg: bool) -> Iterator[Block]:
-    """Blocks of a file; columns: indices by tip ('' for poses without a name)."""
+def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool, deg: bool) -> Iterator[Block]:
+    """Blocks of a file; columns: indices by tip ('' for poses without a name); width: columns of the first line."""
     every = [place for places in columns.values() for place in places]
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            numbered = ((k, line) for k, line in enumerate(stream, 1) if k > 1 and line.strip())
+            numbered = ((k, line) for k, line in enumerate(_lines(stream, path.name), 1) if k > 1 and line.strip())
             while block := list(islice(numbered, LINES)):
                 lines = [k for k, _ in block]
-                values = _numbers([line for _, line in block], every, lines, path.name)
+                values = _numbers([line for _, line in block], every, width, lines, path.name)
                 t, values = (values[:, 0], values[:, 1:]) if times else (None, values)
                 made, first = {}, 0
                 for tip, places in columns.items():
@@ -265,9 +307,11 @@ def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: st
     return _poses(xyz, np.radians(angles) if deg and kind is RPY else angles, kind, lines, name, "line", prefix)
 
 
-def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) -> np.ndarray:
-    """Finite numbers (m, columns) from lines of text."""
+def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int], name: str) -> np.ndarray:
+    """Finite numbers (m, columns) from lines of text, each with `width` columns."""
     try:
+        if any(text.count(",") != width - 1 for text in texts):  # or a comma in quotes
+            raise ValueError
         values = np.loadtxt(texts, delimiter=",", usecols=columns, ndmin=2, comments=None, quotechar='"')
         if len(values) == len(texts) and np.isfinite(values).all():
             return values
@@ -279,8 +323,10 @@ def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) 
             row = next(csv.reader([text], strict=True))
         except csv.Error as error:
             raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; unclosed quote?") from None
-        if len(row) <= max(columns):
-            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, fewer than in the header")
+        if len(row) != width:
+            hint = "; are decimals written with a comma?" if len(row) > width else ""
+            more = "more" if len(row) > width else "fewer"
+            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, {more} than in the header{hint}")
         for column in columns:
             try:
                 good = np.isfinite(float(row[column]))

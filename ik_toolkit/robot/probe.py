@@ -7,7 +7,7 @@ anything but one fixed screw is rejected by name.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,15 +16,16 @@ import pinocchio as pin
 from ..errors import ModelError
 from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .pose import turn_onto
+from .values import reversed_advice
 
 SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
 AGREE = 1e-9  # largest difference allowed there [rad, or fraction of the robot's size]: a thousandth of the default tolerance
 HELD = 2.5e-16  # relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed
-NO_LIMIT = 1e15  # a limit beyond this [m, rad/s or m/s] counts as no limit
-NO_STROKE = (
-    3e5  # same for a prismatic joint's limit beyond this multiple of the path's offsets: there rounding reaches 1 um
-)
-NO_TURN_LIMIT = 1e6  # same for a revolute joint's limit [rad]: near 1e7 rad one ulp of an angle reaches AGREE
+# Limits of this size [m, rad or per s] are not limits: files write 1e16 or 1e308 for "none", and so does our own code (ENDLESS).
+NO_LIMIT = 1e15
+# What the arithmetic holds; a limit beyond is read as this much, which the notes say. Near 1e7 rad one ulp of an angle reaches
+# AGREE, and near 1e9 m one ulp of a length a tenth of the default tolerance.
+LARGEST_ANGLE, LARGEST_STROKE = 1e6, 1e6
 PARALLEL = 1e-14  # sine between two axes below which they are parallel up to the rounding of a few matrix products
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
@@ -35,16 +36,22 @@ class Path(NamedTuple):
     joints: list[int]  # joint ids, base to tip
     up: int  # number of leading joints that run from the base towards the root, up to the last link it shares with the tip
     leaders: list[int]  # joint id per coordinate, in order of first use
-    owner: dict[int, int]  # joint id -> coordinate; a joint not listed here does not move
+    own: int  # number of leading coordinates that move the tip's branch; those after it move the base's for another tip only
+    owner: dict[int, int]  # joint id -> coordinate, of all joints of the model; a joint not listed here does not move
     idx_q: np.ndarray  # (n,)
     circle: np.ndarray  # (n,) whether stored as (cos, sin)
 
 
-def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
+class Motionless(ModelError):
+    """No joint moves the tip."""
+
+
+def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> Path:
     """Joints from the base frame to the tip frame (frame ids).
 
     The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints of that
-    branch do not move unless they follow (or lead) one of these.
+    branch do not move unless they follow (or lead) one of these, or one of `others`: joints that move for another tip.
+    Raises Motionless, ModelError.
     """
 
     def above(frame: int) -> list[int]:
@@ -72,21 +79,29 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
             )
         if leader not in leaders:
             leaders.append(leader)
+    own = len(leaders)
+    carry = {lead.get(j, j) for j in up if j not in still}
+    leaders += [j for j in others if j in carry and j not in locked and j not in leaders]
     if not leaders:
-        raise ModelError(
+        raise Motionless(
             f"no moving joint between base '{model.frames[base].name}' and tip '{model.frames[tip].name}': nothing to solve"
         )
     joints = up + down
-    owner = {j: leaders.index(lead.get(j, j)) for j in joints if lead.get(j, j) in leaders and j not in still}
+    place = {j: i for i, j in enumerate(leaders)}
+    owner = {
+        j: place[leader] for j in range(1, model.njoints) if (leader := lead.get(j, j)) in place and j not in still
+    }
     idx_q = np.array([model.joints[j].idx_q for j in leaders])
     circle = np.array([model.joints[j].nq == 2 for j in leaders])
-    return Path(joints, len(up), leaders, owner, idx_q, circle)
+    return Path(joints, len(up), leaders, own, owner, idx_q, circle)
 
 
 def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
     """Range of a leader q for which its follower ratio * q + offset, as rounded, stays inside low..high."""
 
     def end(value: float, inward: float) -> float:
+        if abs(value) >= NO_LIMIT:
+            return math.copysign(math.inf, value / ratio)
         step = inward * 2.0 * math.ulp(max(abs(value), abs(offset)))
         tries = ((value + k * step - offset) / ratio for k in range(4))
         return next((x for x in tries if low <= ratio * x + offset <= high), (value - offset) / ratio)
@@ -97,11 +112,12 @@ def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple
 
 def limits(
     model: pin.Model, path: Path, followers: Mapping[str, tuple[str, float, float, float, float]]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper limits (n,) [rad or m] of the coordinates, infinite where there are none.
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Lower and upper limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
-    followers: as returned by `mimic_limits`; those on the path keep their leader inside their own limits. Raises ModelError
-    where that leaves a joint no legal position.
+    They are what the description says, whatever the size of the robot. followers: as returned by `mimic_limits`; each keeps its
+    leader inside its own limits, on the path or off it: it moves either way. Raises ModelError where that leaves a joint no legal
+    position.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -117,15 +133,63 @@ def limits(
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
         if 0.0 < lower[i] - upper[i] <= rounding:  # equal up to rounding
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
+    turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
     for i in np.flatnonzero(~(lower <= upper)).tolist():
         own = f"lower limit {own_lower[i]:g}, upper limit {own_upper[i]:g}"
+        if own_lower[i] > own_upper[i]:
+            own += f"; {reversed_advice(own_lower[i], own_upper[i], bool(turns[i]))}"
         by = f"; the limits of the joints that mimic it allow: {', '.join(narrowed[i])}" if i in narrowed else ""
         raise ModelError(f"joint '{model.names[path.leaders[i]]}' has no legal position: {own}{by}")
-    turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
-    size = sum(math.hypot(*model.jointPlacements[j].translation) for j in path.joints)
-    far = np.where(turns, NO_TURN_LIMIT, NO_STROKE * size if size > 0.0 else NO_LIMIT)
-    # Adding 0 turns -0.0 into 0.0: numpy's generators reject the range 0.0 to -0.0 as negative.
-    return np.where(lower < -far, -np.inf, lower + 0.0), np.where(upper > far, np.inf, upper + 0.0)
+    notes = []
+    for i, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
+        name, most, unit = (
+            model.names[path.leaders[i]],
+            *((LARGEST_ANGLE, "rad") if turns[i] else (LARGEST_STROKE, "m")),
+        )
+        if max(-high, low) > most:
+            raise ModelError(
+                f"joint '{name}' moves from {low:g} to {high:g} {unit}; values above {most:g} are not computed"
+            )
+        lower[i] = -np.inf if low <= -NO_LIMIT else max(low, -most) + 0.0  # adding 0 turns -0.0 into 0.0 (see random_q)
+        upper[i] = np.inf if high >= NO_LIMIT else min(high, most) + 0.0
+        if (np.abs([lower[i], upper[i]]) < np.abs([low, high])).any():
+            notes.append(
+                f"joint '{name}' has limits of {low:g} to {high:g} {unit}, more than is computed with; it is kept within "
+                f"{lower[i]:g} to {upper[i]:g} {unit}"
+            )
+    return lower, upper, notes
+
+
+def middle(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
+    """Mid-range (n,), or as near 0 as the limits allow: for joints without two limits and where not `centred` (n,)."""
+    found = np.clip(0.0, lower, upper)
+    bounded = np.isfinite(lower) & np.isfinite(upper) & centred
+    found[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
+    return found
+
+
+def kinds(chain: Chain) -> tuple[str, ...]:
+    """What each coordinate is: 'revolute', 'continuous' (without limits) or 'prismatic'."""
+    turns = np.isin(np.arange(chain.n), chain.rows[chain.rows[:, 9] > 0.0, 8])
+    endless = np.isinf(chain.lower) & np.isinf(chain.upper)
+    return tuple(
+        "prismatic" if not turn else "continuous" if free else "revolute"
+        for turn, free in zip(turns.tolist(), endless.tolist(), strict=True)
+    )
+
+
+def speeds(model: pin.Model, path: Path, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
+    """Velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
+
+    followers: as returned by `mimic_speeds`: each keeps its leader slow enough for its own limit.
+    """
+    own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
+    most = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
+    for joint, (ratio, speed) in followers.items():
+        i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
+        if i is not None:
+            most[i] = min(most[i], speed / abs(ratio))
+    return most
 
 
 def _split(R: np.ndarray) -> tuple[float, float, float]:
@@ -230,12 +294,15 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
     return Q
 
 
-def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> float:
-    """Largest difference of the chain from poses T (N, 4, 4) [m] and Jacobians J (N, 6, n) at Q (N, n).
+def difference(chain: Chain, slides: np.ndarray, kinematics: Callable) -> float:
+    """Largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q), see `configurations`.
 
     Lengths are divided by the robot's size, the larger of its reach and its largest offset; a Jacobian column by the ratio of
     its joints. The result is at least the compiled kernel's rounding error at the largest angle, HELD times that angle.
     """
+    Q = configurations(chain, slides)
+    poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)
+    T, J = np.array([pose.homogeneous for pose in poses]), np.array(jacobians)
     rows, ends, scale = chain.rows, chain.ends, chain.scale
     offsets = [ends[9:12], ends[21:24], *rows[:, [2, 3, 7]]]
     size = max(chain.reach, scale * max(math.hypot(*offset) for offset in offsets))

@@ -5,10 +5,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from ..errors import ModelError
+from .decode import decode, undeclared
+from .pose import matrix_rpy, quat_matrix
 
 MAX_BYTES = 20_000_000
 MAX_JOINTS = 1_000  # including fixed and mimic joints: Pinocchio's parser recurses once per joint of a chain
@@ -20,6 +22,7 @@ MAX_NAME = 255  # characters, as for a file name; messages repeat names
 MAX_TAG = 1_000_000  # bytes of one tag or comment, which the parser keeps in memory whole
 CHUNK = 65_536
 BLANK = "\ufeff \t\r\n"  # characters that may precede XML
+ENDLESS = 1e16  # a limit that Robot reads as "no limit" (NO_LIMIT)
 FREEDOM = {
     "revolute": 1,
     "continuous": 1,
@@ -28,7 +31,7 @@ FREEDOM = {
     "floating": 6,
 }  # degrees of freedom by joint type
 NUMBERS = {  # element -> attribute -> count of numbers
-    "origin": {"xyz": 3, "rpy": 3},
+    "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
     "mimic": {"multiplier": 1, "offset": 1},
@@ -40,23 +43,35 @@ NUMBERS = {  # element -> attribute -> count of numbers
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
-READ = {*NUMBERS, "parent", "child", "color", "convex"}
+ITEMS = ("link", "joint", "material")
+# Elements that make a description xacro. A call of a macro alone cannot be expanded: a plain URDF from which it was left over.
+XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
+XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")
 NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements whose attributes are names
 
 
+class Part(NamedTuple):
+    """An element below a link, joint or material: its tag, attributes and line, and the tags between the two, outermost first."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    above: tuple[str, ...] = ()
+
+
 @dataclass
 class Item:
-    """The robot, a link, a joint or a material: its attributes, the elements inside it as (tag, attributes), its line.
+    """The robot or an element directly below it: its attributes and line, and the elements inside a link, joint or material.
 
     shapes: for each visual and collision of a link 'role' (its tag), 'name', 'geometry' (tag, attributes), and the attributes of
-    'origin', 'material' and 'color', where they are given.
+    'origin' (its rotation as rpy), 'material' and 'color', where they are given.
     """
 
     tag: str
     attributes: Mapping[str, str]
     line: int
-    inside: list[tuple[str, Mapping[str, str]]] = field(default_factory=list)
+    inside: list[Part] = field(default_factory=list)
     shapes: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -68,9 +83,13 @@ class Item:
         """Kind and name, for messages."""
         return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
 
+    def own(self, tag: str) -> list[Part]:
+        """Return the elements with this tag that are not inside another one."""
+        return [part for part in self.inside if part.tag == tag and not part.above]
+
     def first(self, tag: str) -> Mapping[str, str] | None:
-        """Attributes of the first such element inside, or None."""
-        return next((attributes for name, attributes in self.inside if name == tag), None)
+        """Attributes of the first such element, or None: the one that counts, as in urdfdom."""
+        return next((part.attributes for part in self.inside if part.tag == tag and not part.above), None)
 
 
 class HasMacros(ModelError):
@@ -104,7 +123,7 @@ def source_text(source: str | Path, what: str) -> str:
         assert isinstance(source, str)
         if len(source) > MAX_BYTES:
             raise ModelError(f"the {what} text is larger than {MAX_BYTES // 1_000_000} MB")
-        return source.lstrip(BLANK)
+        return undeclared(source.lstrip(BLANK))
     return _read_file(Path(source).expanduser())
 
 
@@ -121,14 +140,11 @@ def _read_file(path: Path) -> str:
         raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
     if len(raw) > MAX_BYTES:
         raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB, too large for a robot description")
-    try:
-        text = raw.decode("utf-8-sig").lstrip()
-    except UnicodeDecodeError as error:
-        raise ModelError(f"'{path.name}' is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    text = decode(raw, path.name).lstrip(BLANK)
     if not text:
         raise ModelError(f"'{path.name}' is empty")
-    if "\0" in text:
-        raise ModelError(f"'{path.name}' is not UTF-8 text (it has NUL bytes); save it as UTF-8")
+    if not text.isascii() and len(text.encode(errors="replace")) > MAX_BYTES:
+        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB as UTF-8")
     return text
 
 
@@ -149,24 +165,21 @@ def parse(text: str) -> list[Item]:
             raise ModelError("this is a part of an MJCF model; load the file that includes it")
         if not above and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
-        if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
+        if tag in XACRO_TAGS or (macros and any("${" in x or "$(" in x for x in attributes.values())):
             raise HasMacros(f"line {line} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf")
-        if not above:
+        if len(above) < 2:
+            joints += tag == "joint" and len(above) == 1
+            if joints > MAX_JOINTS:
+                raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
-        elif len(above) == 1 and tag in ("link", "joint", "material"):
-            if tag == "joint":
-                joints += 1
-                if joints > MAX_JOINTS:
-                    raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
-            items.append(Item(tag, attributes, line))
-        elif len(above) > 1 and above[1] in ("link", "joint", "material"):
-            if tag in READ:
-                items[-1].inside.append((tag, attributes))
+        elif above[1] in ITEMS:
+            items[-1].inside.append(Part(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
                 _shape(items[-1].shapes, above[2:], tag, attributes)
 
     walk(text, "URDF", start)
-    freedom = sum(FREEDOM.get(item.attributes.get("type", ""), 0) for item in items if item.first("mimic") is None)
+    joined = [item for item in items if item.tag == "joint" and item.first("mimic") is None]
+    freedom = sum(FREEDOM.get(item.attributes.get("type", ""), 0) for item in joined)
     if freedom > MAX_FREEDOM:
         raise ModelError(
             f"the URDF has {freedom} degrees of freedom; at most {MAX_FREEDOM} are read, because the memory Pinocchio "
@@ -232,7 +245,7 @@ def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attribu
         shapes.append({"role": tag, "name": attributes.get("name", "")})
     elif above[0] in SHAPES:
         if (len(above) == 1 and tag in ("origin", "material")) or (above[1:] == ["material"] and tag == "color"):
-            shapes[-1].setdefault(tag, attributes)
+            shapes[-1].setdefault(tag, plain_origin(attributes) if tag == "origin" else attributes)
         elif above[1:] == ["geometry"]:
             shapes[-1].setdefault("geometry", (tag, attributes))
 
@@ -245,10 +258,21 @@ def numbers(text: str) -> list[float] | None:
         return None
 
 
-def wrong_scale(mesh: Mapping[str, str]) -> bool:
-    """Whether a <mesh> has a scale that is not three finite numbers, for which Pinocchio rejects the whole file."""
-    scale = numbers(mesh.get("scale", "1 1 1"))
-    return scale is None or len(scale) != 3 or not all(map(math.isfinite, scale))
+def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
+    """Attributes of an <origin> with its quaternion as rpy; unchanged if it has none, has both, or it is no rotation."""
+    quaternion = numbers(origin.get("quat_xyzw", "")) or []
+    if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
+        return origin
+    unit = [x / math.hypot(*quaternion) for x in quaternion]
+    rpy = " ".join(map(repr, matrix_rpy(quat_matrix(unit)).tolist()))
+    return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}
+
+
+def span(limit: Mapping[str, str] | None) -> tuple[float, float]:
+    """Lower and upper limit [rad or m] of a <limit>: 0 where it has none, as URDF says, and ENDLESS at most, either way."""
+    ends = (float((limit or {}).get(end, "0")) for end in ("lower", "upper"))
+    low, high = (min(max(x, -ENDLESS), ENDLESS) for x in ends)
+    return low, high
 
 
 def _feed(parser: Any, raw: bytes, what: str) -> None:

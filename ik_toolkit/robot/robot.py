@@ -27,19 +27,19 @@ from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import settle
 from .build import build_model
+from .constraints import Constraint
 from .joints import Joints, values_by_joint
-from .load import default_base, folders_of, read
-from .mimic import followers, mimic_limits
+from .load import default_base, folders_of, read_both
+from .mimic import followers, mimic_limits, mimic_speeds
 from .pose import as_matrix, check_target
-from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe
-from .probe import Path as JointPath
+from .probe import AGREE, difference, find_path, good_start, kinds, limits, middle, probe, speeds
 from .read import is_text
 from .shape import Shape, is_shape
 from .srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
 from .tips import one_word, only_tip, root_link
 
 # Attributes that a copy must not share: caches and thread-local state.
-CACHES = ("_local", "_sampling", "_circles", "memo")
+CACHES = ("_local", "_sampling", "_circles", "memo", "_sealed")
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # frame types a base or a tip may have
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
@@ -72,14 +72,17 @@ class Robot(Joints):
         base_limits: Any = None,
         srdf: str | Path | Srdf | None = None,
         notes: Sequence[str] = (),
+        constraints: Sequence[Constraint] = (),
+        others: Sequence[str] = (),
     ) -> None:
         """Wrap an existing model.
 
         tip (or its other name ee_link), base: frame names (base default: the root; tip may be omitted when only one candidate
         exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
         constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is treated as a floating base,
-        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. Raises FrameNotFound, JointNotFound,
-        ModelError, InvalidConfiguration, InvalidOption.
+        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. others: joints that move for other tips
+        (see Tree); those that move the base's branch are coordinates too. Raises FrameNotFound, JointNotFound, ModelError,
+        InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
         if not isinstance(model, pin.Model):
@@ -89,21 +92,21 @@ class Robot(Joints):
         if on_base is not None and base is not None:
             raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits
-        self.notes = tuple(notes)
+        self.notes, self.constraints = tuple(notes), tuple(constraints)
+        self._others = tuple(others)
         self._settle(model)
         self.name = name or model.name
-        self.urdf = urdf
-        self.path = path
-        self.package_dirs = tuple(folders_of(package_dirs))
-        self.base = (
-            self._frame(base) if base is not None else "universe" if on_base is not None else root_link(self.model)
-        )
-        self.tip = self._frame(tip) if tip is not None else only_tip(self.model, self.name)
-        self.tool = pin.SE3.Identity()
-        self.tool_shapes: tuple[tuple[Shape, pin.SE3], ...] = ()  # with their poses from the tip frame
+        self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
+        root = "universe" if on_base is not None else root_link(self.model)
+        self.base = root if base is None else self._frame(base)
+        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)  # a free joint is still one joint
+        self.tool, self.tool_shapes = pin.SE3.Identity(), ()  # shapes with their poses from the tip frame
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # narrower limits asked for, by joint
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
+        for joint, value in (followers(urdf).rest if urdf else {}).items():
+            self._set_rest(joint, value, False)
         held = held_joints(
             self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
         )
@@ -140,8 +143,8 @@ class Robot(Joints):
         (xacro).
         """
         tip = one_word(tip, ee_link)
-        entry, made = read(source, package_dirs, xacro_args)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
+        entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
             start, end = one_tip(made["srdf"], group, made["model"], tip)
             tip, base = end, base if base or on_base is not None else start
@@ -151,10 +154,10 @@ class Robot(Joints):
                 f"ik.Tree.load(source, tips=[...]): {', '.join(entry.tips)}"
             )
         known = tip in (None, entry.tip) and base in (None, entry.base)
+        made["base"] = default_base(entry, made, base, tip, on_base, base_limits)
         robot = cls(
             **made,
             tip=tip if tip is not None else entry.tip,
-            base=default_base(entry, made["model"], base, tip, on_base, base_limits),
             home=entry.home if known else None,
             on_base=on_base,
             base_limits=base_limits,
@@ -220,17 +223,14 @@ class Robot(Joints):
             model, self.on_base, self.base_limits
         )
 
-    def _endless(self, joint: str) -> bool:
-        """Whether a joint has no limits."""
-        return self.model.upperPositionLimit[self.model.joints[self.model.getJointId(joint)].idx_q] > NO_LIMIT
-
     def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
         self.memo: dict[Any, Any] = {}
+        self._wide = None
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
-        path = find_path(model, base_id, tip_id, locked)
-        self._path: JointPath = path
+        others = [model.getJointId(joint) for joint in self._others]
+        self._path = path = find_path(model, base_id, tip_id, locked, others)
         loose = followers(self.urdf).loose if self.urdf else {}
         for joint in (model.names[j] for j in path.joints):
             if joint in loose:
@@ -239,43 +239,37 @@ class Robot(Joints):
                 )
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
-        self.lower, self.upper = lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        speeds = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
-        self.velocity_limits = np.where(speeds > NO_LIMIT, np.inf, speeds)
-        free = [joint for joint in self._slides if joint in self.joint_names and self._endless(joint)]
+        lower, upper, notes = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
+        self._note(notes)
+        ends = dict(zip(self.joint_names, upper.tolist(), strict=True))
+        free = [joint for joint in self._slides if math.isinf(ends.get(joint, 0.0))]
         if free:
             raise InvalidOption(f"base_limits= is needed: the lower and upper limits [m] of {', '.join(free)}")
+        for i, joint in enumerate(self.joint_names):
+            lower[i], upper[i] = self._ranges.get(joint, (lower[i], upper[i]))
+        self.lower, self.upper = lower, upper
+        self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         based = np.array([joint in self._of_base for joint in self.joint_names])
-        bounded = np.isfinite(lower) & np.isfinite(upper) & ~based
-        middle = np.clip(0.0, lower, upper)
-        middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
-        self.home = middle
-        data = model.createData()
+        self.home = start = middle(lower, upper, ~based)
+        self._ids, data = (base_id, tip_id), model.createData()
         pin.framesForwardKinematics(model, data, self.rest)
         self._base_inverse = data.oMf[base_id].inverse()
-        self._ids = (base_id, tip_id)
-        self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, middle)
-        rows = self.chain.rows
-        kinds = ["revolute" if rows[rows[:, 8] == i, 9].any() else "prismatic" for i in range(self.n)]
-        self.joint_kinds = tuple(
-            "continuous" if kind == "revolute" and np.isinf(lower[i]) and np.isinf(upper[i]) else kind
-            for i, kind in enumerate(kinds)
-        )
+        self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
+        self.joint_kinds = kinds(self.chain)
         self._local = threading.local()
         self._compare()
         if home is not None and len(home) == self.n - based.sum():  # home of the robot without its moving base
-            home = np.concatenate([middle[based], home])
-        self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, middle, ~based)
-        start = POINTS + 6 * self.n
-        self.chain.ends[start : start + self.n] = self.home / self.chain.unit
+            home = np.concatenate([start[based], home])
+        self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, start, ~based)
+        at = POINTS + 6 * self.n
+        self.chain.ends[at : at + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
             array.setflags(write=False)
+        self._seal()
 
     def _compare(self) -> None:
         """Reject a robot whose chain disagrees with Pinocchio: its results would be silently wrong."""
-        Q = configurations(self.chain, self.slides)
-        poses, jacobians = zip(*(self._kinematics(q) for q in Q), strict=True)
-        off = difference(self.chain, Q, np.array([T.homogeneous for T in poses]), np.array(jacobians))
+        off = difference(self.chain, self.slides, self._kinematics)
         if not off <= AGREE:  # NaN is refused too
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
@@ -358,6 +352,12 @@ class Robot(Joints):
         other._build(home if keep else None)
         return other
 
+    def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> "Robot":
+        other = self._variant()
+        other._ranges = {**self._ranges, **ranges}
+        other._build(np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
+        return other
+
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
         """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors then refer to the tool
         frame.
@@ -390,6 +390,7 @@ class Robot(Joints):
         if self.model is None and self.urdf is not None:
             self._settle(build_model(self.urdf))
         self._local, self.memo = threading.local(), {}
+        self._seal()
 
     def __repr__(self) -> str:
         """One line: name, path and joints."""

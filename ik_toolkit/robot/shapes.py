@@ -58,7 +58,7 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     count = sum(given["role"] == role for item in items for given in item.shapes)
     if count > most:
         raise ModelError(f"robot '{robot.name}' has {count:,} {role} shapes; at most {most:,} are read")
-    names = [attributes.get("filename", "") for item in items for tag, attributes in item.inside if tag == "mesh"]
+    names = [part.attributes.get("filename", "") for item in items for part in item.inside if part.tag == "mesh"]
     packages = mesh_packages(names, robot.path, robot.package_dirs)
     folders, colors = [*mesh_folders(robot.path, robot.package_dirs), *packages.values()], _colors(items)
     shapes: list[LinkShape] = []
@@ -66,7 +66,7 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     files = {}
     for item in items:
         own = [given for given in item.shapes if given["role"] == role]
-        asked = {(tag, attributes.get("name")) for tag, attributes in item.inside}  # in <collision_checking>
+        asked = {(part.tag, part.attributes.get("name")) for part in item.inside}  # in <collision_checking>
         for k, given in enumerate(own):
             try:
                 shape = _shape(item, k, given, asked, colors)
@@ -142,6 +142,10 @@ def _shape(
         known = ", ".join(("mesh", *SIZES))
         raise ModelError(f"<{tag[:60]}> is not a shape; use one of: {known}" if tag else "a shape has no geometry")
     origin = given.get("origin", {})
+    if "quat_xyzw" in origin:
+        raise ModelError(
+            f'its shape <origin quat_xyzw="{origin["quat_xyzw"][:60]}"> is no rotation, or rpy is given, too'
+        )
     xyz, rpy = (_numbers("origin", origin, {key: 3}, "0 0 0") for key in ("xyz", "rpy"))
     if max(map(abs, xyz)) > LARGEST:
         raise ModelError(f'its shape <origin xyz="{origin["xyz"][:60]}"> is further than {LARGEST:g} m away')

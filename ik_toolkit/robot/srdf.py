@@ -4,9 +4,7 @@ Read like a URDF: one streaming parse with size caps, no entities, nothing fetch
 not an error, because one SRDF often serves several URDFs; `Srdf.remarks` lists them.
 """
 
-import functools
 import logging
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,49 +14,17 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, ModelError, near_match
+from .finding import did_you_mean
 from .probe import find_path
-from .read import HasMacros, check_names, numbers, source_text, walk
+from .read import source_text
+from .srdf_text import EndEffector, Group, contents
+from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
 BESIDE = ("", "../srdf")  # folders searched for the SRDF, relative to that of the URDF
 MOST = 64  # SRDF files looked at in each folder
-MEMBERS = ("link", "joint", "chain", "group")  # elements of a <group>
-FACTS = ("group", "end_effector", "group_state", "passive_joint", "disable_collisions")
-FACTS += ("disable_default_collisions", "enable_collisions")
-NEEDED = {  # element -> required attributes
-    "chain": ("base_link", "tip_link"),
-    "link": ("name",),
-    "joint": ("name",),
-    "group": ("name",),
-    "end_effector": ("name", "parent_link"),
-    "group_state": ("name",),
-    "passive_joint": ("name",),
-    "disable_collisions": ("link1", "link2"),
-    "enable_collisions": ("link1", "link2"),
-    "disable_default_collisions": ("link",),
-}
 SHOWN = 3  # names listed in one remark
-
-
-@dataclass(frozen=True)
-class Group:
-    """A group of robot parts: link names, joint names, chains as (base link, tip link), and names of subgroups."""
-
-    name: str
-    links: tuple[str, ...] = ()
-    joints: tuple[str, ...] = ()
-    chains: tuple[tuple[str, str], ...] = ()
-    groups: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class EndEffector:
-    """An end effector: the link it is mounted on, the group of its own parts, the group that carries it ('' if not given)."""
-
-    name: str
-    parent_link: str
-    group: str = ""
-    parent_group: str = ""
+State = Mapping[str, tuple[float, ...]]  # joint -> its values
 
 
 @dataclass(frozen=True)
@@ -66,20 +32,53 @@ class Srdf:
     """The contents of an SRDF.
 
     name (of the robot); path (None: text); groups and end_effectors by name; states: joint values [rad or m] by configuration
-    name, merged over groups that use the same name; passive_joints; disabled: pairs of links that may touch -> reason;
-    quiet: links that may touch anything except the pairs in `enabled`; remarks: sentences on what cannot be used.
+    name and, below it, by the group it belongs to ('' if none is given); passive_joints; disabled: pairs of links that may touch
+    -> reason; quiet: links that may touch anything except the pairs in `enabled`; remarks: sentences on what cannot be used;
+    group: the group chosen, whose configurations take precedence.
     """
 
     name: str = ""
     path: Path | None = None
     groups: Mapping[str, Group] = field(default_factory=dict)
     end_effectors: Mapping[str, EndEffector] = field(default_factory=dict)
-    states: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
+    states: Mapping[str, Mapping[str, State]] = field(default_factory=dict)
     passive_joints: tuple[str, ...] = ()
     disabled: Mapping[tuple[str, str], str] = field(default_factory=dict)
     quiet: tuple[str, ...] = ()
     enabled: tuple[tuple[str, str], ...] = ()
     remarks: tuple[str, ...] = ()
+    group: str = ""
+
+    def state(self, name: str, joints: Sequence[str], tips: Sequence[str], model: pin.Model) -> dict[str, float]:
+        """Values [rad or m] that a configuration gives the joints of q of a robot with these tips.
+
+        A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are taken in this
+        order: those that end in the robot's tips, those that set more joints of q, those first in the file; one that sets a
+        joint of an earlier one is left out, so that no two readings are mixed.
+        """
+        given = {
+            group: {joint: x[0] for joint, x in values.items() if len(x) == 1}
+            for group, values in self.states[name].items()
+        }
+        if self.group in given:
+            given = {self.group: given[self.group]}
+        if len(given) > 1:
+            order = sorted(
+                given, key=lambda group: (not self._fits(group, tips, model), -len({*joints} & {*given[group]}))
+            )
+            given = {group: given[group] for group in order}
+        found: dict[str, float] = {}
+        for values in given.values():
+            if not found.keys() & values.keys():
+                found |= values
+        return {joint: x for joint, x in found.items() if joint in joints}
+
+    def _fits(self, group: str, tips: Sequence[str], model: pin.Model) -> bool:
+        """Whether a group ends in these tips."""
+        try:
+            return {*self.ends(group, model)[1]} == {*tips}
+        except InvalidOption:
+            return False
 
     def may_touch(self, links: Sequence[str]) -> dict[tuple[str, str], str]:
         """Pairs of these links that need no collision test -> reason."""
@@ -105,7 +104,13 @@ class Srdf:
             if len(tips) == 1 and len(carried) == 1 and _above(model, tips[0], carried[0]):
                 tips = carried
         if not tips:
-            raise InvalidOption(f"group '{group}' of the SRDF has no chain or moving joint of this robot")
+            links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+            lost = [link for chain in found.chains for link in chain if not model.existFrame(link)] or [
+                *(link for link in found.links if not model.existFrame(link)),
+                *(joint for joint in found.joints if not model.existFrame(joint)),
+            ]
+            told = f": the robot has no '{lost[0]}'.{did_you_mean(lost[0], [*links, *model.names])}" if lost else ""
+            raise InvalidOption(f"group '{group}' of the SRDF has no chain or moving joint of this robot{told}")
         return (bases[0] if len(bases) == 1 else None), tuple(tips)
 
     def _members(self, name: str) -> Group:
@@ -138,12 +143,15 @@ class Srdf:
             ("end effectors", {e.parent_link for e in self.end_effectors.values()}),
         ):
             if names - links:
-                out.append(f"{what}: {_some(names - links, 'link')} {_is(names - links)} not in the robot")
-        for state, values in self.states.items():
-            missing = {joint for joint in values if not model.existJointName(joint) and joint not in links}
-            other = {joint for joint, x in values.items() if joint not in missing and len(x) != 1}
+                near = _meant(names - links, links)
+                out.append(f"{what}: {_some(names - links, 'link')} {_is(names - links)} not in the robot{near}")
+        for state, groups in self.states.items():
+            given = [item for values in groups.values() for item in values.items()]
+            missing = {joint for joint, _ in given if not model.existJointName(joint) and joint not in links}
+            other = {joint for joint, x in given if joint not in missing and len(x) != 1}
             if missing:
-                out.append(f"configuration '{state}': {_some(missing, 'joint')} {_is(missing)} not in the robot")
+                near = _meant(missing, model.names)
+                out.append(f"configuration '{state}': {_some(missing, 'joint')} {_is(missing)} not in the robot{near}")
             if other:
                 out.append(f"configuration '{state}': {_some(other, 'joint')} with several values {_is(other)} ignored")
         return tuple(out)
@@ -155,20 +163,23 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
         return source
     if not isinstance(source, str | Path):
         raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
-    text = source_text(source, "SRDF")
-    is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
-    return _parse(text, None if is_text else Path(source).expanduser().absolute())
+    given: str | Path = expanded(source)
+    text = source_text(given, "SRDF")
+    is_text = isinstance(given, str) and given.lstrip("\ufeff \t\r\n").startswith("<")
+    return Srdf(path=None if is_text else Path(given).expanduser().absolute(), **contents(text))
 
 
 def srdf_of(
-    given: Any, model: pin.Model, path: Path | None, states: Mapping[str, Mapping[str, tuple[float, ...]]]
+    given: Any, model: pin.Model, path: Path | None, states: Mapping[str, State], group: str | None = None
 ) -> Srdf:
     """Srdf of a model read from `path`: the given one; None: the one next to the file, if any (see `srdf_beside`); False: none.
 
-    states: named configurations of the description itself; those of the SRDF take precedence.
+    states: named configurations of the description itself; those of the SRDF take precedence. group: the one chosen.
     """
     found = _srdf_of(given, model, path)
-    return replace(found, states={**states, **found.states}) if states else found
+    return replace(
+        found, states={**{name: {"": one} for name, one in states.items()}, **found.states}, group=group or ""
+    )
 
 
 def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
@@ -181,7 +192,10 @@ def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
         if beside is None:
             return Srdf()
         try:
-            return read_srdf(beside)
+            found = read_srdf(beside)
+            for remark in found.remarks:
+                LOG.warning("'%s' next to the robot: %s", beside.name, remark)
+            return found
         except ModelError as error:
             LOG.warning("'%s' next to the robot is not used: %s", beside.name, error)
             return Srdf(remarks=(f"'{beside.name}' is not used: {error}",))
@@ -257,100 +271,6 @@ def _name(path: Path) -> str:
         return ""
 
 
-@functools.lru_cache(maxsize=16)
-def _parse(text: str, path: Path | None) -> Srdf:
-    """Parse SRDF text."""
-    name = ""
-    groups: dict[str, dict[str, list]] = {}
-    ends: dict[str, EndEffector] = {}
-    states: dict[str, dict[str, tuple[float, ...]]] = {}
-    passive: list[str] = []
-    disabled: dict[tuple[str, str], str] = {}
-    quiet: list[str] = []
-    enabled: list[tuple[str, str]] = []
-    remarks: list[str] = []
-    inside: list[str] = []  # name of the group or state being read
-
-    def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:
-        nonlocal name
-        if not above:
-            if tag != "robot":
-                raise ModelError(f"the root element is <{tag}>, not <robot>: this is not an SRDF")
-            check_names(given, "SRDF", line)
-            name = given.get("name", "")
-            return
-        if tag.startswith("xacro:"):
-            raise HasMacros(f"line {line} of the SRDF has xacro macros; expand it first: xacro IN.xacro > OUT.srdf")
-        of_state = list(above[1:]) == ["group_state"] and tag == "joint"
-        of_group = list(above[1:]) == ["group"] and tag in MEMBERS
-        if not (of_state or of_group or (len(above) == 1 and tag in FACTS)):
-            return
-        check_names({key: text for key, text in given.items() if key != "value"}, "SRDF", line)
-        missing = [key for key in NEEDED[tag] if not given.get(key)]
-        if missing:
-            raise ModelError(f"<{tag}> in line {line} of the SRDF has no {missing[0]}")
-        if of_group:
-            member = (given["base_link"], given["tip_link"]) if tag == "chain" else given["name"]
-            groups[inside[0]][tag].append(member)
-        elif of_state:
-            values = numbers(given.get("value", "")) or []
-            if not values or not all(map(math.isfinite, values)):
-                shown = given.get("value", "")[:60]
-                raise ModelError(
-                    f"joint '{given['name']}' in line {line} of the SRDF: value \"{shown}\" is not a finite number"
-                )
-            known = states[inside[0]].setdefault(given["name"], tuple(values))
-            if known != tuple(values):
-                remarks.append(
-                    f"configuration '{inside[0]}' gives joint '{given['name']}' twice; the first value is used"
-                )
-        elif tag in ("group", "group_state"):
-            inside[:] = [given["name"]]
-            if tag == "group_state":
-                states.setdefault(given["name"], {})
-            elif given["name"] in groups:
-                raise ModelError(f"group '{given['name']}' is defined twice in the SRDF, again in line {line}")
-            else:
-                groups[given["name"]] = {kind: [] for kind in MEMBERS}
-        elif tag == "end_effector":
-            links = (given.get(key, "") for key in ("parent_link", "group", "parent_group"))
-            ends[given["name"]] = EndEffector(given["name"], *links)
-        elif tag == "passive_joint":
-            passive.append(given["name"])
-        elif tag == "disable_collisions":
-            if given["link1"] != given["link2"]:
-                disabled[given["link1"], given["link2"]] = given.get("reason", "")
-        elif tag == "enable_collisions":
-            enabled.append((given["link1"], given["link2"]))
-        elif tag == "disable_default_collisions":
-            quiet.append(given["link"])
-
-    walk(text, "SRDF", start)
-    made = _groups(groups, remarks)
-    return Srdf(
-        name,
-        path,
-        made,
-        ends,
-        states,
-        tuple(dict.fromkeys(passive)),
-        disabled,
-        tuple(quiet),
-        tuple(enabled),
-        tuple(remarks),
-    )
-
-
-def _groups(found: Mapping[str, Mapping[str, list]], remarks: list[str]) -> dict[str, Group]:
-    """Groups built from the members found; a remark is added for each subgroup that does not exist."""
-    made = {name: Group(name, *(tuple(parts[kind]) for kind in MEMBERS)) for name, parts in found.items()}
-    for group in made.values():
-        unknown = [inner for inner in group.groups if inner not in made]
-        if unknown:
-            remarks.append(f"group '{group.name}' contains the group '{unknown[0]}', which does not exist")
-    return made
-
-
 def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str]]:
     """Parent links of the first joints and child links of the last ones, in a group that lists joints or their child links."""
     frames = model.frames
@@ -387,6 +307,12 @@ def _some(names: Iterable[str], what: str) -> str:
         f" and {len(some) - SHOWN} more" if len(some) > SHOWN else ""
     )
     return f"{what}{'s' * (len(some) > 1)} {listed}"
+
+
+def _meant(names: set[str], known: Iterable[str]) -> str:
+    """Return '. Did you mean ...?' for one unknown name, or ''."""
+    near = did_you_mean(min(names), known) if len(names) == 1 else ""
+    return f".{near}" if near else ""
 
 
 def _is(names: Sequence[str] | set[str]) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, near_match
+from ..readonly import ReadOnly
 from .pose import as_matrix
 from .shape import Shape, is_shape
 
@@ -24,7 +25,7 @@ class Placed:
     touch: frozenset[str] = frozenset()
 
 
-class Surroundings:
+class Surroundings(ReadOnly):
     """The shapes of a CollisionModel that are not part of the robot.
 
     version: increases with every change; robot: the Robot or Tree.

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import pinocchio as pin
@@ -17,8 +17,10 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# Words for parts of a hand, sensors and legs: no tool is mounted there.
+# Words for parts of a hand, sensors, legs and things of a scene: no tool is mounted there.
 OTHERS = frozenset(
+    "lidar sonar radar gps gnss sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
+    "target goal marker object box "
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor "
     "ft force torque imu camera optical depth rgb sensor skin accelerometer range laser head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover collision shape visual dummy".split()
@@ -41,7 +43,12 @@ def words(name: str) -> list[str]:
 def fits(convention: Sequence[str], said: set[str]) -> bool:
     """Whether a frame with these words follows a convention. An arm's tool frame is where its hand begins, if it has one."""
     on_arm = "arm" in said and "tool" in said
-    return set(convention) <= said and not OTHERS & said and on_arm == ("arm" in convention)
+    return set(convention) <= said and not other(said) and on_arm == ("arm" in convention)
+
+
+def other(said: Iterable[str]) -> bool:
+    """Whether words name something else than a tool: 'camera', 'camera2'."""
+    return any(word.rstrip("0123456789") in OTHERS for word in said)
 
 
 def path_ends(model: pin.Model) -> tuple[str, ...]:
@@ -56,17 +63,24 @@ def path_ends(model: pin.Model) -> tuple[str, ...]:
 
 
 def guess_tip(model: pin.Model) -> Guess:
-    """Guess the tip by naming conventions, else take the ends moved by the most joints."""
+    """Guess the tip by naming conventions, else take the ends moved by the most joints.
+
+    A joint with several degrees of freedom does not count: what only it moves is a free object of a scene, or the robot's base.
+    Of the ends that no convention names, those moved by at most half as many joints as another (a lidar, a head) are left out.
+    """
     moved = [f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and f.parentJoint > 0]
+    joints = {f.name: sum(model.joints[j].nv < 2 for j in model.supports[f.parentJoint] if j) for f in moved}
+    moved = [f for f in moved if joints[f.name]] or moved
     named = [(f, words(f.name)) for f in moved]
     for convention in CONVENTIONS:
         found = [f for f, said in named if fits(convention, set(said))]
         if found:
             return Guess(_branches(model, found), "guessed by its name")
-    ends = [f for f in moved if f.name in path_ends(model)]
-    plain = [f for f in ends if not OTHERS & set(words(f.name))] or ends
-    joints = {f.name: len(model.supports[f.parentJoint]) for f in plain}
-    most = max(joints.values(), default=0)
+    outer = set(path_ends(model))
+    ends = [f for f in moved if f.name in outer]
+    most = max((joints[f.name] for f in ends), default=0)
+    plain = [f for f in ends if not other(words(f.name)) and 2 * joints[f.name] > most] or ends
+    most = max((joints[f.name] for f in plain), default=0)
     longest = {
         f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most
     }  # one frame per joint, the first

@@ -10,7 +10,8 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints, values_by_joint
-from .load import default_base, read
+from .load import default_base, read_both
+from .probe import Motionless, find_path
 from .probe import Path as JointPath
 from .robot import Robot
 from .srdf import Srdf, srdf_of
@@ -20,8 +21,43 @@ ENDS = 8  # path ends listed in a message
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
-    """Names of the joints on any of the paths: the first arm's from base to tip, then those each further arm adds."""
-    return tuple(dict.fromkeys(joint for arm in arms for joint in arm.joint_names))
+    """Names of the joints on any of the paths: the first arm's from base to tip, then those each further arm adds.
+
+    A joint that an arm has only because it moves for another tip comes where that tip adds it.
+    """
+    own = [joint for arm in arms for joint in arm.joint_names[: arm._path.own]]
+    return tuple(dict.fromkeys([*own, *(joint for arm in arms for joint in arm.joint_names)]))
+
+
+def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
+    """A robot for each tip, from the arguments they share. A tip that only the joints of other tips move is no error here."""
+    found: dict[str, Robot] = {}
+    problem: Motionless | None = None
+    for tip in tips:
+        try:
+            found[tip] = Robot(**made, tip=tip)
+        except Motionless as error:
+            problem = error
+    if problem is not None and not found:
+        raise problem
+    moving = union(list(found.values()))
+    return [found[tip] if tip in found else Robot(**made, tip=tip, others=moving) for tip in tips]
+
+
+def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot:
+    """An arm of a tree of which these joints move: with those as coordinates that move the base's branch.
+
+    home: of all joints by name [rad or m]. It is the arm itself where nothing is added.
+    """
+    model = arm.model
+    locked = {model.getJointId(joint) for joint in arm.locked_joints}
+    path = find_path(model, *arm._ids, locked, [model.getJointId(joint) for joint in names])
+    if set(path.leaders) == set(arm._path.leaders):
+        return arm
+    other = arm._variant()
+    other._others = tuple(names)
+    other._build([home[model.names[j]] for j in path.leaders])
+    return other
 
 
 class Tree(Joints):
@@ -41,7 +77,6 @@ class Tree(Joints):
         if isinstance(arms, Robot) or not all(isinstance(arm, Robot) for arm in arms) or not len(arms):
             raise ModelError("a tree is made from a list of robots, one per tip")
         first = arms[0]
-        self.arms = tuple(arms)
         self.tips = tuple(arm.tip for arm in arms)
         if len(set(self.tips)) < len(self.tips):
             raise FrameNotFound(f"each tip can be given only once: {', '.join(self.tips)}")
@@ -53,10 +88,14 @@ class Tree(Joints):
                 )
         self.name, self.model, self.base, self.rest = first.name, first.model, first.base, first.rest
         self._original, self._given = first._original, first._given
-        self.on_base, self.base_limits, self.notes = first.on_base, first.base_limits, first.notes
+        self.on_base, self.base_limits = first.on_base, first.base_limits
+        self.notes = tuple(dict.fromkeys(note for arm in arms for note in arm.notes))
+        self.constraints = first.constraints
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.srdf = first.srdf
         self.joint_names = names = union(arms)
+        homes = {joint: x for arm in reversed(arms) for joint, x in zip(arm.joint_names, arm.home, strict=True)}
+        self.arms = arms = tuple(_among(arm, names, homes) for arm in arms)
         self.locked_joints = {joint: x for arm in arms for joint, x in arm.locked_joints.items()}
         for joint in names:
             if joint in self.locked_joints:
@@ -82,11 +121,12 @@ class Tree(Joints):
                 raise ModelError(f"joint '{joint}' has no legal position: its ranges on the tips' paths do not overlap")
         self.joint_kinds = tuple(kinds[joint] for joint in names)
         self.lower, self.upper = lower, upper
-        self._path = JointPath([], 0, [], {}, idx_q, circle)
+        self._path = JointPath([], 0, [], self.n, {}, idx_q, circle)
         self.home = self.check_home(np.clip(middle, lower, upper) if home is None else home)
         self.chain: TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
+        self._seal()
 
     @classmethod
     def load(
@@ -109,8 +149,8 @@ class Tree(Joints):
         joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group: an SRDF group,
         which sets base and tips. Raises as Robot.load does; without tips, FrameNotFound lists the path ends.
         """
-        entry, made = read(source, package_dirs, xacro_args)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
+        entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
             start, ends = made["srdf"].ends(group, made["model"])
             tips, base = tips or list(ends), base if base or on_base is not None else start
@@ -130,12 +170,12 @@ class Tree(Joints):
         if not tips:
             raise FrameNotFound("tips=[] is empty; give at least one tip")
         known = base in (None, entry.base)
-        made["base"] = default_base(entry, made["model"], base, tips[0], on_base, base_limits)
+        made["base"] = default_base(entry, made, base, tips[0], on_base, base_limits)
         made |= {"on_base": on_base, "base_limits": base_limits}
-        arms = [Robot(**made, tip=tip) for tip in tips]
+        arms = arms_of(made, tips)
         tree = cls(arms)
         if entry.home is not None and known:
-            known_arms = arms if tuple(tips) == entry.tips else [Robot(**made, tip=tip) for tip in entry.tips]
+            known_arms = arms if tuple(tips) == entry.tips else arms_of(made, entry.tips)
             home = dict(zip(tree.joint_names, tree.home.tolist(), strict=True))
             own = [joint for joint in union(known_arms) if joint not in arms[0]._of_base]
             home.update(zip(own, entry.home, strict=True))
@@ -175,6 +215,10 @@ class Tree(Joints):
         home = {joint: x for joint, x in zip(self.joint_names, self.home, strict=True) if joint not in joints}
         return Tree(arms, list(home.values()))
 
+    def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> "Tree":
+        arms = [arm._narrowed({joint: ranges[joint] for joint in arm.joint_names}) for arm in self.arms]
+        return Tree(arms, np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
+
     def with_tool(self, T_tip_tool: Any, shape: Any = None, T_tip_shape: Any = None) -> "Tree":
         """Return a copy whose tips are moved by T_tip_tool (4x4 or pin.SE3): one for all of them, or a dict by tip.
 
@@ -189,7 +233,7 @@ class Tree(Joints):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arms."""
-        return Tree, (self.arms, self.home)
+        return Tree, (self.arms, self.home), {"_wide": self._wide}
 
     def __repr__(self) -> str:
         """One line: name, tips and joints."""

@@ -15,7 +15,8 @@ def ask(
     """Run a script with a job (JSON on stdin); the answer is the last line it prints, {"error": sentence} on failure.
 
     does: purpose of the process, for messages; silent: the error if it prints nothing. memory [bytes] and seconds of processor time
-    are caps that the script sets for itself. folder: working folder. Raises ModelError if it cannot be started.
+    are caps that the script sets for itself; nothing in a file makes it wait, so that on an idle machine they are its wall time
+    too. folder: working folder. Raises ModelError if it cannot be started.
     """
     try:
         done = subprocess.run(
@@ -25,7 +26,7 @@ def ask(
             stderr=subprocess.DEVNULL,
             text=True,
             cwd=folder,
-            timeout=6.0 * seconds,  # wall time: allows for a busy machine
+            timeout=10.0 * seconds,  # wall time: allows for a busy machine, on which others hold the processor
             check=False,
         )
         return json.loads((done.stdout.strip().splitlines() or [""])[-1])

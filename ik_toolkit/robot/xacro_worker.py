@@ -1,25 +1,37 @@
-"""Subprocess that expands xacro for `xacro.py`: macros are a programming language, so they run sandboxed.
+"""Subprocess that expands xacro for `xacro.py`. No text of a file is evaluated as Python: expressions go to xacro_values.py.
 
-It imports nothing from the toolkit except packages.py and mesh_worker.py. Job (JSON on stdin): file, arguments (name -> value),
-package_dirs, folders (files are read only from these and from packages that are found), environment (ROS package path
-variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text, "asked": names} or {"error": sentence}.
+It imports nothing from the toolkit except packages.py, mesh_worker.py and the xacro_*.py. Job (JSON on stdin): file, arguments
+(name -> value), package_dirs, folders (files are read only from these and from packages that are found), environment (ROS
+package path variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text, "asked": names} or {"error": sentence}.
 """
 
 import contextlib
+import glob
 import importlib.util
 import io
+import itertools
 import json
 import os
+import re
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-CALLS = (  # prefixes of audit events
-    "subprocess.", "os.system", "os.exec", "os.spawn", "os.posix_spawn", "os.fork", "pty.", "socket.", "ctypes.", "shutil.",
-    "os.remove", "os.rename", "os.mkdir", "os.link", "os.symlink",
-)  # fmt: skip
+BYTES = 20_000_000  # of all files together
+FILES = 1_000  # that one include may match
+# What xacro must have for the walls to stand where it is replaced below.
+REPLACED = {
+    "xacro": ("eval_all", "eval_text", "safe_eval", "load_yaml", "parse", "get_include_files", "abs_filename_spec",
+              "_global_symbols", "replace_node", "resolve_macro", "re_macro_arg"),
+    "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
+}  # fmt: skip
+
+# Parameters of a macro, as in xacro; there [^\s'"] is repeated inside a repetition, which takes exponential time.
+DEFAULTS = re.compile(
+    r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
+)
 
 
 def beside(name: str) -> ModuleType:
@@ -29,6 +41,10 @@ def beside(name: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+values = beside("xacro_values")
+Refused = values.Refused
 
 
 class Asked(dict):
@@ -45,99 +61,272 @@ class Asked(dict):
         return super().__contains__(name)
 
     def __getitem__(self, name: str) -> str:
-        """The argument of this name, which is noted."""
-        self.names.add(name)
+        """The argument of this name, which is noted. Raises Refused: how to give it."""
+        if name not in self:
+            shown = str(name)[:60]
+            raise Refused(
+                f"the argument '{shown}' has no value; give it with xacro_args={{'{shown}': ...}}, in the shell with "
+                f"--xacro-arg {shown}:=VALUE"
+            )
         return super().__getitem__(name)
 
 
-class NotAllowed(Exception):
-    """A forbidden operation; not an OSError, which xacro would rewrite."""
+class Expansion:
+    """xacro with everything that evaluates or reads replaced."""
+
+    def __init__(self, job: dict) -> None:
+        """Take the job and replace the parts of xacro."""
+        import xacro
+        import xacro.substitution_args as substitution
+
+        self.job, self.xacro = job, xacro
+        self.files = beside("xacro_files").Files(values, job["folders"])
+        self.evaluator, self.arguments = values.Evaluator(), Asked(job["arguments"])
+        self.packages, self.known = beside("packages"), dict[str, str]()
+        self.written = 0
+        for module in (xacro, substitution):
+            for name in REPLACED[module.__name__]:
+                if not hasattr(module, name):
+                    raise Refused(f"this version of xacro has no {name}; install the version that the toolkit knows")
+            module.__dict__.update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
+        self._all, self._text = xacro.eval_all, xacro.eval_text
+        self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
+        self.bodies: dict[int, tuple[Any, int]] = {}  # of macros, by their id, with what a copy costs
+        plain = beside("xacro_library").library(values, self.evaluator)
+        self.symbols: dict[str, Any] = {**plain[""], "None": None}
+        own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
+        self.symbols |= own
+        for name, inside in {**plain, "xacro": own}.items():
+            if name:
+                self.symbols[name] = xacro.NameSpace()
+                self.symbols[name].update(inside)
+        for name in ("arg", "message", "warning", "error", "print_location", "fatal", "tokenize"):
+            del self.symbols[name]  # in their namespace only
+        xacro.__dict__.update(
+            eval_all=self.eval_all,
+            eval_text=self.eval_text,
+            resolve_macro=self.resolve_macro,
+            replace_node=self.replace_node,
+            re_macro_arg=DEFAULTS,
+            safe_eval=lambda text, names, locals=None: self.evaluator.evaluate(str(text), names),
+            load_yaml=self.load_yaml,
+            parse=self.parse,
+            get_include_files=self.included,
+            abs_filename_spec=self.absolute(xacro.abs_filename_spec),
+            _global_symbols=self.symbols,
+        )
+        substitution.__dict__.update(
+            _eval=self.eval_eval,
+            _eval_arg=lambda name, args: args[name],
+            _eval_dirname=self.dirname,
+            _eval_env=self.env,
+            _eval_find=self.find,
+            _eval_optenv=lambda name, default="": self.arguments[name] if name in self.arguments else default,
+        )
+
+    def own(self) -> dict[str, Callable[..., Any]]:
+        """The functions of the namespace xacro."""
+
+        def silent(*given: Any, **named: Any) -> str:
+            return ""
+
+        def fatal(*given: Any) -> None:
+            raise Refused(" ".join(map(str, given))[:300])
+
+        def tokenize(text: str, sep: str = ",; ", skip_empty: bool = True) -> list[str]:
+            return [part for part in re.split(f"[{re.escape(sep)}]", text) if part or not skip_empty]
+
+        return {
+            "load_yaml": self.load_yaml,
+            "abs_filename": lambda name: self.xacro.abs_filename_spec(name),
+            "dotify": lambda value: value,  # every dict has dotted access
+            "arg": lambda name: self.arguments[name],
+            **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
+            "fatal": fatal,
+            "tokenize": tokenize,
+        }
+
+    def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
+        """Expand an element; counted."""
+        self.evaluator.spend(4 + len(node.childNodes))
+        self._all(node, macros, symbols)
+
+    def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
+        """A macro, whose body is about to be copied; counted."""
+        found = self._resolve(name, macros, symbols)
+        body = found[2].body
+        if id(body) not in self.bodies:
+            self.bodies[id(body)] = body, _weight(body)
+        self.evaluator.spend(self.bodies[id(body)][1])
+        return found
+
+    def replace_node(self, node: Any, by: Any, content_only: bool = False) -> None:
+        """Put other nodes in the place of one; counted, because each is searched for among its new neighbours."""
+        others = by if isinstance(by, list) else [by] if by is not None else []
+        parts = sum(len(other.childNodes) if content_only else 1 for other in others)
+        self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)
+        self._replace(node, by, content_only)
+
+    def eval_text(self, text: str, symbols: Any) -> Any:
+        """Value of a text with expressions; counted."""
+        if "$" not in text:
+            return text
+        if len(text) > values.LONGEST:
+            raise Refused(f"a text with expressions has more than {values.LONGEST:,} characters")
+        self.evaluator.spend(1 + len(text) // 50)
+        made = self._text(text, symbols)
+        if isinstance(made, str):
+            self.written += len(made)
+            if len(made) > values.LARGEST or self.written > BYTES:
+                raise Refused(f"a text of more than {values.LARGEST:,} characters is put together, or too many")
+        return made
+
+    def eval_eval(self, text: str, context: dict) -> str:
+        """$(eval ...): an expression with arguments for names."""
+        expansion = self
+
+        class Names(Mapping[str, Any]):
+            def __getitem__(self, name: str) -> Any:
+                if name in own:
+                    return own[name]
+                return _converted(expansion.arguments[name])
+
+            __iter__ = __len__ = None  # pyright: ignore[reportAssignmentType]
+
+        functions = {"arg": lambda name: _converted(self.arguments[name]), "env": self.env, "find": self.find}
+        functions |= {"optenv": lambda name, default="": self.arguments.get(name, default), "dirname": self.dirname}
+        own = {name: values.Function(name, does) for name, does in functions.items()}
+        own |= {**self.symbols, "true": True, "false": False}
+        return str(self.evaluator.evaluate(text, Names()))
+
+    def find(self, name: str) -> str:
+        """Folder of a package, which may be read from then on."""
+        if name not in self.known:
+            found = self.packages.find_package(
+                name, Path(self.job["file"]), self.job["package_dirs"], self.job["environment"]
+            )
+            if found is None:
+                raise Refused(
+                    f"there is no package '{name[:100]}'; name its folder, the one with its package.xml, with "
+                    "package_dirs=[...], in the shell with --package-dir"
+                )
+            self.known[name] = str(found)
+            self.files.folders.append(str(found))
+        return self.known[name]
+
+    def env(self, name: str) -> str:
+        """$(env NAME): an argument."""
+        if name not in self.arguments:
+            raise Refused(
+                f"it reads $(env {name[:100]}); the environment is not read, give {name[:100]} as an argument"
+            )
+        return self.arguments[name]
+
+    def dirname(self, _: Any = None) -> str:
+        """$(dirname): folder of the file being expanded."""
+        return os.path.dirname(os.path.abspath(self.xacro.filestack[-1]))
+
+    def absolute(self, original: Callable[[str], str]) -> Callable[[str], str]:
+        """xacro's path of a file name, with package://."""
+
+        def path(name: str) -> str:
+            scheme, _, rest = str(name).partition("://")
+            if scheme == "file":
+                return rest
+            if scheme != "package":
+                return original(str(name))
+            package, _, inner = rest.partition("/")
+            return os.path.join(self.find(package), inner)
+
+        return path
+
+    def included(self, name: str, symbols: Any) -> Any:
+        """The files that an include names."""
+        path = self.xacro.abs_filename_spec(str(self.xacro.eval_text(name, symbols)))
+        found = [path]
+        if re.search("[*?[]", path):
+            found = sorted(itertools.islice(glob.iglob(path), FILES))
+        yield from found
+
+    def parse(self, text: Any, filename: str | None = None) -> Any:
+        """Document of a file."""
+        assert filename is not None
+        try:
+            document = self.files.xml(filename)
+        except OSError as error:
+            self.xacro.filestack.pop()
+            raise self.xacro.XacroException(exc=error) from None
+        for element in document.getElementsByTagName("xacro:arg"):
+            if not element.hasAttribute("default"):  # xacro refuses it even where its value is given
+                if element.getAttribute("name") in self.arguments:
+                    element.setAttribute("default", "")
+                else:
+                    element.parentNode.removeChild(element)
+        return document
+
+    def load_yaml(self, name: str) -> Any:
+        """Plain values of a YAML file."""
+        path = self.xacro.abs_filename_spec(name)
+        self.xacro.filestack.append(path)
+        made = self.files.yaml(path, lambda text: float(self.evaluator.evaluate(text, self.symbols)))
+        self.xacro.filestack.pop()
+        return made
 
 
-class Walls:
-    """Sandbox: after `build` this process reads only some folders and Python's own; it cannot write, connect or start processes."""
+def _weight(node: Any) -> int:
+    """What a copy of a node costs, in steps."""
+    own = len(node.data) // 100 if node.nodeType in (node.TEXT_NODE, node.COMMENT_NODE) else 1
+    return own + sum(map(_weight, node.childNodes))
 
-    def __init__(self, folders: list[str]) -> None:
-        self.folders = [
-            os.path.realpath(folder) for folder in (*folders, sys.prefix, sys.base_prefix, os.path.dirname(os.__file__))
-        ]
-        self.open = False
 
-    def build(self) -> None:
-        """Activate the sandbox."""
-        sys.addaudithook(self.watch)
+def _never(*_: object, **__: object) -> None:
+    raise Refused("it asks xacro for something that is never done here")
 
-    def watch(self, event: str, arguments: tuple) -> None:
-        """Audit hook: raise NotAllowed for a forbidden operation."""
-        if event == "open" and isinstance(arguments[0], str | bytes):
-            path, mode, flags = arguments
-            real = os.path.realpath(os.fsdecode(path))
-            writes = (flags or 0) & WRITES or any(letter in (mode or "") for letter in "wax+")
-            inside = self.open or any(real == root or real.startswith(root + os.sep) for root in self.folders)
-            if writes or not inside:
-                what = "writes" if writes else "reads"
-                raise NotAllowed(f"it {what} '{os.fsdecode(path)[:200]}', which is not allowed")
-        elif event.startswith(CALLS):
-            raise NotAllowed(f"it calls {event}, which is not allowed")
+
+def _converted(text: str) -> Any:
+    """An argument as a number or truth value, if it is one."""
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return {"true": True, "false": False}.get(text.lower(), text)
 
 
 def expand(job: dict) -> dict:
     """Run a job."""
-    import xacro
-    import xacro.substitution_args as substitution
-    import yaml  # noqa: F401 - xacro loads it late
-
-    packages = beside("packages")
-    walls = Walls(job["folders"])
-    known: dict[str, str] = {}
-    arguments = Asked(job["arguments"])
-
-    def find(name: str) -> str:
-        if name not in known:
-            walls.open = True
-            found = packages.find_package(name, Path(job["file"]), job["package_dirs"], job["environment"])
-            walls.open = False
-            if found is None:
-                raise LookupError(f"there is no package '{name[:100]}'; name its folder with package_dirs")
-            known[name] = str(found)
-            walls.folders.append(str(found))
-        return known[name]
-
-    def env(name: str) -> str:
-        if name not in arguments:
-            raise NotAllowed(
-                f"it reads $(env {name[:100]}); the environment is not read, give {name[:100]} as an argument"
-            )
-        return arguments[name]
-
-    def optenv(name: str, default: str = "") -> str:
-        return arguments[name] if name in arguments else default
-
-    beside_the_file = xacro.abs_filename_spec
-
-    def included(name: str) -> str:
-        scheme, _, rest = name.partition("://")
-        if scheme != "package":
-            return beside_the_file(name)
-        package, _, inner = rest.partition("/")
-        return os.path.join(find(package), inner)
-
-    substitution._eval_find, substitution._eval_env, substitution._eval_optenv = find, env, optenv
-    substitution._eval_dict.update(find=find, env=env, optenv=optenv)
-    xacro.abs_filename_spec = included
-    os.environ.clear()
-    walls.build()
+    stack: list[str] = []
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            document: Any = xacro.process_file(job["file"], mappings=arguments)
-        return {"urdf": document.toprettyxml(indent="  "), "asked": sorted(arguments.names)}
+            expansion = Expansion(job)
+            os.environ.clear()
+            document: Any = expansion.xacro.process_file(job["file"], mappings=expansion.arguments)
+            return {"urdf": document.toprettyxml(indent="  "), "asked": sorted(expansion.arguments.names)}
     except BaseException as error:  # broken macros can raise anything
-        stack = [os.path.basename(name) for name in (xacro.filestack or []) if name]
-        cause = getattr(error, "exc", None) or error
-        if isinstance(cause, FileNotFoundError):
-            stack, cause = stack[:-1], f"there is no file '{cause.filename}'"
-        said = " ".join(str(cause).split())[:300] or type(error).__name__
-        return {"error": f"{said} (in '{stack[-1]}')" if stack else said}
+        cause: Any = error
+        while isinstance(getattr(cause, "exc", None), BaseException):
+            cause = cause.exc
+        stack = [os.path.basename(name) for name in (sys.modules["xacro"].filestack or []) if name]
+        return {"error": told(cause, stack)}
+
+
+def told(cause: BaseException, stack: list[str]) -> str:
+    """What happened and where, in one sentence."""
+    said = " ".join(str(cause.args[0] if isinstance(cause, Refused) else cause).split())[:300]
+    where = f"'{stack[-1]}'" if stack else ""
+    if isinstance(cause, Refused) and len(cause.args) > 1:
+        text = " ".join(str(cause.args[1]).split())
+        where = f"in the expression '{text[:60]}{'...' * (len(text) > 60)}'" + (f" of {where}" if where else "")
+        return f"{said}, {where}"
+    if isinstance(cause, FileNotFoundError):
+        others = [name for name in stack if name != os.path.basename(cause.filename)]
+        said, where = f"there is no file '{cause.filename}'", f"'{others[-1]}'" if others else ""
+    elif isinstance(cause, RecursionError):
+        macros = sys.modules["xacro"].macrostack
+        name = macros[-1].body.getAttribute("name")[:60] if macros else ""
+        said = f"the macro '{name}' calls itself without end (recursion)" if name else "endless recursion"
+    elif isinstance(cause, MemoryError):
+        said = "it needs too much memory"
+    said = said or type(cause).__name__
+    return f"{said} (in {where})" if where else said
 
 
 def main() -> None:
@@ -147,6 +336,7 @@ def main() -> None:
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
+    sys.setrecursionlimit(3000)  # loops of xacro are macros that call themselves, ten calls here a turn
     print(json.dumps(expand(job)))
 
 

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 LARGEST = 2**20  # bytes per message: the page sends numbers and short texts, and messages are buffered until complete
+ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")  # headers of which viser and the checks here read the only one
 LOG = logging.getLogger(__name__)
 QUIET = logging.getLogger(f"{__name__}.socket")  # a port scan would fill the terminal with handshake tracebacks
 QUIET.setLevel(logging.CRITICAL)
@@ -44,6 +45,10 @@ def below(path: str, token: str) -> str | None:
 
 def refusal(headers: Any, host: str) -> str:
     """Why a request is refused, or ''. A browser sends the requesting page (Origin) and the host name it used (Host)."""
+    every = getattr(headers, "get_list", None) or getattr(headers, "get_all", None)  # of tornado, of websockets
+    twice = [name for name in ONCE if every is not None and len(every(name)) > 1]
+    if twice:
+        return f"this request has more than one header {' and '.join(twice)}"
     asked = headers.get("Host", "")
     name = ""
     with contextlib.suppress(ValueError):

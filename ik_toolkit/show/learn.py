@@ -8,16 +8,15 @@ import numpy as np
 
 from ..errors import IKError, InvalidConfiguration
 from ..kernel.task import POSE, POSITION
-from ..solvers.blocks import UNITS, Table, Words
 from ..solvers.closed_form import fits
-from ..solvers.dh_table import dh_blocks, dh_of
-from ..solvers.explanation import Explanation, target_table
-from ..solvers.formula import SCALES, decimals, number, unit_of
+from ..solvers.explain.dh_table import dh_blocks, dh_of
+from ..solvers.explain.explanation import Explanation, target_table
+from ..solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, number, to_html, unit_of
+from ..solvers.explain.worked_solution import Branch, WorkedSolution
 from ..solvers.registry import find_row
 from ..solvers.result import Result
 from ..solvers.solve import solve
 from ..style import BAD, GOOD
-from .formulas import blocks_html
 from .session import Session
 from .tables import sentence
 
@@ -90,12 +89,11 @@ class Lesson:
 
     def at(self, value: float) -> Result:
         """The same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
-        assert self.made is not None and self.made.derivation is not None and self.made.derivation.free is not None
-        free, label = self.made.derivation.free, self.label
+        assert self.made is not None and self.worked is not None and self.worked.free is not None
+        free, label = self.worked.free, self.label
         row = find_row(self.made.form)
         result = self._explain(self.T, row.load()(**{free.parameter: value / self.scale(free.joint)}))
-        assert self.made.derivation is not None
-        same = [k for k, branch in enumerate(self.made.derivation.branches) if branch.label == label]
+        same = [k for k, branch in enumerate(self.branches) if branch.label == label]
         self.shown = same[0] if same else self.shown
         return result
 
@@ -107,9 +105,14 @@ class Lesson:
         return result
 
     @property
-    def branches(self) -> tuple[Any, ...]:
+    def worked(self) -> WorkedSolution | None:
+        """The closed form worked out for the last inverse, or None."""
+        return self.made.worked if self.made is not None else None
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
         """Branches of the last inverse."""
-        return self.made.derivation.branches if self.made is not None and self.made.derivation is not None else ()
+        return self.worked.branches if self.worked is not None else ()
 
     @property
     def label(self) -> str:
@@ -118,7 +121,7 @@ class Lesson:
 
     def span(self) -> tuple[float, float] | None:
         """Range [mm or deg] of the free parameter: from the first to the last interval within limits."""
-        free = self.made.derivation.free if self.made is not None and self.made.derivation is not None else None
+        free = self.worked.free if self.worked is not None else None
         if free is None or not free.inside:
             return None
         low, high = (self.scale(free.joint) * x for x in (free.inside[0][0], free.inside[-1][1]))
@@ -138,7 +141,7 @@ class Learn:
         if self.alone:
             self._build()
         else:
-            self.gui.add_html(blocks_html([Words("Choose one tip to see its kinematics step by step.")]))
+            self.gui.add_html(to_html([Sentence("Choose one tip to see its kinematics step by step.")]))
 
     # ------------------------------------------------------------------------------------------------------------ build
     def _build(self) -> None:
@@ -183,7 +186,7 @@ class Learn:
         }
         self.fields["p"] = gui.add_vector3("p [mm]", (0.0, 0.0, 0.0), step=10.0**-lesson.places, hint="p_x, p_y, p_z")
         if not lesson.posed:
-            gui.add_html(blocks_html([Words("The target of this arm is a position; n, o and a follow from it.")]))
+            gui.add_html(to_html([Sentence("The target of this arm is a position; n, o and a follow from it.")]))
         solve_it = gui.add_button("Joint values", color="blue")
         self.listen(solve_it, "solve", self._inverse)
         forward = gui.add_button("Use FK output", color=QUIET)
@@ -205,8 +208,8 @@ class Learn:
         for i, field in enumerate(self.values):
             field.value = self.shown[i] = float(np.clip(round(lesson.scale(i) * q[i], 4), field.min, field.max))
         T = self.session.poses(q)[self.robot.tip]
-        self.pose.content = blocks_html([target_table(T, lesson.places), Words("Position p in mm.")])
-        self.table.content = blocks_html(dh_blocks(self.robot, lesson.table, q))
+        self.pose.content = to_html([target_table(T, lesson.places), Sentence("Position p in mm.")])
+        self.table.content = to_html(dh_blocks(self.robot, lesson.table, q))
 
     def _go(self, q: np.ndarray) -> None:
         """Move the robot to q (n,) and update all controls of the panel."""
@@ -270,8 +273,8 @@ class Learn:
         span = lesson.span()
         with self.found:
             if span is not None and span[1] - span[0] > STEP:
-                assert made.derivation is not None and made.derivation.free is not None
-                i = made.derivation.free.joint
+                assert lesson.worked is not None and lesson.worked.free is not None
+                i = lesson.worked.free.joint
                 name = f"{self.robot.joint_names[i]} [{lesson.unit(i)}]  "
                 at = float(np.clip(lesson.scale(i) * made.q[i], *span))
                 self.free = self.gui.add_slider(name, round(span[0], 6), round(span[1], 6), STEP, at)
@@ -309,19 +312,19 @@ class Learn:
                 button.label = f"{k + 1}: {branch.label}" + (" (outside limits)" if branch.outside else "")
             button.color = CHOSEN if k == lesson.shown else QUIET
             button.visible = k < len(lesson.branches)
-        if made.derivation is not None and lesson.branches:
-            free = [Words(made.free_words())] if made.derivation.free is not None else []
-            free += [Words("The solver's solution is not one of these branches.")] if made.chosen is None else []
+        if made.worked is not None and lesson.branches:
+            free = [Sentence(made.free_words())] if made.worked.free is not None else []
+            free += [Sentence("The solver's solution is not one of these branches.")] if made.chosen is None else []
             values = values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)
-            legend = [Words(made.derivation.legend)] if made.derivation.legend else []
-            self.words.content = blocks_html([*free, values, *legend])
+            legend = [Sentence(made.worked.legend)] if made.worked.legend else []
+            self.words.content = to_html([*free, values, *legend])
         self.form.visible = True
-        blocks = made.formula_blocks(lesson.shown) if made.derivation is not None else [Words(made.why)]
-        self.formulas.content = blocks_html(blocks)
+        blocks = made.formula_blocks(lesson.shown) if made.worked is not None else [Sentence(made.why)]
+        self.formulas.content = to_html(blocks)
         self.way.visible = made.iterations is not None
         if made.iterations is not None:
             self.way.label = f"Iterations of {made.iterations.solver}"
-            self.iterations.content = blocks_html(made.iteration_blocks())
+            self.iterations.content = to_html(made.iteration_blocks())
         others = [branch for k, branch in enumerate(lesson.branches) if k != lesson.shown]
         self.desk.stage.ghost(others[0].q if len(others) == 1 else None)
 

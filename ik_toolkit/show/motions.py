@@ -8,7 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration
+from ..files import without_mark
 from ..robot.joints import Joints
+from ..robot.pose_files import check_arrays
 from .parts import Shape, need_trimesh, smooth
 
 OBSTACLE = (0.55, 0.58, 0.62)
@@ -174,7 +176,9 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
     path = Path(file)
     try:
         names, values, t = _read(path)
-    except (OSError, ValueError, KeyError, TypeError, IndexError, StopIteration) as error:
+    except InvalidConfiguration:
+        raise
+    except Exception as error:  # damaged files raise many types: zip, zlib, npy, json and csv errors
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
     missing = [joint for joint in robot.joint_names if joint not in names]
     if missing:
@@ -191,6 +195,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
 def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     suffix = path.suffix.lower()
     if suffix == ".npz":
+        check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
         with np.load(path, allow_pickle=False) as arrays:
             names = arrays["joint_names"].tolist() if "joint_names" in arrays else []
             if "curve" in arrays:
@@ -209,7 +214,10 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
         raise ValueError("the file must be .csv, .npz or .json")
     with path.open(newline="", encoding="utf-8") as stream:
         rows = csv.reader(stream)
-        head = next(rows)
-        values = np.array([[float(x) if x else np.nan for x in row] for row in rows]).reshape(-1, len(head))
+        head, cells = [without_mark(name) for name in next(rows)], list(rows)
+    for k, row in enumerate(cells, 2):
+        if len(row) != len(head):
+            raise ValueError(f"line {k} has {len(row)} columns, and the header {len(head)}")
+    values = np.array([[float(x) if x else np.nan for x in row] for row in cells]).reshape(-1, len(head))
     t = values[:, head.index("t")] if head[0] == "t" else None
     return [name.removeprefix("q_") if t is not None else name for name in head], values, t

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Any
 from urllib.parse import urlsplit
 
+from ..copying import Unique
 from ..errors import InvalidOption, MissingExtra
 from .desk import Desk
 from .gate import guarded, is_loopback, new_token
@@ -28,7 +29,7 @@ HEARD = (  # messages accepted from a visitor's page: controls, the target's arr
 )
 
 
-class Panel:
+class Panel(Unique):
     """The panel's server. url: its address, including the access token; `close()` stops it. Several browsers may be open."""
 
     def __init__(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..copying import Unique
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
@@ -33,7 +34,7 @@ def css(color: Sequence[float]) -> str:
     return "#" + "".join(f"{round(255 * c):02x}" for c in color)
 
 
-class Scene:
+class Scene(Unique):
     """The drawing of one robot. Poses are in the robot's base axes [m], joint values as in `robot`.
 
     title; lines (text on the page). `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from ..style import MUTED
 from .session import KINDS, Session
-
-MUTED = "#4a5766"
 
 
 def sentence(text: str) -> str:

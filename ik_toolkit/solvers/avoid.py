@@ -19,16 +19,20 @@ COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 
 def collision_model(robot: Any, asked: Any) -> CollisionModel:
-    """What `avoid_collisions` stands for: a model made for this robot, for True (or a margin [m]) one with its own links only."""
+    """What `avoid_collisions` stands for: a model made for this robot, for True (or a margin [m]) one with its own links only.
+
+    A variant with narrower limits has the same shapes and pairs, so it shares those of its robot.
+    """
     found = avoided(asked)
     if isinstance(found, CollisionModel):
-        if found.robot is not robot:
+        if found.robot is not robot and found.robot is not robot._wide:
             raise InvalidOption(
                 f"the CollisionModel was made for another Robot object ('{found.robot.name}'); make one with this robot"
             )
         return found
     if found is False:
         raise InvalidOption(f"{AVOID}, not {asked!r}")
+    robot = robot if robot._wide is None else robot._wide
     key = "collision model", 0.0 if found is True else found
     if key not in robot.memo:
         robot.memo[key] = CollisionModel(robot, margin=key[1])

@@ -18,7 +18,7 @@ from ..kernel.lanes import LEFT
 from ..kernel.limits import LARGEST
 from ..kernel.records import ANSWER, AT
 from .batch_targets import mended
-from .finish import confirmed
+from .finish import confirmed, mark_open
 from .plan import Plan
 from .result import Outcome
 from .task import counts_in_part
@@ -134,6 +134,7 @@ def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | No
         a += size
         size = max(1, int(size * min(4.0, SLICE / max(perf_counter() - began, 1e-9))))
     _confirm(plan, part, out, share)
+    mark_open(plan, out)
     return out
 
 

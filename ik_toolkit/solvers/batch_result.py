@@ -4,15 +4,16 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError
+from ..errors import IKError, Portable
 from ..kernel.records import ANSWER, AT, MISS
+from ..readonly import ReadOnly
 from .avoid import collision_model
 from .plan import Plan
 from .result import SPOKEN, Outcome, Result
 from .status import Status, count_statuses
 
 
-class BatchInterrupted(KeyboardInterrupt):
+class BatchInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
 
     def __init__(self, result: "BatchResult") -> None:
@@ -39,12 +40,8 @@ class BatchCheckFailed(IKError):
         self.target = target
         self.before = before
 
-    def __reduce__(self) -> tuple:
-        """Pickle by its arguments."""
-        return type(self), (self.result, self.target, self.before)
 
-
-class BatchResult:
+class BatchResult(ReadOnly):
     """Answers of a batch, row k belonging to target k.
 
     q (N, n) [rad or m]; status (N,) numbers of Status; success (N,) bool; position_error (N,) [m]; orientation_error (N,)
@@ -58,6 +55,7 @@ class BatchResult:
         self.kinds = kinds
         self.plan = plan
         self.solver = plan.row.name
+        self._seal()
 
     def of(self, table: np.ndarray) -> "BatchResult":
         """The same batch with other rows."""

@@ -10,6 +10,7 @@ from ..kernel.task import FREE, POSE, POSITION
 from ..robot.pose import check_target
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
+STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
 ROUGH, RIGID = 1e-12, 1e-6  # deviations from orthonormal between which a rotation has few digits and is replaced
 
 
@@ -62,6 +63,8 @@ def _straighten(T: np.ndarray) -> None:
 def known(targets: Any) -> Any:
     """Targets as one array or a dict of arrays; None for an iterator."""
     if isinstance(targets, np.ndarray):
+        if targets.ndim == 0:
+            raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
         return targets
     if isinstance(targets, Mapping):
         return {tip: _named(tip, known, part) for tip, part in targets.items() if part is not None}
@@ -72,7 +75,7 @@ def known(targets: Any) -> Any:
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidTarget):
             raise
-        raise InvalidTarget("targets must be an array (N, 4, 4) or (N, 3), or an iterator of such arrays") from None
+        raise InvalidTarget(f"targets must be {STACKED}") from None
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
@@ -94,7 +97,10 @@ def _numbers(targets: Any) -> np.ndarray:
     """Targets as an array of real numbers, see `errors.floats`; a view where they are one."""
     if masked(targets):
         raise InvalidTarget("targets must be numbers, and some of these are masked")
-    array = np.asarray(targets)
+    try:
+        array = np.asarray(targets)
+    except (TypeError, ValueError):
+        raise InvalidTarget(f"targets must be {STACKED}, not {type(targets).__name__}") from None
     if array.dtype.kind not in "fiu":
         raise InvalidTarget(f"targets must be numbers, not {array.dtype} of shape {array.shape}")
     return array

@@ -14,6 +14,7 @@ from .finish import confirmed
 from .plan import Plan
 from .search_all import distinct_rows, sample, search
 from .solutions import Solutions, SolutionsBatch
+from .status import constraints_of
 from .task import POSES, read_target
 
 
@@ -21,7 +22,8 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     """Solutions of a target, or SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver: see `Solver.all`."""
     starts, count = whole(starts, "starts"), whole(count, "count")
     several = solver.robot.by_tip
-    shape: tuple[int, ...] = getattr(target, "shape", ())
+    shape = getattr(target, "shape", ())
+    shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + several or (len(shape) == 2 + several and shape[len(shape) - 1] == 3):
         return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
     T, kinds, notice = _read(solver.robot, target)
@@ -36,19 +38,28 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
         found = found.keep(free)
-        found.message += f"; {len(free) - free.sum()} of them collide and are left out" * (not free.all())
+        found._put(
+            message=found.message + f"; {len(free) - free.sum()} of them collide and are left out" * (not free.all())
+        )
     if o.check and len(found):
         good = np.array([confirmed(plan, q, T[0], kinds) for q in found.q], dtype=bool)
         if not good.all():
             found = found.keep(good)
-            found.message += f"; {len(good) - good.sum()} are not confirmed by Pinocchio and left out"
+            found._put(message=f"{found.message}; {len(good) - good.sum()} are not confirmed by Pinocchio and left out")
+    if plan.robot.constraints and len(found):
+        good = np.array([constraints_of(plan.robot, q, o).holds for q in found.q], dtype=bool)
+        if not good.all():
+            found = found.keep(good)
+            found._put(
+                message=f"{found.message}; {len(good) - good.sum()} do not keep the constraints of the description and are left out"
+            )
     if not len(found):
         failed = solver(target, q0)
         if not failed.success:
-            found.message = failed.message
-        found.families = ()
+            found._put(message=failed.message)
+        found._put(families=())
     if notice:
-        found.message = f"{found.message}; {notice}"
+        found._put(message=f"{found.message}; {notice}")
     return found
 
 
@@ -105,7 +116,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         result = distinct_rows(result, plan)
     if len(result) > count:
         result = sample(result, count)
-        result.complete = False
+        result._put(complete=False)
     return result
 
 

@@ -14,6 +14,7 @@ from ..kernel.checks import CHECK_FAILED, CONVERGED
 from ..kernel.records import ANSWER, AT, ORDER
 from ..robot.pose import check_target
 from .options import OBJECTIVES
+from .status import Status, constraints_of
 from .task import POSE, counted_errors
 
 Step = Callable[[Any], Any]
@@ -33,6 +34,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         *([record] if o.history else []),
         *improving,
         *([confirm] if o.check else []),
+        *([constrain] if plan.robot.constraints else []),
     ]
     return tuple(steps), improving
 
@@ -133,6 +135,20 @@ def confirm(outcome: Any) -> Any:
     row = outcome.row.copy()
     row[AT.status] = CHECK_FAILED
     return outcome._replace(row=row)
+
+
+def constrain(outcome: Any) -> Any:
+    """A success whose q breaks a constraint of the description is none."""
+    mark_open(outcome.plan, rows := outcome.row[None].copy())
+    return outcome._replace(row=rows[0])
+
+
+def mark_open(plan: Any, rows: np.ndarray) -> None:
+    """Set the status of converged rows (m, width) whose q breaks a constraint of the robot's description."""
+    if plan.robot.constraints:
+        for k in np.flatnonzero(rows[:, AT.status] == CONVERGED):
+            if not constraints_of(plan.robot, rows[k, ANSWER : ANSWER + plan.robot.n], plan.options).holds:
+                rows[k, AT.status] = Status.CONSTRAINT_OPEN
 
 
 def confirmed(plan: Any, q: np.ndarray, T: np.ndarray, kinds: tuple) -> bool:

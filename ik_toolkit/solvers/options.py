@@ -37,7 +37,8 @@ class Options:
     restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
     attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
     found. The first slice, of 256 evaluations, is always made. seed: of the random starts. limits: keep joints inside their
-    limits. wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
+    limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair of arrays (see `robot.narrowed`).
+    wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
     otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
     notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
     left), along the axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then
@@ -91,13 +92,17 @@ NAMES = tuple(field.name for field in fields(Options))
 Numbers = Sequence[float] | np.ndarray
 
 
+End = float | None  # of a range that is narrowed; None: as it is
+Limits = bool | Mapping[str, tuple[End, End] | Sequence[End]] | Sequence[Numbers | None] | np.ndarray
+
+
 class PathOptions(TypedDict, total=False):
     """Options (see `Options`) that `solve_path` takes by keyword: tolerances, limits, and what counts of the errors."""
 
     tolerance: float
     position_tolerance: float
     orientation_tolerance: float
-    limits: bool
+    limits: Limits
     mask: Numbers | Mapping[str, Numbers | None] | None
     slack: Numbers | Mapping[str, Numbers | None] | None
     free_turn: Numbers | Mapping[str, Numbers | None] | None

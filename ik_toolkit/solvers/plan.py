@@ -1,10 +1,12 @@
 """A robot, a rule and options as arrays of the kernel, made once: what every call runs, and the only cache of it."""
 
+import copy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ..copying import importable
 from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
 from ..kernel.chain import without_limits, without_wrap
 from ..kernel.joined import join
@@ -72,8 +74,13 @@ class Plan:
         return Plan(self.robot, row, row.load()(), replace(self.options, **options))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the request; the compiled loop is bound again."""
+        """Pickle the request; the compiled loop is bound again. Raises InvalidOption where the rule would not be found."""
+        importable(self.rule, f"the rule of '{self.row.name}'")
         return Plan, (self.robot, self.row, self.rule, self.options)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Plan":
+        """The same for a copy of the robot."""
+        return Plan(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     # ---------------------------------------------------------------------------------------------------------- running
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:

@@ -23,7 +23,7 @@ from .task import counted_rows, counts_in_part
 
 if TYPE_CHECKING:
     from .closed_form.geometry import Branches, Fit
-    from .derivation import Derivation
+    from .explain.worked_solution import WorkedSolution
 
 Class = TypeVar("Class", bound=type)
 SHOWN = 16  # branches of a family in an explanation
@@ -116,12 +116,12 @@ class ClosedForm(Protocol):
         """
         ...
 
-    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> "Derivation":
-        """Formulas with their numbers for T (4, 4), to explain a solve (see `derivation`). Default: the branches of `every` alone.
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> "WorkedSolution":
+        """Formulas with their numbers for T (4, 4), to explain a solve. Default: the branches of `every` alone.
 
         p, box: as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
         """
-        from .derivation import listed_branches
+        from .explain.worked_solution import listed_branches
 
         return listed_branches(robot, self.every(robot, p, T, box, SHOWN))
 

@@ -9,14 +9,15 @@ import numpy as np
 from ..errors import NotSolved
 from ..kernel.records import ANSWER, AT, MISS
 from ..kernel.task import FREE, POSITION
+from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from .registry import GENERAL
-from .status import SEARCHED, Status, sentence
+from .status import SEARCHED, Status, constraints_of, sentence
 from .task import all_errors
 
 if TYPE_CHECKING:
-    from .explanation import Explanation
+    from .explain.explanation import Explanation
     from .plan import Plan
 
 Errors = list[tuple[float, float | None]]  # position [m] and rotation angle [rad] (None: free) of each tip
@@ -59,7 +60,7 @@ class Outcome(NamedTuple):
 make_outcome = partial(tuple.__new__, Outcome)  # from all its fields: a fifth of a microsecond faster than Outcome(...)
 
 
-class Result:
+class Result(ReadOnly):
     """Answer of one solve, for one tip or several (read-only).
 
     q (n,) [rad or m], evaluated and inside the limits; success; status; message (one sentence, with what to try);
@@ -68,17 +69,18 @@ class Result:
     all of them; iterations (steps taken), restarts, fk_evaluations (all
     tips count as one); attempt (the one q comes from: 0 is the first, which starts at q0 when that was given); limited_joints
     (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the input, or that q comes
-    from another attempt than the one from q0 or is half a turn from it, or ''); collision (pair of names that touch at q,
-    when collisions are avoided and no answer without one was found, else None); history (dict of arrays q, position_error,
-    orientation_error and attempt, one row per evaluation, or None; attempt is -1 in later attempts than the first 12 and the one
-    that q comes from).
+    from another attempt than the one from q0 or is half a turn from it, and what q does to loops of the description, or '');
+    collision (pair of names that touch at q, when collisions are avoided and no answer without one was found, else None);
+    history (dict of arrays q, position_error, orientation_error and attempt, one row per evaluation, or None; attempt is -1 in
+    later attempts than the first 12 and the one that q comes from).
     """
 
     __slots__ = ("_of",)
+    _sealed = True
 
     def __init__(self, outcome: Outcome) -> None:
         """Store the record; everything else is computed on demand."""
-        self._of = outcome
+        object.__setattr__(self, "_of", outcome)
 
     @property
     def q(self) -> np.ndarray:
@@ -92,7 +94,7 @@ class Result:
 
     @property
     def success(self) -> bool:
-        """Whether all errors are inside their tolerances."""
+        """Whether all errors are inside their tolerances, and the constraints of the description hold."""
         return self.status == Status.CONVERGED
 
     @property
@@ -155,7 +157,9 @@ class Result:
 
     @property
     def notice(self) -> str:
-        """What was corrected in the input, and whether q is another attempt's, or half a turn or more from q0; or ''."""
+        """What was corrected in the input, whether q is another attempt's or half a turn or more from q0, and what q does to
+        the constraints of the description; or ''.
+        """
         jump, of = "", self._of
         if of.given and not of.plan.options.closest:
             if self.attempt:
@@ -165,7 +169,8 @@ class Result:
                 jump = f"joint {joint} went to the other end of its range, more than half a turn from q0"
         if jump:
             jump += "; in a loop use follow=True"
-        return "; ".join(filter(None, (of.notice, jump)))
+        kept = constraints_of(self.robot, self.q, of.plan.options).text
+        return "; ".join(filter(None, (of.notice, jump, kept)))
 
     @property
     def fk_evaluations(self) -> int:
@@ -234,9 +239,10 @@ class Result:
     def explain(self) -> "Explanation":
         """How the answer comes about: D-H table, closed form with the numbers put in, branches, iterations (see `Explanation`).
 
-        `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no target.
+        `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no
+        target, and MissingExtra without SymPy where a closed form has formulas to show.
         """
-        from .explain import explain  # which reads this file
+        from .explain.explain import explain  # which reads this file
 
         return explain(self)
 

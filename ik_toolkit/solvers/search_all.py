@@ -61,15 +61,15 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     found = distinct_rows(found, plan)
     found = found.keep(np.argsort(found.distance, kind="stable"))
     redundant = _redundant(plan, kinds)
-    found.families = _families(single, found, T, kinds, redundant)
+    found._put(families=_families(single, found, T, kinds, redundant))
     distinct = len(found)
     if (redundant or found.families) and distinct > count:
         found = sample(found, count)
     plural = "s" * (len(found) != 1)
     words = f"solution{plural} of infinitely many" if redundant or found.families else f"distinct solution{plural}"
-    found.message = f"{len(found)} {words} ({len(out)} of {starts} starts converged)"
+    found._put(message=f"{len(found)} {words} ({len(out)} of {starts} starts converged)")
     if found.families:
-        found.message += f"; {found.families[0].message}"
+        found._put(message=found.message + f"; {found.families[0].message}")
     return found
 
 

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from ..readonly import ReadOnly
 from ..robot.robot import Robot
 from .closed_form.geometry import Family
 
 __all__ = ["Family", "Solutions", "SolutionsBatch"]
 
 
-class Solutions:
+class Solutions(ReadOnly):
     """Distinct solutions of one target, nearest to q0 first.
 
     q (K, n) [rad or m]; distance (K,) from q0 (angles [rad], lengths over the robot's scale); position_error (K,) [m] and
@@ -45,6 +46,7 @@ class Solutions:
         self.families = families
         self.branches = branches
         self.found_by = (solver,) * len(q) if found_by is None else found_by
+        self._seal()
 
     def __len__(self) -> int:
         """Number of solutions."""
@@ -93,7 +95,7 @@ class Solutions:
         return f"Solutions({len(self)} of '{self.robot.name}', complete={self.complete}, solver='{self.solver}': {self.message})"
 
 
-class SolutionsBatch:
+class SolutionsBatch(ReadOnly):
     """Solutions of many targets, all rows together.
 
     q (M, n); target (M,): number of the target of each row; distance, position_error, orientation_error, branches: as in
@@ -105,6 +107,7 @@ class SolutionsBatch:
         self._each = each
         self.target = np.repeat(np.arange(len(each)), [len(one) for one in each])
         self.complete = np.array([one.complete for one in each], dtype=bool)
+        self._seal()
 
     def _joined(self, name: str) -> np.ndarray | None:
         parts = [getattr(one, name) for one in self._each]

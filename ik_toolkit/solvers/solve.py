@@ -6,7 +6,7 @@ One hop from here to the loop: a bound solver picks its plan by the kind of targ
 import threading
 from collections.abc import Mapping
 from time import perf_counter
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from ..errors import InvalidOption
 from ..kernel.checks import BAD_TARGET
 from ..kernel.records import AT
 from ..kernel.task import POSE, POSITION
+from ..readonly import ReadOnly
+from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
@@ -31,7 +33,7 @@ EXACT = {  # options that a closed form honours or ignores; 'auto' takes the sea
 }  # fmt: skip
 
 
-class Solver:
+class Solver(ReadOnly):
     """A solver bound to a robot, for hot loops: `solver(target, q0=None) -> Result`, a few microseconds.
 
     robot: a Robot, or a Tree (several tips solved together). solver: name, rule class or instance; parameters of the rule and
@@ -41,9 +43,12 @@ class Solver:
     InvalidOption.
     """
 
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options that are meant"}
+
     def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Unpack[SolveOptions]) -> None:
         """Validate everything once; the loop is compiled at the first call."""
         require_robot(robot)
+        robot = narrowed_for(robot, options)
         options.setdefault("check", False)
         auto = is_auto(solver)
         self._plans: dict[tuple, Plan] = {}  # by kind of target, where it is not `plan`
@@ -56,6 +61,7 @@ class Solver:
         self._shape = (robot.n,)
         self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)
         self._kinds = POSES * len(robot.tips)
+        self._seal()
 
     @property
     def rule(self) -> Any:
@@ -125,6 +131,15 @@ def require_robot(robot: Any) -> None:
         raise InvalidOption(f"a Robot or a Tree is needed (see Robot.load), not {type(robot).__name__}")
 
 
+def narrowed_for(robot: Any, options: Any) -> Any:
+    """The robot to solve for: a variant where `limits` narrows its limits, in place of which True is put into the options."""
+    limits = options.get("limits", True)
+    if limits is True or limits is False:
+        return robot
+    robot, options["limits"] = with_limits(robot, limits)
+    return robot
+
+
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
     """Plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
     row = find_row(solver)
@@ -142,8 +157,9 @@ def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
 _SOLVERS_LOCK = threading.Lock()
 
 
-def bound(robot: Any, solver: Any, options: Mapping[str, Any]) -> Solver:
+def bound(robot: Any, solver: Any, options: Any) -> Solver:
     """Return a Solver for these arguments, the same one each time they can be hashed."""
+    robot = narrowed_for(robot, options)
     kept = robot.memo.setdefault("solvers", {})
     try:
         # Types too: named tuples of equal numbers are equal, and so are 1 and True.
@@ -183,7 +199,8 @@ def solve(
     a dict of these by tip, or a list in the order of its tips. solver: a name, a rule class or an instance with its
     parameters; 'auto' uses a closed form where one fits and the search otherwise. q0 (n,): where the first attempt starts;
     without it the answer may be any solution (fastest), so give q0 to stay near it. follow: for loops, one attempt that moves
-    no joint further than this from q0. closest=q_ref (n,): the nearest of several solutions. Options, see `Options`:
+    no joint further than this from q0. closest=q_ref (n,): the nearest of several solutions. limits: True, False, or narrower
+    ones, {joint: (lower, upper)} [rad or m] or a pair of arrays (see `Joints.narrowed`). Options, see `Options`:
     tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout
     [s], seed, limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; and the
     parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver,

@@ -1,12 +1,13 @@
 """How a search for one q ended, as a status and as a sentence."""
 
 import enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..kernel.records import AT
 from ..kernel.task import FREE
+from ..robot.constraints import Kept, constraints_at
 
 if TYPE_CHECKING:
     from .result import Result
@@ -28,6 +29,7 @@ class Status(enum.IntEnum):
     CHECK_FAILED = 7
     COLLISION = 10  # 8 and 9 are the kernel's own
     TOO_FAR = 11
+    CONSTRAINT_OPEN = 12
 
 
 SEARCHED = -1.0  # in the slot of the excess of a closed form's row: q came from the search after it
@@ -41,6 +43,7 @@ ADVICE = {
     Status.NOT_FINITE: "lower the gains",
     Status.CHECK_FAILED: "please report this with the robot and the target",
     Status.TOO_FAR: "move the target in smaller steps, or allow larger moves (follow)",
+    Status.CONSTRAINT_OPEN: "try another q0 or target; no solver keeps constraints",
     Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",
 }
 
@@ -49,6 +52,11 @@ def count_statuses(numbers: np.ndarray) -> dict[str, int]:
     """How many of the numbers (N,) stand for each status, by name; only those that occur."""
     found, counts = np.unique(numbers, return_counts=True)
     return {Status(int(k)).name: int(c) for k, c in zip(found, counts, strict=True)}
+
+
+def constraints_of(robot: Any, q: np.ndarray, options: Any) -> Kept:
+    """What q (n,) does to the loops and relations of its robot's description, within the tolerances of the options."""
+    return constraints_at(robot, q, options.position_tolerance, options.orientation_tolerance)
 
 
 # The configuration returned with a failure is the best that the closed form or the search after it found.
@@ -67,6 +75,9 @@ def sentence(result: "Result") -> str:
     """One sentence on how a result ended and what to try; of several tips a failure says what is left at each."""
     row, status, plan = result._of.row, result.status, result._of.plan
     left, starts = _left(result), result.restarts + 1
+    if status == Status.CONSTRAINT_OPEN:
+        kept = constraints_of(result.robot, result.q, plan.options)
+        return f"the tip is {left} from its target, but {kept.text}; {ADVICE[status]}"
     if result.collision is not None:
         touching = " and ".join(result.collision)
         text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"

@@ -180,7 +180,7 @@ def _by_tip(robot: Any, targets: Any) -> list[Any]:
         robot.check_tips(targets)
         return [targets.get(tip) for tip in tips]
     expected = f"robot '{robot.name}' takes one target for each of {', '.join(tips)}"
-    single = getattr(targets, "shape", ()) in ((4, 4), (3,))
+    single = getattr(targets, "shape", None) in ((), (4, 4), (3,))
     if single or not isinstance(targets, list | tuple | np.ndarray):
         raise InvalidTarget(f"{expected} (a dict, or a list in this order), not a single one")
     if len(targets) != len(tips):

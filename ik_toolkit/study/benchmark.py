@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, UnknownSolver, check_progress, whole
+from ..errors import IKError, InvalidOption, Portable, UnknownSolver, check_progress, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch_parts import check_executor
@@ -98,7 +98,7 @@ class Benchmark:
         }
 
 
-class BenchmarkInterrupted(KeyboardInterrupt):
+class BenchmarkInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a benchmark; `result` is the Benchmark of the blocks of targets finished before it."""
 
     def __init__(self, result: Benchmark) -> None:
@@ -228,7 +228,8 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        parts.setdefault(job[0], []).append(run_block(*job[1:]) if futures is None else futures[k].result())
+        table = run_block(*job[1:]) if futures is None else futures[k].result()  # may be interrupted
+        parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, UnknownSolver, check_progress, whole
 from ..files import as_path, whole_file
+from ..robot.pose_files import check_arrays
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_batch
@@ -370,6 +371,7 @@ class _Record:
     @staticmethod
     def read(file: Path) -> tuple[str, list[np.ndarray], list[np.ndarray]]:
         try:
+            check_arrays(file, ("key", "first", "costs"), ("key",), InvalidOption)
             with np.load(file) as old:
                 return str(old["key"]), list(old["first"]), list(old["costs"])
         except (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile):

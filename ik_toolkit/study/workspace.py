@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, check_progress, whole
-from ..files import PARTIAL, WholeFile, as_path
+from ..errors import InvalidOption, Portable, check_progress, whole
+from ..files import PARTIAL, WholeFile, as_path, inert
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
@@ -95,7 +95,7 @@ class Workspace:
         }
 
 
-class WorkspaceInterrupted(KeyboardInterrupt):
+class WorkspaceInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a workspace study; `result` is the Workspace of the targets finished before it."""
 
     def __init__(self, result: Workspace) -> None:
@@ -278,7 +278,7 @@ class _Table:
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
         if self.head:  # written with the first targets: a file with only a header is not worth keeping
-            csv.writer(text).writerow(self.head)
+            csv.writer(text).writerow(map(inert, self.head))
             self.head = []
         csv.writer(text).writerows(zip(*xyz.T.tolist(), *lists, strict=True))
         return text.getvalue()

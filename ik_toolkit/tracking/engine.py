@@ -53,6 +53,14 @@ class Published:
         what_counts(robot, self.options)
         relatives(robot, self.options)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the compiled loop, which is bound again."""
+        return {name: value for name, value in vars(self).items() if name != "loop"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore."""
+        vars(self).update(state, loop=servo())
+
     def settings(self, h: float) -> dict[str, float]:
         """Gains and options used at sample time h."""
         return {**self.method.gains(h), **({"reading": self.method.reading} if self.name == "aa" else {})}
@@ -99,6 +107,14 @@ class RuleSteps:
         self.memory = 4 * robot.n + 8
         self.loop = servo(type(self.solver.rule))
         self.options = self.solver.options
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the compiled loop, which is bound again."""
+        return {name: value for name, value in vars(self).items() if name != "loop"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore."""
+        vars(self).update(state, loop=servo(type(state["solver"].rule)))
 
     def settings(self, h: float) -> dict[str, float]:
         """Parameters of the rule that are plain numbers."""

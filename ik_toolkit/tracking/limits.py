@@ -12,6 +12,11 @@ from ..robot.tree import Tree
 from .inputs import switch
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
+INSTEAD = {  # of assigning an attribute of a Tracker
+    **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
+    "q": "use reset(q0), or pass q= to update where joints are measured",
+    "": "make a Tracker with the robot, method and options that are meant",
+}
 
 
 def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> np.ndarray:

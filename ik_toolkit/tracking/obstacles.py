@@ -33,6 +33,8 @@ class Path(NamedTuple):
     rate: np.ndarray
     length: np.ndarray
     h: float
+    even: float = 0.0  # share [1/s] of its rate that the brake takes off all joints alike, see `Guard._line`
+    aside: np.ndarray | None = None  # (n,) how far joints get that brake by themselves meanwhile
 
 
 class Guard:
@@ -61,6 +63,20 @@ class Guard:
         home = space.home - space.margins
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the measurements, which belong to this process."""
+        kept = {name: value for name, value in vars(self).items() if name != "_space"}
+        return kept | {"_version": self._version == self.model.version, "corners": self._space.corners()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore; everything is measured again when it is needed, and bound again if it has changed."""
+        corners = state.pop("corners")
+        vars(self).update(state)
+        self._space = Clearance(self.model)
+        self._space.recall(corners)
+        self._version = self.model.version if self._version else None
+        self._fresh, self._known = np.zeros_like(self._fresh), False
+
     def _get_ready(self) -> None:
         """Call what would otherwise be compiled in a control loop, when the arm has to brake."""
         space, q, still = self._space, self.robot.home, np.zeros(self.robot.n)
@@ -70,7 +86,7 @@ class Guard:
         space.place(q)
         space.move()
         way = path.q, path.rate, path.length, self.gamma, path.h
-        along(*way, 0.0, still, np.empty_like(still))
+        along(*way, 0.0, still.copy(), np.empty_like(still))
         levers, _ = space.levers(path.length[-1])
         space.free_until(ks, np.ones(len(ks)), levers, *way, 0.0)
         rules = self.limits[3], 1.0, 1.0, SHARE, FLAT
@@ -152,9 +168,15 @@ class Guard:
     def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates (n,) after h [s] of braking from (q, rate), instead of a step that was not allowed.
 
-        It brakes as was proven free with the last step, unless the step's length has changed and braking anew is free as well.
+        It brakes as was proven free with the last step. Where that holds for steps of one length, and this one has another, it
+        brakes anew if that is free as well.
         """
         blocked, path = self.blocked, self._path
+        if self.gamma == 1.0:
+            if path is None:  # no step of ours led here
+                self._take(q[None], rate[None], h, anyway=True)
+            self.blocked = blocked
+            return self._slow_down(q, rate, h)
         if self._at_once:  # a part of the way that was proven with the last step, whatever this one's length
             Q, R, lengths = np.empty((3, 2, len(q)))
             Q[0], R[0] = q, rate
@@ -182,10 +204,18 @@ class Guard:
         along(path.q, path.rate, path.length, self.gamma, path.h, u, q1, way1)
         self._moved(way1 - way)
         self._done = u
-        if self.gamma == 1.0 and h != path.h:  # the rate of a step is that of its whole move
-            return q1, (q1 - q) / h
         k = min(int(u), len(path.q) - 2)
         return q1, path.rate[k] + (u - k) * (path.rate[k + 1] - path.rate[k])
+
+    def _slow_down(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint values and rates h [s] later, of a brake proven by `_line`."""
+        path = self._path
+        assert path is not None
+        self._left = max(self._left - path.even * h, 0.0)
+        own = np.sign(rate) * np.maximum(np.abs(rate) - self.limits[3] * h, 0.0)
+        rate1 = np.where(path.q[-1] == path.q[-2], own, self._left * path.rate[-1])
+        self._moved(h * np.abs(rate1))
+        return q + h * rate1, rate1
 
     def _moved(self, way: np.ndarray) -> None:
         """How far the joints have gone (n,) along the path."""
@@ -217,13 +247,15 @@ class Guard:
                 return False
         else:
             self.blocked = None
-        self._path, self._levers, self._done = path, levers, len(Q) - 1.0
+        self._path, self._levers, self._done, self._left = path, levers, len(Q) - 1.0, 1.0
         if len(Q) > 1:
             self._moved(path.length[1])
         return self.blocked is None
 
     def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
         """States Q, R (1 or 2, n) and the brake after them; None when it does not come to rest."""
+        if self.gamma == 1.0:
+            return self._line(Q, R, h)
         moving = R[-1] != 0.0
         with np.errstate(divide="ignore"):
             steps = max(2.0 * self.gamma, 1.0) * np.max(np.abs(R[-1] / (self.limits[3] * h)), where=moving, initial=0.0)
@@ -240,12 +272,37 @@ class Guard:
         end = brake(first, self.gamma, piece, late, self.limits, all_q, rates, lengths) + 1
         return Path(all_q[:end], rates[:end], lengths[:end], piece) if end else None
 
+    def _line(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
+        """States Q, R (1 or 2, n) and a brake after them that steps of any lengths keep to, where a step has one rate throughout.
+
+        The acceleration limit allows a short step next to no other rate than that of the long one before it, so the shorter steps
+        are, the further the arm gets. All joints lose the same share of their rates in a time: whatever the steps, the arm stays
+        on one line, and gets at most to the end it has for steps without length. A joint whose limit is nearer brakes by itself.
+        """
+        q, rate = Q[-1], R[-1]
+        lower, upper, _, most = self.limits
+        speed = np.abs(rate)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            even = np.where(speed > 0.0, most / speed, np.inf).min()
+            room = np.where(rate > 0.0, upper - q, q - lower)
+            alone = (speed > 0.0) & (0.5 * speed > even * room)
+            aside = np.where(alone, 0.5 * speed * speed / most, 0.0)
+            end = q + np.where(alone, 0.0, 0.5 * rate / even)
+        if even <= 0.0:
+            return None
+        all_q = np.concatenate([Q, end[None]])
+        length = np.zeros_like(all_q)
+        np.cumsum(np.abs(np.diff(all_q, axis=0)), axis=0, out=length[1:])
+        length[-1] += aside
+        return Path(all_q, np.concatenate([R, rate[None]]), length, h, even, aside)
+
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
         """None when the pairs ks, measured at the start, touch nowhere on a path; otherwise the names of an unproven one."""
         space, u, end = self._space, 0.0, len(path.q) - 1.0
         way = path.q, path.rate, path.length, self.gamma, path.h
         q, gone = np.empty(self.robot.n), np.empty(self.robot.n)
-        distances = self._low[ks]
+        aside = np.zeros(len(ks)) if path.aside is None else levers[ks] @ path.aside[space.coordinates]
+        distances = self._low[ks] - aside
         nearest = np.clip(0.5 * distances, CONTACT, NEAREST)
         for _ in range(LOOKS):
             if (distances <= nearest).any():
@@ -254,12 +311,12 @@ class Guard:
             left = free < end
             if not left.any():
                 return None
-            ks, free, nearest = ks[left], free[left], nearest[left]
+            ks, free, nearest, aside = ks[left], free[left], nearest[left], aside[left]
             before, u = u, free.min()
             if u <= before:
                 return space.name(int(ks[np.argmin(free)]))
             along(*way, u, q, gone)
             space.place(q)
             space.move()
-            distances = np.array([space.gap(k) for k in ks.tolist()])
+            distances = np.array([space.gap(k) for k in ks.tolist()]) - aside
         return space.name(int(ks[np.argmin(distances)]))

@@ -6,10 +6,12 @@ position (3,) leaves the orientation free.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import check_target
 from .inputs import number, one_of, positive, switch
@@ -18,13 +20,15 @@ Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second 
 MAX_STEPS = 1e7
 
 
-class Reference:
+class Reference(Holds):
     """A moving target.
 
     function(t) with t (N,) [s] returns T_base_tip (N, 4, 4) [m], twist (N, 6) and acceleration (N, 6): linear velocity
     (acceleration) of the tip point, then angular velocity (acceleration), base axes. With position_only the rotation of T
     is ignored and the angular parts should be zero. duration [s] is how long a run lasts.
     """
+
+    FUNCTION = "function"
 
     def __init__(
         self,
@@ -108,22 +112,24 @@ def on_path(
 ) -> Reference:
     """Reference along path(s), s in 0..1, with s = law(t / duration); turn: rotation vector in the frame R0, times s."""
     duration = positive(duration, "duration [s]")
+    return Reference(partial(_along, path, law, duration, R0, turn), duration, position_only=R0 is None, name=name)
 
-    def function(t: np.ndarray) -> Samples:
-        s, s1, s2 = law(t / duration)
-        s1, s2 = (s1 / duration)[:, None], (s2 / duration**2)[:, None]
-        p, p1, p2 = path(s)
-        T, V, A = still(len(t), R0)
-        T[:, :3, 3] = p
-        V[:, :3] = p1 * s1
-        A[:, :3] = p2 * s1**2 + p1 * s2
-        if turn is not None and R0 is not None:
-            T[:, :3, :3] = R0 @ exp(s[:, None] * turn)
-            V[:, 3:] = (R0 @ turn) * s1
-            A[:, 3:] = (R0 @ turn) * s2
-        return T, V, A
 
-    return Reference(function, duration, position_only=R0 is None, name=name)
+def _along(
+    path: Callable, law: Callable, duration: float, R0: np.ndarray | None, turn: np.ndarray | None, t: np.ndarray
+) -> Samples:
+    s, s1, s2 = law(t / duration)
+    s1, s2 = (s1 / duration)[:, None], (s2 / duration**2)[:, None]
+    p, p1, p2 = path(s)
+    T, V, A = still(len(t), R0)
+    T[:, :3, 3] = p
+    V[:, :3] = p1 * s1
+    A[:, :3] = p2 * s1**2 + p1 * s2
+    if turn is not None and R0 is not None:
+        T[:, :3, :3] = R0 @ exp(s[:, None] * turn)
+        V[:, 3:] = (R0 @ turn) * s1
+        A[:, 3:] = (R0 @ turn) * s2
+    return T, V, A
 
 
 def still(count: int, R0: np.ndarray | None) -> Samples:

@@ -23,7 +23,7 @@ class TrackStatus(Enum):
 
     COMPLETED: inside the tolerances at every sample, in the reference's own time. SLOWED: inside, but the clock was slowed.
     LEFT: outside for a while, inside again at the end. LOST: outside at the end, or ended before the reference did.
-    DIVERGED: joints ran away. NOT_FINITE: no usable step.
+    DIVERGED: joints ran away. NOT_FINITE: no usable step. CONSTRAINT_OPEN: followed, but a loop of the robot's description is open.
     """
 
     COMPLETED = "completed"
@@ -32,6 +32,7 @@ class TrackStatus(Enum):
     LOST = "lost"
     DIVERGED = "diverged"
     NOT_FINITE = "not finite"
+    CONSTRAINT_OPEN = "constraint open"
 
 
 @dataclass

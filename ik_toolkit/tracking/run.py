@@ -25,6 +25,7 @@ HELPED = 0.8  # share of the samples off the path that have to remain fewer afte
 RETAKES = 4  # how often a run that left its path is taken again: 4 times LEAST_SHARE is slower than max_stretch allows
 NEAR = 0.1  # [s] before and after it left, in which it is to be slower: in that time the clock can stop
 AIM = 0.5  # error over tolerance that is aimed at: below it the clock does not wait
+AT_ONCE = 20_000  # steps between which Ctrl-C is heard
 LEADS = (0.5, 0.1)  # shares tried: the larger keeps nearer to a planned path, the smaller disturbs a singular pose less
 LEAST_SHARE = 0.25  # of its rate there, to which the clock is slowed at a time
 NOWHERE = np.zeros((0, 0))
@@ -93,20 +94,39 @@ class Run:
         tracker._late = LATE * dt
         self.start = tracker.carried()
         self.elapsed, self.searched = 0.0, 0.0  # [s] of stepping, and of the runs that others are better than
+        self.made: list[_Taken] = []
+        self.interrupted = False
 
     def go(self) -> None:
-        """Run to the end; again where the clock may be slowed and that helps."""
+        """Run to the end; again where the clock may be slowed and that helps.
+
+        Ctrl-C ends it with the best there is, which may be the beginning of a run; before a step is taken it is raised.
+        """
         tracker = self.tracker
         # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
         tracker.run(self.samples, self.dt, self._record(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
         tracker.put_back(self.start)
         began = time.perf_counter()
-        made: list[_Taken] = []
+        try:
+            self._try()
+        except KeyboardInterrupt:
+            if not self.made:
+                raise
+            self.interrupted = True
+        best = min(self.made, key=lambda taken: taken.missed)
+        self.Q, self.R, self.E, self.S, self.C = best.arrays
+        tracker.put_back(best.end)
+        self.elapsed, self.between = best.elapsed, best.between
+        self.searched = time.perf_counter() - began - best.elapsed
+
+    def _try(self) -> None:
+        """Take runs until one keeps to its path, or nothing else helps."""
+        made = self.made
         for way in self._ways():
             self.slower[:] = 1.0
             last = np.inf
             for _ in range(RETAKES + 1):
-                made.append(self._take(way))
+                self._take(way)
                 # Nothing helps a run that begins off its path.
                 self.again = self.again and self._excess(made[-1].arrays[2][:1])[0] <= 1.0
                 if not self.again or made[-1].missed == 0 or made[-1].missed > HELPED * last:
@@ -115,11 +135,6 @@ class Run:
                 self._slow_down(made[-1])
             if not self.again or made[-1].missed == 0:
                 break
-        best = min(made, key=lambda taken: taken.missed)
-        self.Q, self.R, self.E, self.S, self.C = best.arrays
-        tracker.put_back(best.end)
-        self.elapsed, self.between = best.elapsed, best.between
-        self.searched = time.perf_counter() - began - best.elapsed
 
     def _record(self, steps: int) -> Record:
         """Room for so many steps."""
@@ -200,14 +215,24 @@ class Run:
         pace = np.maximum(np.minimum(self.caps[0, :-1], self.caps[0, 1:]), SLOWEST)
         self.caps[2] = np.append(np.cumsum(1.0 / pace[::-1])[::-1], 0.0)
 
-    def _take(self, way: _Way) -> _Taken:
-        """Run from the start to the end once."""
-        tracker, left, began = self.tracker, self.most, time.perf_counter()
+    def _take(self, way: _Way) -> None:
+        """Run from the start to the end once, or until Ctrl-C."""
+        began, made, pairs = time.perf_counter(), [], Counter[tuple[str, str]]()
         self._begin(way.beside)
         self._limit_clock(way)
-        made, pairs = [], Counter[tuple[str, str]]()
+        stopped, astray = True, False
+        try:
+            astray = self._go_on(way, made, pairs)
+            stopped = False
+        finally:
+            if made:
+                self._keep(made, pairs, began, stopped, astray)
+
+    def _go_on(self, way: _Way, made: list, pairs: Counter) -> bool:
+        """Take the steps of a run; returns whether it ended because it was no longer on the way planned."""
+        tracker, left = self.tracker, self.most
         while True:
-            steps = 1 if tracker.one_by_one or way.lead else min(self.count, left)
+            steps = 1 if tracker.one_by_one or way.lead else min(self.count, left, AT_ONCE)
             if way.lead:
                 self._lead(way)
             record = self._record(steps)
@@ -221,14 +246,20 @@ class Run:
             rows = done + 1 if ended else done
             made.append([*(one[:rows] for one in record[1:5]), record.C[:done]])
             if ended:
-                break
+                return astray
+
+    def _keep(self, made: list, pairs: Counter, began: float, stopped: bool, astray: bool) -> None:
+        """Add a run, or what there is of it, to those made."""
         arrays = [np.concatenate(part) for part in zip(*made, strict=True)]
+        if stopped:  # every sample but the last has a step after it
+            arrays[4] = arrays[4][: len(arrays[0]) - 1]
         missed = int((self._excess(arrays[2]) > 1.0).sum())
-        if self.mode == SLOW and clock < self.count:
+        clock = arrays[3][-1, 0]
+        if (self.mode == SLOW or stopped) and clock < self.count:
             # A reference not followed to its end is worse than that, and worst of all a run that was given up.
             missed += round((self.count - (0.0 if astray else clock)) * self.most)
         most = max(pairs, key=lambda pair: pairs[pair], default=None)
-        return _Taken(missed, arrays, tracker.carried(), time.perf_counter() - began, most)
+        self.made.append(_Taken(missed, arrays, self.tracker.carried(), time.perf_counter() - began, most))
 
     def _lead(self, way: _Way) -> None:
         """Ask for the posture of a way at the next step, and for its speed; and for its side where it is nearly singular."""

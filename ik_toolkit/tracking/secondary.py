@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..copying import Holds
 from ..errors import InvalidOption, floats, near_match
 from .inputs import number
 
@@ -13,8 +14,10 @@ POSTURE = 1.0  # [1/s] gain of the motion towards a posture
 STEP = 1e-5  # [rad or m] of the difference that finds the slope of a caller's cost
 
 
-class Secondary:
+class Secondary(Holds):
     """Options of the null space, as numbers. See `Tracker`."""
+
+    FUNCTION = "cost"
 
     def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
         """Keep them; wish (3, n): posture, its rate, a speed asked for [kernel units]."""

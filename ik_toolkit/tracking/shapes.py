@@ -1,6 +1,7 @@
 """References along simple shapes: line, circle, Lissajous figure."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,16 +24,17 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
         raise InvalidTarget("a line needs two poses or two positions, not one of each")
     turn = log(R0.T @ R1) if R0 is not None and R1 is not None else None
     d = p1 - p0
-
-    def path(s: np.ndarray) -> Samples:
-        return p0 + s[:, None] * d, np.broadcast_to(d, (len(s), 3)), np.zeros((len(s), 3))
-
-    def there_and_back(x: np.ndarray) -> Samples:
-        k = 2 * np.pi * rounds
-        return 0.5 * (1 - np.cos(k * x)), 0.5 * k * np.sin(k * x), 0.5 * k * k * np.cos(k * x)
-
     rounds = whole(rounds, "rounds", 0)
-    return on_path(path, there_and_back if rounds else law_of(law), duration, R0, "line", turn)
+    pace = partial(_there_and_back, 2 * np.pi * rounds) if rounds else law_of(law)
+    return on_path(partial(_straight, p0, d), pace, duration, R0, "line", turn)
+
+
+def _straight(p: np.ndarray, d: np.ndarray, s: np.ndarray) -> Samples:
+    return p + s[:, None] * d, np.broadcast_to(d, (len(s), 3)), np.zeros((len(s), 3))
+
+
+def _there_and_back(k: float, x: np.ndarray) -> Samples:
+    return 0.5 * (1 - np.cos(k * x)), 0.5 * k * np.sin(k * x), 0.5 * k * k * np.cos(k * x)
 
 
 def circle(
@@ -58,13 +60,13 @@ def circle(
     u, w = plane(normal)
     c = p - radius * u if center is None else p
     k = 2 * np.pi * number(turns, "turns")
+    return on_path(partial(_round, c, radius, u, w, k), law_of(law), duration, R0, "circle")
 
-    def path(s: np.ndarray) -> Samples:
-        x, y = radius * np.cos(k * s)[:, None] * u, radius * np.sin(k * s)[:, None] * w
-        x1, y1 = radius * np.sin(k * s)[:, None] * u, radius * np.cos(k * s)[:, None] * w
-        return c + x + y, k * (y1 - x1), -k * k * (x + y)
 
-    return on_path(path, law_of(law), duration, R0, "circle")
+def _round(c: np.ndarray, radius: float, u: np.ndarray, w: np.ndarray, k: float, s: np.ndarray) -> Samples:
+    x, y = radius * np.cos(k * s)[:, None] * u, radius * np.sin(k * s)[:, None] * w
+    x1, y1 = radius * np.sin(k * s)[:, None] * u, radius * np.cos(k * s)[:, None] * w
+    return c + x + y, k * (y1 - x1), -k * k * (x + y)
 
 
 def plane(normal: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -97,13 +99,12 @@ def lissajous(
     amp, cyc, pha = (
         _three(x, name) for x, name in ((amplitudes, "amplitudes"), (cycles, "cycles"), (phases, "phases"))
     )
-    k = 2 * np.pi * cyc
+    return on_path(partial(_swinging, p, amp, 2 * np.pi * cyc, pha), law_of(law), duration, R0, "lissajous")
 
-    def path(s: np.ndarray) -> Samples:
-        angle = k * s[:, None] + pha
-        return p + amp * np.sin(angle), amp * k * np.cos(angle), -amp * k * k * np.sin(angle)
 
-    return on_path(path, law_of(law), duration, R0, "lissajous")
+def _swinging(p: np.ndarray, amp: np.ndarray, k: np.ndarray, phase: np.ndarray, s: np.ndarray) -> Samples:
+    angle = k * s[:, None] + phase
+    return p + amp * np.sin(angle), amp * k * np.cos(angle), -amp * k * k * np.sin(angle)
 
 
 def _three(values: Sequence[float], name: str) -> np.ndarray:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..copying import Blocks
 from ..errors import InvalidTarget, floats
 from ..kernel.arrival import CHECK, DOUBTFUL, READ, REFUSED, STAND, TAKEN, arrive
 from ..kernel.session import Samples, new_samples
@@ -18,11 +19,14 @@ RECENT = 10  # targets: where steps take 0.5 to 1.5 times their mean, ca brings 
 KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 
 
-class Stream:
+class Stream(Blocks):
     """The last target and the next, `samples`; whether that stands, `stand`; kinds, one a tip.
 
     pace: the longest of the last times between them [s].
     """
+
+    VIEWS = ("_poses",)
+    SHARED = ("robot",)
 
     def __init__(self, robot: Any) -> None:
         """Room for the tips of a robot."""
@@ -33,10 +37,14 @@ class Stream:
         for one in (self.samples, self._given, self._last):
             one.T[:], one.caps[0], one.caps[1] = np.eye(4), 1.0, -1.0
         self.stand = np.zeros(len(STAND) + 16 * self.tips)  # see `arrival.Stand`
-        self._poses = list(self._given.T[0])
+        self._cut()
         self._posed = 0  # bit f: tip f has an orientation
         self._moved = 0
         self.pace, self._second, self._count = 0.0, 0.0, 0  # [s], the longest since that one, targets since it
+
+    def _cut(self) -> None:
+        """Take the views of a target that is given."""
+        self._poses = list(self._given.T[0])
 
     def forget(self) -> None:
         """Any target may come next."""

@@ -10,17 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, Portable
 from ..kernel import motion
 from ..kernel.constrain import LEAVE, SLOW
 from ..kernel.motion import CLIP
 from ..kernel.task import POSE, POSITION
+from ..robot.narrow import with_limits
 from ..robot.pose import PROJECT_WITHIN, angles_between
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import check_options
-from .inputs import number, positive
+from .inputs import number, one_of, positive
 from .methods import Method, interpolate
 from .plan import Planner
 from .reachable import explain
@@ -28,13 +29,22 @@ from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
 from .run import Run
 from .stream import samples_from
-from .tracker import JUMP, Tracker, read_mode
-from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
+from .tracker import JUMP, Tracker
+from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, hold_against, settling, verdict
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
 MAX_STRETCH = 10.0  # how many times longer than its reference a run may take by default
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a step, where the error is evaluated
+
+
+class TrackInterrupted(Portable, KeyboardInterrupt):
+    """Ctrl-C during a run; `result` is the TrackResult of the steps until then, or of the best run if one had ended."""
+
+    def __init__(self, result: TrackResult) -> None:
+        """Keep what was run."""
+        super().__init__(f"interrupted: {result.message}")
+        self.result = result
 
 
 def track(
@@ -45,7 +55,7 @@ def track(
     dt: float = 0.01,
     q0: Any = None,
     rate0: Any = None,
-    limits: bool = True,
+    limits: Any = True,
     acceleration_limits: Any = None,
     on_limit: str = "slow",
     max_stretch: float = MAX_STRETCH,
@@ -70,9 +80,11 @@ def track(
     starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns (UserWarning) before the run when the gains are
     unstable at dt. A run that diverges ends there, with a status and a sentence; the arrays hold only what was reached. Of a
     run that leaves its reference `reach` and the message say where along it the poses can be reached at all, and what was tried
-    and would work. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
+    and would work. Ctrl-C raises TrackInterrupted, a KeyboardInterrupt whose `result` holds the steps taken (KeyboardInterrupt
+    before the first). Raises InvalidOption, InvalidTarget, InvalidConfiguration.
     """
     references = _references(robot, reference)
+    robot, limits = with_limits(robot, limits)
     own, passed_on = track.__kwdefaults__ or (), Tracker.__init__.__kwdefaults__ or ()
     check_options(method, (name for name in options if name not in passed_on), (*own, *passed_on))
     dt = positive(dt, "dt [s]")
@@ -84,7 +96,7 @@ def track(
         positive(position_tolerance, "position_tolerance [m]"),
         positive(orientation_tolerance, "orientation_tolerance [rad]"),
     )
-    mode = read_mode(on_limit, MODES)
+    mode = MODES[one_of(on_limit, MODES, "on_limit")]
     if limits is False:  # nothing binds
         mode = CLIP
     stretch = number(max_stretch, "max_stretch")
@@ -117,12 +129,24 @@ def track(
         lambda: Planner(robot, reference, bounds, **counts).paths(begin, times),
     )  # fmt: skip
     run.go()
-    result = _result(run, robot, references, times, check)
-    result.figures = figures(result, robot.chain.unit * JUMP)
-    result.status, result.message = verdict(result, int(tracker._state[motion.STATE.stop]), len(times) - 1)
-    if result.status in (TrackStatus.LEFT, TrackStatus.LOST):
-        result.reach, words = explain(robot, reference, q0, limits=limits, **counts)
-        result.message = f"{result.message} {words}".rstrip()
+
+    def judged() -> TrackResult:
+        made = _result(run, robot, references, times, check)
+        made.figures = figures(made, robot.chain.unit * JUMP)
+        made.status, made.message = verdict(made, int(tracker._state[motion.STATE.stop]), len(times) - 1)
+        hold_against(made, robot)
+        return made
+
+    result = None
+    try:
+        result = judged()
+        if result.status in (TrackStatus.LEFT, TrackStatus.LOST) and not run.interrupted:
+            reach, words = explain(robot, reference, q0, limits=limits, **counts)
+            result.reach, result.message = reach, f"{result.message} {words}".rstrip()
+    except KeyboardInterrupt:
+        run.interrupted = True
+    if run.interrupted or result is None:
+        raise TrackInterrupted(result or judged())
     return result
 
 

@@ -1,11 +1,11 @@
 """`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from ..copying import Blocks
 from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel import box, motion
 from ..kernel.arrival import STAND
@@ -15,13 +15,15 @@ from ..kernel.motion import CLIP
 from ..kernel.session import Record, Samples, carried_of, new_carried, new_record, new_settings
 from ..kernel.task import POSITION
 from ..kernel.view import LINE
+from ..readonly import ReadOnly
+from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
 from .inputs import LATE, one_of, parts_of, positive, rates, switch
 from .leap import STRAIGHT, Leap
-from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
+from .limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
 from .postures import REACHED, Postures, Taken
@@ -37,18 +39,17 @@ MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
-class Tracker:
+class Tracker(Blocks, ReadOnly):
     """Follow targets that arrive one by one.
 
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
     tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
-    limits are given). limits: keep joint positions and speeds of the robot, and accelerations [rad/s^2 or m/s^2] when
-    acceleration_limits gives them (number or (n,)): at every sample and in between, for any dt up to dt_max [s] (default five
-    times the first; a longer step is taken in parts). A joint outside its limits is brought back.
-
+    limits are given). limits: keep the robot's joint limits (or narrower ones, as in `ik.solve`) and its speeds, and
+    accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)), for any dt up to dt_max [s] (default
+    five times the first; a longer step is taken in parts); between samples, too, but cv, av and solvers change rates at once. A
+    joint outside is brought back.
     on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
     "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.
-
     What counts: mask, slack, free_turn, frame, relative_to as in `ik.solve`. Beside the task, in its null space: avoid_limits
     (True, False or a rate [1/s]): lead joints away from near limits; posture (n,) [rad or m] to keep, or (posture, rate);
     elbow {joint: 1 or -1}: the side of its zero on which a joint stays; manipulability [1/s]: how strongly it is raised;
@@ -57,17 +58,17 @@ class Tracker:
 
     avoid_collisions: True (the robot's own links) or a CollisionModel: the arm slows down before what is in its way and slides
     along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
-
     reconfigure: where the arm stands at limits short of a target that another posture reaches, move there through the joints
     (RECONFIGURING): at once where the target is at rest; while it moves, only when the error has cost as much as the way will.
     Inside all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked. Only with "direct".
-
     straight: how many times as long as through the joints the tip's straight way to a target that leapt, and stands, may take;
     where it takes longer the joints go there together (inf: any straight way; without one, another posture). Only with "direct".
-
     jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
     InvalidOption, InvalidConfiguration.
     """
+
+    _INSTEAD = INSTEAD
+    VIEWS, SHARED = ("_code", "_error", "_limits", "_q", "_rate", "_state"), ("robot", "_world")
 
     def __init__(
         self,
@@ -76,7 +77,7 @@ class Tracker:
         *,
         q0: Any = None,
         rate0: Any = None,
-        limits: bool = True,
+        limits: Any = True,
         acceleration_limits: Any = None,
         on_limit: str = "direct",
         dt_max: float | None = None,
@@ -95,9 +96,9 @@ class Tracker:
         """Bind a robot and a method."""
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
-        self.robot = robot
+        robot, limits = self.robot, limits = with_limits(robot, limits)
         self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
-        self._mode = read_mode(on_limit, MODES)
+        self._mode = MODES[one_of(on_limit, MODES, "on_limit")]
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
         self._limits = limit_rows(robot, limits, acceleration_limits)
         self._speed = speeds(self._limits) * robot.chain.unit
@@ -106,10 +107,10 @@ class Tracker:
         self.secondary: Secondary = read_secondary(robot, avoid_limits, posture, elbow, manipulability, cost)
         self.secondary.confine(self._limits)
         self.stream = Stream(robot)
+        self._world = None if avoid_collisions is False else collision_model(robot, avoid_collisions)
         self._guard: Guard | None = None
-        if avoid_collisions is not False:
-            model = collision_model(robot, avoid_collisions)
-            self._guard = Guard(robot, model, self._limits * robot.chain.unit, self.engine.gamma)
+        if self._world is not None:
+            self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
         n, m = robot.n, 6 * self.stream.tips
         self._postures: Postures | None = None
         self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
@@ -117,23 +118,27 @@ class Tracker:
         longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options, speeds(self._limits))
-            other = Reconfiguration(robot, self._postures, self._guard and self._guard.model) if elsewhere else None
+            other = Reconfiguration(robot, self._postures, self._world) if elsewhere else None
             self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
             part[:] = values
-        self._code, self._error = self._out.C[0], self._out.E[1]
-        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
         self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # two rows for each slack
-        self._q, self._rate = self._carried.motion
-        self._state = self._carried.state
+        self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
-        self.rows = 0
+        self._rows = 0
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
         self._ordered: tuple = ()  # what the law of the settings was made of
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what the last step was taken by
         self.reset(q0, rate0=rate0)
+        self._seal()
+
+    def _cut(self) -> None:
+        """Take the views of what the loop reads and writes."""
+        self._code, self._error = self._out.C[0], self._out.E[1]
+        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
+        (self._q, self._rate), self._state = self._carried.motion, self._carried.state
 
     def reset(
         self, q0: Any = None, target: Any = None, twist: Any = None, acceleration: Any = None, *, rate0: Any = None
@@ -288,7 +293,7 @@ class Tracker:
         return self._here
 
     def error_at(self, q: np.ndarray, samples: Samples, h: float) -> np.ndarray:
-        """What counts (m,) [m, rad] of the error to a target with the joints at q (n,), in kernel units; until the next call."""
+        """Error (m,) that counts, to a target, with the joints at q (n,), in kernel units; it holds until the next call."""
         self._settings.measured[:] = q
         return self._now(samples, h, measured=True).E[0]
 
@@ -333,7 +338,7 @@ class Tracker:
         """
         # With gains for each step's own time ca swings without end where these times differ.
         pace = max(h, min(self.stream.pace, self._late))
-        ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self.rows, self.secondary.avoid
+        ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:
             self._order(*ordered)
             self._ordered = ordered
@@ -373,7 +378,7 @@ class Tracker:
             return self.run(samples, h, out, clock=clock, brake=brake, **how)
         guard.late = max(self._late, h)
         q, rate = self._carried.motion * self._units
-        self.rows = r = guard.rows(q, rate, h)
+        self._rows = r = guard.rows(q, rate, h)
         self._settings.lines[:r], self._settings.level[:r] = guard.A[:r] * unit, guard.b[:r]
         before = self.carried()
         done = self.run(samples, h, out, clock=clock, brake=brake, **how)
@@ -393,8 +398,3 @@ class Tracker:
         self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
         out.C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
         return 1
-
-
-def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
-    """Number of a way to treat limits. Raises InvalidOption."""
-    return modes[one_of(on_limit, modes, "on_limit")]

@@ -1,9 +1,12 @@
 """Whether a run followed its reference, once the arm has had time to get going; and if it did not, how far off, when and why."""
 
+from typing import Any
+
 import numpy as np
 
 from ..errors import InvalidOption
 from ..kernel import box, motion
+from ..robot.constraints import first_open
 from ..robot.pose import length
 from .inputs import number
 from .result import ROUNDING, TrackResult, TrackStatus
@@ -11,6 +14,7 @@ from .result import ROUNDING, TrackResult, TrackStatus
 POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves a tool of half a metre by about as much
 SETTLE = 0.5  # [s] given to an arm that has to get going first
+LOOKED = 200  # samples in which the constraints of a description are evaluated
 MORE = 1.01  # times the error at the samples, from which on that between them is a larger one
 LIMITS = ((box.POSITION, "position"), (box.VELOCITY, "speed"), (box.ACCELERATION, "acceleration"))
 
@@ -59,6 +63,17 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
         why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"  # or to get going
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
+
+
+def hold_against(result: TrackResult, robot: Any) -> None:
+    """A run followed with a constraint of the robot's description open is no success: looked at in at most LOOKED samples."""
+    if not result.success or not robot.constraints:
+        return
+    rows = np.unique(np.linspace(0, len(result.q) - 1, LOOKED).round().astype(int))
+    broken = first_open(robot, result.q[rows], result.position_tolerance, result.orientation_tolerance)
+    if broken is not None:
+        result.status = TrackStatus.CONSTRAINT_OPEN
+        result.message += f" But at t = {result.t[rows[broken[0]]]:.4g} s {broken[1]}."
 
 
 def _away(result: TrackResult, outside: np.ndarray) -> str:

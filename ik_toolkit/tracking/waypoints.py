@@ -3,6 +3,7 @@
 import itertools
 import os
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ def waypoints(
     (cubic, with C2 rotations) starts and ends at rest in position and needs scipy. Raises InvalidTarget, InvalidOption,
     MissingExtra.
     """
-    if not isinstance(targets, Iterable):
+    if not isinstance(targets, Iterable) or getattr(targets, "ndim", 1) == 0:
         raise InvalidTarget(f"waypoints are a list of poses or positions, not {type(targets).__name__}")
     pairs = [split(target) for target in targets]
     if len(pairs) < 2:
@@ -51,23 +52,24 @@ def waypoints(
         t = _check_times(floats(times, "times must be numbers [s]", InvalidTarget), len(P), "times")
     if one_of(law, ("minimum-jerk", "spline"), "waypoint law") == "spline":
         return _spline(t, P, R, "clamped", "waypoints")
+    return Reference(partial(_legs, t, P, R, turns), float(t[-1]), position_only=R is None, name="waypoints")
 
-    def function(now: np.ndarray) -> Samples:
-        leg = np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 2)
-        length = np.diff(t)[leg]
-        s, s1, s2 = (x[:, None] for x in minimum_jerk((now - t[leg]) / length))
-        s1, s2 = s1 / length[:, None], s2 / length[:, None] ** 2
-        T, V, A = still(len(now), None)
-        d = np.diff(P, axis=0)[leg]
-        T[:, :3, 3] = P[leg] + s * d
-        V[:, :3], A[:, :3] = d * s1, d * s2
-        if R is not None:
-            w = np.einsum("nij,nj->ni", R[leg], turns[leg])
-            T[:, :3, :3] = R[leg] @ exp(s * turns[leg])
-            V[:, 3:], A[:, 3:] = w * s1, w * s2
-        return T, V, A
 
-    return Reference(function, float(t[-1]), position_only=R is None, name="waypoints")
+def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray, now: np.ndarray) -> Samples:
+    """Straight legs between times t, with a stop at each."""
+    leg = np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 2)
+    length = np.diff(t)[leg]
+    s, s1, s2 = (x[:, None] for x in minimum_jerk((now - t[leg]) / length))
+    s1, s2 = s1 / length[:, None], s2 / length[:, None] ** 2
+    T, V, A = still(len(now), None)
+    d = np.diff(P, axis=0)[leg]
+    T[:, :3, 3] = P[leg] + s * d
+    V[:, :3], A[:, :3] = d * s1, d * s2
+    if R is not None:
+        w = np.einsum("nij,nj->ni", R[leg], turns[leg])
+        T[:, :3, :3] = R[leg] @ exp(s * turns[leg])
+        V[:, 3:], A[:, 3:] = w * s1, w * s2
+    return T, V, A
 
 
 def _check_times(t: np.ndarray, count: int, name: str) -> np.ndarray:
@@ -93,19 +95,21 @@ def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name:
         )
     position = CubicSpline(t, P, bc_type=ends if len(t) > 3 or ends == "clamped" else "natural")
     rotation = None if R is None else RotationSpline(t, Rotation.from_matrix(R))
-
-    def function(now: np.ndarray) -> Samples:
-        now = np.clip(now, 0.0, t[-1])
-        T, V, A = still(len(now), None)
-        T[:, :3, 3], V[:, :3], A[:, :3] = position(now), position(now, 1), position(now, 2)
-        if rotation is not None:
-            T[:, :3, :3] = rotation(now).as_matrix()
-            # scipy gives rate and acceleration in the axes of the moving frame
-            V[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 1))
-            A[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 2))
-        return T, V, A
-
+    function = partial(_smooth, position, rotation, float(t[-1]))
     return Reference(function, float(t[-1]), position_only=R is None, name=name)
+
+
+def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Samples:
+    """Along splines of the position and, unless None, the rotation."""
+    now = np.clip(now, 0.0, end)
+    T, V, A = still(len(now), None)
+    T[:, :3, 3], V[:, :3], A[:, :3] = position(now), position(now, 1), position(now, 2)
+    if rotation is not None:
+        T[:, :3, :3] = rotation(now).as_matrix()
+        # scipy gives rate and acceleration in the axes of the moving frame
+        V[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 1))
+        A[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 2))
+    return T, V, A
 
 
 def reference_from_file(path: str | Path) -> Reference:

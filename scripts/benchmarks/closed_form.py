@@ -4,11 +4,11 @@ python scripts/benchmarks/closed_form.py [-o closed_form.json]
 """
 
 import argparse
-import json
-import platform
 from collections.abc import Callable
+from pathlib import Path
 from time import perf_counter
 
+import common
 import numpy as np
 
 import ik_toolkit as ik
@@ -80,7 +80,7 @@ def call_works(arm: ik.Robot, targets: list, q0: np.ndarray, names: tuple[str, .
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", help="write the numbers to a JSON file")
+    parser.add_argument("-o", "--output", type=Path, help="write the numbers to a JSON file")
     output = parser.parse_args().output
     rng = np.random.default_rng(0)
     arm, planar = ik.Robot.load("inspection_7dof"), ik.Robot.load("planar_2r")
@@ -97,10 +97,7 @@ def main() -> None:
     for name, value in times.items():
         print(f"{name:<{width}}  {value:8.2f} us")
     if output:
-        with open(output, "w", encoding="utf-8") as file:
-            json.dump(
-                {"python": platform.python_version(), "machine": platform.machine(), "median_us": times}, file, indent=1
-            )
+        common.keep(output, {"machine": common.machine(), "median_us": times})
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from ik_toolkit.study.statistics import wilson
 
 ROBOTS = ("panda", "ur5", "xarm7", "kinova", "z1", "hydrolek_7w")
 TOLERANCES = {"loose": (1e-4, 1e-3), "strict": (1e-6, 1e-6)}  # m, rad
+ROW = 600  # characters of a line in the output files: a row of a table fits, and a diff shows which rows changed
 NEAR = 0.1  # rad (m), largest distance of a near start from a solution, each joint
 
 
@@ -104,8 +105,23 @@ def keep(output: Path, payload: dict[str, Any], *tables: str) -> str:
     }
     text = "\n\n".join(tables) + "\n"
     output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(json.dumps({**payload, "tables": text}, indent=1) + "\n", encoding="utf-8")
+    output.write_text(compact({**payload, "tables": text}) + "\n", encoding="utf-8")
     return text
+
+
+def read(path: Path) -> dict[str, Any]:
+    """What `keep` wrote."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def compact(value: Any) -> str:
+    """JSON with every figure in full, where whatever is shorter than ROW characters, such as a row of a table, takes one line."""
+    line = json.dumps(value, separators=(",", ":"))
+    if len(line) <= ROW or not isinstance(value, (dict, list)):
+        return line
+    if isinstance(value, dict):
+        return "{\n" + ",\n".join(f"{json.dumps(key)}:{compact(part)}" for key, part in value.items()) + "\n}"
+    return "[\n" + ",\n".join(map(compact, value)) + "\n]"
 
 
 # ------------------------------------------------------------------------------------------------------------- robots

@@ -1,32 +1,32 @@
-"""Put the tables that the other commands wrote into one page, docs/benchmarks.md.
+"""Write docs/benchmarks.md, the answers, and a page below docs/benchmarks/ for the data behind each.
 
 python scripts/benchmarks/page.py docs/data -o docs/benchmarks.md --readme README.md
 
-Draws the chart at its head, too (extra plots). Reads benchmark_solve.json, benchmark_published.json, benchmark_success.json,
-benchmark_batch.json, benchmark_kernel.json, benchmark_joints.json, benchmark_tree.json, benchmark_servo.json and
-benchmark_against.json from the folder given; those that are missing are left out.
+Draws the chart at its head, too (extra plots). Reads benchmark_NAME.json, which the other commands wrote, from the folder given,
+for the names in PAGES; those that are missing are left out.
 """
 
 import argparse
-import json
 import re
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import common
-from kernel import UNREACHABLE
+from aims import aims
+from answers import NAMES, answers
 
 from ik_toolkit.show.plots import drawing, save
 from ik_toolkit.style import COLOURS, GREY
 
+NOTE = "<!-- Written by scripts/benchmarks/page.py from docs/data: run the commands again instead of editing. -->"
 HEAD = """\
-<!-- Written by scripts/benchmarks/page.py from docs/data/benchmark_*.json: run the commands again instead of editing. -->
 # Benchmarks
 
-How fast and how reliable the solvers, batches and trackers are, compared with other packages. Every number was written by a command
-in `scripts/benchmarks/`, which stands above its tables; the same data are in `docs/data/` as JSON. Times are from one machine, so
-compare ratios within one run. Targets are poses of random configurations within the joint limits, so all of them are reachable.
+How fast and how reliable the solvers, batches, paths and trackers are, beside other packages. Unless stated otherwise, targets are
+poses of random configurations within the joint limits, to be reached to 1e-6 m and rad without a starting guess, and Pinocchio
+judges the answers. Times are from one machine{machines}: compare ratios. Every figure was written by a command in
+`scripts/benchmarks/`; each answer links to the page with its command, versions and all figures.
 """
 MARKS = ("<!-- benchmark: written by scripts/benchmarks/page.py -->", "<!-- end of benchmark -->")
 SOLVE = """\
@@ -79,113 +79,85 @@ def machine(data: dict[str, Any]) -> str:
     return text + "."
 
 
-def mark(met: bool) -> str:
-    return "yes" if met else "**no**"
+class Page(NamedTuple):
+    """A page below docs/benchmarks: its file, its title, the data it shows, what stands above their tables."""
+
+    name: str
+    title: str
+    data: str
+    about: str = ""
 
 
-def aims(found: dict[str, dict[str, Any]]) -> list[list[str]]:
-    """Rows (aim, measured, met) of what this project set out to reach."""
-    rows = []
-    if "success" in found:
-        for r in found["success"]["rows"]:
-            share = r["solved"] / r["targets"]
-            rows.append(
-                [f"{r['robot']}: 99.99 % of {r['targets']:,} targets", common.percent(r), mark(share >= 0.9999)]
-            )
-        big = found["success"].get("million")
-        if big:
-            wrong = big["pinocchio"]["not_confirmed"]
-            text = f"{big['solved']:,} of {big['targets']:,}; {wrong} of {big['pinocchio']['checked']:,} not confirmed"
-            rows.append(["1,000,000 Panda targets, 1 % checked by Pinocchio", text, mark(not wrong)])
-            left = big["again"]
-            text = f"{left['targets']} fail; with {left['restarts']} restarts {left['solved']} of them are solved"
-            rows.append(["no failure among them left unexplained", text, mark(left["solved"] == left["targets"])])
-            growth = big["peak_at_end"] - big["peak_at_quarter"]
-            rows.append(["the same from an iterator: memory flat", f"{growth / 1e6:+.1f} MB", mark(growth < 50e6)])
+PATH = """\
+Problems of CppFlow with obstacles, figures like those of TORM (with our own sizes and positions), a weld along a pipe, two arms.
+*Valid*, as in CppFlow: every pose within 0.1 mm and 0.1 deg, steps of at most 7 deg and 2 cm, inside the limits, no contact at the
+poses and at three places between neighbours, judged by Pinocchio and coal. Times are processor times of all threads, which
+depend little on what else the machine does; they include the result's own checks and proof of continuity. The length is the total
+rotation of the revolute joints, the shortest known one TORM's. Times by the clock, on an idle machine, are in the
+[guide](../guide/path.md#speed-and-path-length).
+"""
+PAGES = (
+    Page("single_solves", "Single solves", "solve", SOLVE),
+    Page("published", "Published tables", "published", PUBLISHED),
+    Page("success", "Success", "success"),
+    Page("batches", "Batches", "batch"),
+    Page("kernel", "Building blocks", "kernel"),
+    Page("joints", "Number of joints", "joints"),
+    Page("several_tips", "Several tips", "tree"),
+    Page("paths", "Whole paths", "path", PATH),
+    Page("moving_target", "Following a moving target", "servo", SERVO),
+    Page("previous_version", "First use, and the previous version", "against", AGAINST),
+)
+
+
+def detail(page: Page, data: dict[str, Any]) -> str:
+    """A page of details: command, machine and tables of one file."""
+    parts = [NOTE, f"# {page.title}", page.about.format(old=data.get("old")).strip(), f"```\n{data['command']}\n```"]
+    parts += [
+        machine(data),
+        solvers(data) if page.data == "solve" else "",
+        data["tables"].strip().replace("\n### ", "\n## "),
+    ]
+    text = "\n\n".join(part for part in parts if part)
+    return re.sub(r"^### ", "## ", text, flags=re.MULTILINE) + "\n"
+
+
+def front(found: dict[str, dict[str, Any]], picture: Path) -> str:
+    """The page of answers."""
+    parts = [NOTE, HEAD.strip().format(machines=machines(found))]
     if "solve" in found:
-        runs = {(r["robot"], r["start"], r["tolerance"]): r["rows"] for r in found["solve"]["runs"]}
-        for robot, least, tail in (("panda", 12, 20), ("ur5", 6, None), ("kinova", 6, None)):
-            rows += faster(runs.get((robot, "random", "strict"), {}), robot, least, tail)
-        strict = runs.get(("ur5", "random", "strict"), {})
-        if {"ik", "eaik"} <= strict.keys():
-            for key in ("median", "mean"):
-                ours, theirs = strict["ik"]["wall"][key], strict["eaik"]["wall"][key]
-                text = f"{ours:.2f} us against {theirs:.2f} us"
-                rows.append([f"ur5: {key} faster than EAIK (its all answers)", text, mark(ours < theirs)])
-        for (robot, start, tolerance), run in runs.items():
-            if start == "near" and tolerance == "strict" and {"ik", "cartan"} <= run.keys():
-                ours, theirs = run["ik"]["wall"]["median"], run["cartan"]["wall"]["median"]
-                text = f"{ours:.2f} us; cartan {theirs:.2f} us"
-                rows.append(
-                    [
-                        f"{robot}: near start, median at most 5 us, faster than cartan",
-                        text,
-                        mark(ours <= 5 and ours < theirs),
-                    ]
-                )
-        worst = max(
-            (
-                (run["ik.solve"]["wall"]["median"], key[0])
-                for key, run in runs.items()
-                if "ik.solve" in run and key[1] == "random"
-            ),
-            default=None,
-        )
-        if worst:
-            text = f"{worst[0]:.1f} us ({worst[1]}, the slowest)"
-            rows.append(["`ik.solve` with everything on, median at most 25 us", text, mark(worst[0] <= 25)])
-    if "batch" in found:
-        for r in found["batch"]["rows"]:
-            if r["targets"] == 100_000 and r["threads"] == 2:
-                text = f"{r['per_second']:,.0f} a second, best run {r['best_per_second']:,.0f}"
-                for aim in (400_000, 1_000_000):
-                    name = f"{r['robot']}: batch of 100,000 on 2 cores, {aim:,} a second"
-                    rows.append([name, text, mark(r["per_second"] >= aim)])
-        most = max(r["memory"] for r in found["batch"]["rows"]) / 1e6
-        rows.append(["memory of a batch beyond input and output, under 50 MB", f"{most:.1f} MB", mark(most < 50)])
-    if "kernel" in found:
-        most = max(found["kernel"]["median_ns"][UNREACHABLE].values()) / 1e3
-        rows.append(
-            ["target proven out of reach, answered in 200 us", f"{most:.0f} us (slowest robot)", mark(most <= 200)]
-        )
-    return rows
+        parts += chart(found, picture)
+    for answer in answers(found):
+        link = f"[All figures](benchmarks/{answer.page}.md)"
+        parts += [f"## {answer.question}", f"{answer.words} {link}.", answer.table]
+    return "\n\n".join([*parts, TREE]) + "\n"
 
 
-def faster(run: dict[str, Any], robot: str, least: float, tail: float | None) -> list[list[str]]:
-    """Rows of the comparison with the Robotics Toolbox, by the clock and by processor time."""
-    if "faster" not in run.get("ik", {}) or "rtb" not in run:
-        return []
-    rows = []
-    for key, name, bound in (("median", "median", least), ("p99", "99th percentile", tail)):
-        if bound is None:
-            continue
-        wall, processor = (run["ik"]["faster"][clock][key] for clock in ("wall", "processor"))
-        text = f"{wall:.1f} times ({run['ik']['wall'][key]:.1f} against {run['rtb']['wall'][key]:.0f} us)"
-        text += f"; processor time {processor:.1f} times"
-        rows.append([f"{robot}: {name} {bound} times faster than `ik_LM(k=0.1)`", text, mark(wall >= bound)])
-    return rows
+TREE = """\
+```{toctree}
+:hidden:
+:glob:
+
+benchmarks/*
+```"""
 
 
-def section(title: str, data: dict[str, Any] | None, about: str = "") -> list[str]:
-    """Heading, command, machine and tables of one file."""
-    if data is None:
-        return []
-    parts = [f"## {title}", about.strip(), f"```\n{data['command']}\n```", machine(data)]
-    return [part for part in parts if part] + [data["tables"].strip()]
+def machines(found: dict[str, dict[str, Any]]) -> str:
+    """Where the data come from, briefly."""
+    kinds: dict[str, list[str]] = {}
+    for name, data in found.items():
+        kinds.setdefault(f"{data['machine']['cpu']}, {data['machine']['cores']} cores", []).append(TITLES[name])
+    (usual, _), *others = sorted(kinds.items(), key=lambda item: -len(item[1]))
+    return f" ({usual}" + "".join(f"; {', '.join(names)}: {kind}" for kind, names in others) + ")"
+
+
+TITLES = {page.data: page.title.lower() for page in PAGES}
 
 
 def solvers(data: dict[str, Any]) -> str:
     """Table of who is compared."""
     rows = [[f"`{key}`", about, data["versions"].get(key, "")] for key, about in data["peers"].items()]
     return common.table(["solver", "what", "version"], rows).replace("---:", "---")
-
-
-NAMES = {  # of rows, where it is not the key
-    "ik": "**`ik.Solver`**, bound to a robot", "ik_q0": "**`ik.Solver`**, from q0",
-    "ik.solve": "**`ik.solve`**, inputs and result checked",
-    "rtb": "Robotics Toolbox `ik_LM(k=0.1)`", "rtb_free": "Robotics Toolbox `ik_LM(k=0.1, joint_limits=False)`",
-    "pytracik": "TRAC-IK (pytracik, two threads)",
-}  # fmt: skip
 
 
 def headline(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -219,7 +191,7 @@ def chart(found: dict[str, dict[str, Any]], picture: Path) -> list[str]:
         axis.set_xlabel("time of a solve [us]: median (bar) and 99th percentile (line), log scale")
         figure.suptitle("Random poses of the Panda to 1e-6 m and rad, one call from Python, one thread", fontsize=10)
         save(figure, picture)
-    return [f"```{{image}} _static/{picture.name}\n:alt: {CHART}\n```", first_use(found)]
+    return [f"```{{image}} _static/{picture.name}\n:alt: {CHART}\n```"]
 
 
 def first_use(found: dict[str, dict[str, Any]]) -> str:
@@ -268,35 +240,20 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, help="also put the summary between the benchmark marks of this file")
     given = parser.parse_args()
     found = {}
-    for name in ("solve", "published", "success", "batch", "kernel", "joints", "tree", "servo", "against"):
-        path = given.folder / f"benchmark_{name}.json"
+    for page in PAGES:
+        path = given.folder / f"benchmark_{page.data}.json"
         if path.exists():
-            found[name] = json.loads(path.read_text(encoding="utf-8"))
-    (given.output.parent / "_static").mkdir(parents=True, exist_ok=True)
-    parts = [HEAD.strip()]
-    if "solve" in found:
-        parts += chart(found, given.output.parent / "_static" / "benchmark.png")
-        parts += section("Single solves, compared with other packages", found["solve"], SOLVE)[:-1]
-        parts += [solvers(found["solve"]), found["solve"]["tables"].strip()]
-    parts += section("Published tables", found.get("published"), PUBLISHED)
-    rows = aims(found)
-    if rows:
-        parts += [
-            "## Aims and results",
-            common.table(["aim (1e-6 m and rad, no starting guess, one thread)", "measured", "met"], rows),
-        ]
-    parts += section("Success", found.get("success"))
-    parts += section("Batch", found.get("batch"))
-    parts += section("Building blocks", found.get("kernel"))
-    parts += section("Number of joints", found.get("joints"))
-    parts += section("Several tips", found.get("tree"))
-    parts += section("Following a moving target", found.get("servo"), SERVO)
-    parts += section(
-        "Compared with the previous version",
-        found.get("against"),
-        AGAINST.format(old=found.get("against", {}).get("old")),
-    )
-    given.output.write_text("\n\n".join(part for part in parts if part) + "\n", encoding="utf-8")
+            found[page.data] = common.read(path)
+    docs, folder = given.output.parent, given.output.with_suffix("")
+    for made in (docs / "_static", folder):
+        made.mkdir(parents=True, exist_ok=True)
+    given.output.write_text(front(found, docs / "_static" / "benchmark.png"), encoding="utf-8")
+    for page in PAGES:
+        if page.data in found:
+            (folder / f"{page.name}.md").write_text(detail(page, found[page.data]), encoding="utf-8")
+    head = ["aim (1e-6 m and rad, no starting guess, one thread)", "measured", "met"]
+    text = f"{NOTE}\n\n# Aims and results\n\n{common.table(head, aims(found))}\n"
+    (folder / "aims.md").write_text(text, encoding="utf-8")
     if given.readme:
         before, rest = given.readme.read_text(encoding="utf-8").split(MARKS[0])
         text = f"{before}{MARKS[0]}\n\n{summary(found)}\n\n{MARKS[1]}{rest.split(MARKS[1])[1]}"

@@ -4,7 +4,7 @@ python scripts/benchmarks/path.py
 
 Validity is checked here, by Pinocchio and coal, as in CppFlow: every pose within 0.1 mm and 0.1 deg, steps of at most 7 deg and
 2 cm, limits, no contact at the poses and at three places between neighbours. Times start with robot, collision model and kernels
-loaded and include the result's own checks and proof of continuity.
+loaded and include the result's own checks and proof of continuity. The output is written after every part.
 """
 
 import functools
@@ -13,6 +13,7 @@ import os
 import resource
 import subprocess
 import sys
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -95,9 +96,12 @@ def size(count: int) -> dict[str, Any]:
     long[:, :3, 3] = np.column_stack([np.interp(places, np.arange(len(there)), there[:, k]) for k in range(3)])
     found = {"poses": count}
     for what, options in (("free", {}), ("obstacles", {"avoid_collisions": model})):
-        began = perf_counter()
+        began, busy = perf_counter(), os.times()
         made = ik.solve_path(robot, long, **options)
-        found[what] = {"seconds": perf_counter() - began, "status": made.status.name, "length": made.length[0]}
+        seconds, processor = perf_counter() - began, sum(os.times()[:2]) - sum(busy[:2])
+        found[what] = {
+            "seconds": seconds, "processor": processor, "status": made.status.name, "length": made.length[0],
+        }  # fmt: skip
     found["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return found
 
@@ -113,35 +117,65 @@ def main() -> None:
     if given.one:
         print(json.dumps(size(given.one)))
         return
+    before = common.load_average()
     made: dict[str, Any] = {"machine": common.machine(), "problems": [], "sizes": [], "truth": []}
-    print("| problem | valid | seconds, median and most | without obstacles | length, median and most | known |")
-    print("|---|---|---|---|---|---|")
     for name in given.problems:
         one = solve_problem(name, given.seeds)
         made["problems"].append(one)
-        known = "" if one["known"] is None else f"{one['known']}"
-        print(
-            f"| {name} | {one['valid']} of {one['seeds']} | {np.median(one['seconds']):.2f}, {max(one['seconds']):.2f} | "
-            f"{np.median(one['without_obstacles']):.2f} | {np.median(one['lengths']):.2f}, {max(one['lengths']):.2f} | {known} |"
-        )
-        for seed, wrong in enumerate(one["faults"]):
-            if wrong:
-                print(f"  seed {seed}: {', '.join(wrong)}")
-    print("\n| poses | seconds | with obstacles | peak memory [MB] |\n|---|---|---|---|")
+        faulty = {seed: wrong for seed, wrong in enumerate(one["faults"]) if wrong}
+        print(f"{name}: {one['valid']} of {one['seeds']} {faulty or ''}", file=sys.stderr)
+        keep(given.output, made, before)
     for count in given.sizes:
         command = [sys.executable, __file__, "--one", str(count)]
-        one = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-        made["sizes"].append(one)
-        print(
-            f"| {count} | {one['free']['seconds']:.2f} | {one['obstacles']['seconds']:.2f} | {one['memory'] / 1e6:.0f} |"
-        )
-    print("\n| paths | as few reconfigurations as there can be | more | fewer than enumerated |\n|---|---|---|---|")
+        made["sizes"].append(json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
+        keep(given.output, made, before)
     for what, compare in path_truth.COMPARED.items():
-        one = {"what": what, **compare(given.paths, given.seed)}
-        made["truth"].append(one)
-        print(f"| {what} | {one['equal']} of {one['paths']} | {one['more']} | {one['fewer']} |")
-    made["load"] = common.load_average()
-    common.write(given.output, made)
+        made["truth"].append({"what": what, **compare(given.paths, given.seed)})
+        keep(given.output, made, before)
+    print(keep(given.output, made, before))
+
+
+def keep(output: Path, made: dict[str, Any], before: float) -> str:
+    """Write what is measured so far; returns the tables."""
+    return common.keep(output, {**made, "load_average": [before, common.load_average()]}, *tables(made))
+
+
+def tables(made: dict[str, Any]) -> list[str]:
+    """Markdown: the problems, cost against length, and the true minima. Times are processor times; the data have both."""
+    problems = [
+        [
+            one["problem"].replace("__", ", "), one["poses"], f"{one['valid']} of {one['seeds']}",
+            common.short(np.median(one["processor"])), common.short(max(one["processor"])), f"{np.median(one['lengths']):.2f}",
+            f"{max(one['lengths']):.2f}", "" if one["known"] is None else one["known"],
+        ]
+        for one in made["problems"]
+    ]  # fmt: skip
+    sizes = [
+        [
+            f"{one['poses']:,}",
+            *(common.short(one[what]["processor"]) for what in ("free", "obstacles")),
+            f"{one['memory'] / 1e6:.0f}",
+        ]
+        for one in made["sizes"]
+    ]
+    truth = [[one["what"], one["paths"], one["equal"], one["more"], one["fewer"]] for one in made["truth"]]
+    head = [
+        "problem",
+        "poses",
+        "valid",
+        "processor, s, median",
+        "most",
+        "length, rad, median",
+        "longest",
+        "shortest known",
+    ]
+    cost = ["poses", "processor, s", "with obstacles", "memory, MB"]
+    least = ["task", "paths", "as few reconfigurations as there can be", "more", "fewer"]
+    return [
+        "### Problems\n\n" + common.table(head, problems),
+        "### Cost against length\n\n" + common.table(cost, sizes),
+        "### True minima by enumeration\n\n" + common.table(least, truth),
+    ]
 
 
 if __name__ == "__main__":

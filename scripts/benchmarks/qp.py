@@ -8,7 +8,6 @@ import common
 common.one_thread()
 
 import argparse  # noqa: E402
-import json  # noqa: E402
 from pathlib import Path  # noqa: E402
 from time import perf_counter  # noqa: E402
 
@@ -97,7 +96,7 @@ def main() -> None:
             found[f"{n}, {name}"] = row
             print(f"| {n} | {name} | " + " | ".join(f"{value:.2f}" for value in row.values()) + " |", flush=True)
     if options.output:
-        options.output.write_text(json.dumps({"machine": common.machine(), "microseconds": found}, indent=1))
+        common.keep(options.output, {"machine": common.machine(), "microseconds": found})
 
 
 if __name__ == "__main__":

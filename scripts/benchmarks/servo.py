@@ -13,7 +13,6 @@ times alone, in a minute: every method on two streams of each arm, ours from Pyt
 """
 
 import hashlib
-import json
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -316,7 +315,7 @@ def main() -> None:
     keys = [key for key in given.methods if not (given.plain and METHODS[key][2].packages)]
     kept: dict[str, Any] = {"seed": given.seed, "runs": [], "times": [], "versions": {}}
     if given.output.exists():
-        found = json.loads(given.output.read_text(encoding="utf-8"))
+        found = common.read(given.output)
         kept = found if found["seed"] == given.seed else kept
     before, done = common.load_average(), []
     with tempfile.TemporaryDirectory() as name:

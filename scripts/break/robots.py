@@ -1,13 +1,18 @@
-"""Load random, realistically written URDFs and check each loaded robot with a second FK (tests/second_fk.py).
+"""Load random, realistically written robots and check each with an FK that shares nothing with ours.
 
-Usage: python scripts/break/robots.py [--seed N] [--count N]. A robot is wrong when the tip pose or the Jacobian of the
-compiled kernel or of `Robot.fk` and `Robot.jacobian` is off by more than 1e-9 (lengths over its size), or a limit differs
-from the URDF's. Exit code 1 if one is wrong or anything but a ModelError is raised; rejected robots are listed by reason.
+Usage: python scripts/break/robots.py [--kind urdf|tree|mjcf] [--seed N] [--count N].
+urdf: one path, judged by tests/second_fk.py. It is wrong when the tip pose or the Jacobian of the compiled kernel or of
+`Robot.fk` and `Robot.jacobian` is off by more than 1e-9 (lengths over its size), or a limit differs from the URDF's.
+tree: two or three tips, the base anywhere, followers on all branches; wrong too when a target that the judge's FK gives at a
+legal q ends as UNREACHABLE, or an answer is not at its target or outside the limits of a joint or follower.
+mjcf: limited balls, chained equalities and tendons, judged by MuJoCo in the same way.
+Exit code 1 if one is wrong or anything but a ModelError is raised; rejected robots are listed by reason.
 """
 
 import argparse
 import collections
 import faulthandler
+import logging
 import re
 import sys
 import traceback
@@ -19,6 +24,7 @@ import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+from random_trees import TreeCase, random_tree
 from second_fk import Case, SecondFK, pose_errors, random_case
 
 WRONG = 1e-9  # error that counts as wrong, over the robot's size or [rad]
@@ -31,7 +37,7 @@ def load(case: Case) -> ik.Robot:
     return robot if case.tool is None else robot.with_tool(case.tool)
 
 
-def configurations(robot: ik.Robot, rng: np.random.Generator, count: int) -> np.ndarray:
+def configurations(robot: ik.Robot | ik.Tree, rng: np.random.Generator, count: int) -> np.ndarray:
     """Legal q (count, n): uniform, continuous joints over five turns, a quarter of the values at a limit."""
     far = np.where(np.array(robot.joint_kinds) == "prismatic", robot.reach, TURNS)
     low = np.where(np.isfinite(robot.lower), robot.lower, -far)
@@ -72,16 +78,78 @@ def limits_differ(robot: ik.Robot, judge: SecondFK, Q: np.ndarray) -> bool:
     return not same or bool(judge.outside(Q, robot.joint_names).any())
 
 
-def main(seed: int, count: int) -> int:
+def check_urdf(rng: np.random.Generator) -> dict[str, float]:
+    """Largest errors of a random robot with one tip; wrong limits count as an infinite one."""
+    case = random_case(rng)
+    robot = load(case)
+    judge = case.judge()
+    errors = worst(robot, judge, rng)
+    if limits_differ(robot, judge, configurations(robot, rng, 16)):
+        errors["limits"] = np.inf
+    return errors
+
+
+def check_tree(rng: np.random.Generator) -> dict[str, float]:
+    """Largest errors of a random tree, and of its answers."""
+    case: TreeCase = random_tree(rng)
+    tree = ik.Tree.load(case.text, base=case.base, tips=case.tips)
+    Q, names, judges = configurations(tree, rng, 8), tree.joint_names, case.judges()
+    size = max([tree.reach, *(judge.largest_offset() for judge in judges)])
+    poses = np.array([[T.homogeneous for T in tree.fk(q).values()] for q in Q])
+    targets = np.stack([judge.fk(Q, names) for judge in judges], axis=1)
+    J = np.concatenate([judge.jacobian(Q, names) for judge in judges])
+    mine = np.concatenate(np.split(np.array([tree.jacobian(q) for q in Q]), len(judges), axis=1))
+    off = mine - J
+    off[:, :3] /= size
+    position, angle = pose_errors(poses.reshape(-1, 4, 4), targets.reshape(-1, 4, 4))
+    found = {"Tree pose": max(position.max() / size, angle.max())}
+    found["Tree Jacobian"] = float((np.abs(off) / scales(J, size)).max())
+    many = ik.solve_batch(tree, targets)
+    found["UNREACHABLE"] = np.inf if (many.status == ik.Status.UNREACHABLE).any() else 0.0
+    for f, judge in enumerate(judges):
+        solved = many.q[many.success]
+        if len(solved):
+            p, r = pose_errors(judge.fk(solved, names), targets[many.success, f])
+            found["answers"] = np.inf if (p > 1.001e-6).any() or (r > 1.001e-6).any() else 0.0
+        found["limits"] = np.inf if any(one.outside(many.q, names).any() for one in judges) else 0.0
+    return found
+
+
+def check_mjcf(rng: np.random.Generator) -> dict[str, float]:
+    """Largest errors of a random MJCF model, and of its answers."""
+    from mjcf_models import Judge, random_mjcf  # needs mujoco
+
+    text = random_mjcf(rng)
+    judge, robot = Judge(text), ik.Robot.load(text, tip="tip")
+    found = {"MJCF pose": 0.0, "constraints": 0.0}
+    # Equalities that contradict each other beside the path concern no answer.
+    impossible = any("contradicts" in note or "would be held" in note for note in robot.notes)
+    for q in robot.random_q(rng, 6):
+        judge.put(robot.joint_names, q)
+        T, site = robot.fk(q), judge.data.site("tip")
+        off = max(np.abs(T.translation - site.xpos).max(), np.abs(T.rotation.ravel() - site.xmat).max())
+        found["MJCF pose"] = max(found["MJCF pose"], float(off))
+        answer = ik.solve(robot, T)
+        if answer.status == ik.Status.UNREACHABLE:
+            found["UNREACHABLE"] = np.inf
+        if answer.success and not impossible:
+            judge.put(robot.joint_names, answer.q, answer.notice)
+            allowed = 1e-5 if robot.constraints else WRONG  # constraints hold within the tolerances
+            found["constraints"] = max(found["constraints"], judge.broken() * WRONG / allowed)
+    return found
+
+
+CHECKS = {"urdf": check_urdf, "tree": check_tree, "mjcf": check_mjcf}
+
+
+def main(kind: str, seed: int, count: int) -> int:
     """Try `count` robots; return the exit code."""
     refused: collections.Counter[str] = collections.Counter()
     most: collections.Counter[str] = collections.Counter()
     wrong, crashes, tried = [], [], 0
     for i in range(count):
-        rng = np.random.default_rng([seed, i])
-        case = random_case(rng)
         try:
-            robot = load(case)
+            errors = CHECKS[kind](np.random.default_rng([seed, i]))
         except ModelError as error:
             refused[re.sub(r"'[^']*'|-?\d+(\.\d+)?(e[+-]\d+)?", "*", str(error))] += 1
             continue
@@ -89,15 +157,13 @@ def main(seed: int, count: int) -> int:
             crashes.append((i, traceback.format_exc(limit=-1).strip().splitlines()[-1]))
             continue
         tried += 1
-        judge = case.judge()
-        errors = worst(robot, judge, rng)
         for name, error in errors.items():
             most[name] = max(most[name], error)
             if not error <= WRONG:
                 wrong.append((i, f"{name} off by {error:.2g}"))
-        if limits_differ(robot, judge, configurations(robot, rng, 16)):
-            wrong.append((i, "the limits are not the URDF's"))
-    print(f"seed {seed}: {count} random URDFs, {tried} loaded, {sum(refused.values())} refused, {len(crashes)} crashes")
+    print(
+        f"{kind}, seed {seed}: {count} random robots, {tried} loaded, {sum(refused.values())} refused, {len(crashes)} crashes"
+    )
     for reason, times in refused.most_common():
         print(f"  refused {times}: {reason}")
     for name, error in most.items():
@@ -110,8 +176,10 @@ def main(seed: int, count: int) -> int:
 
 if __name__ == "__main__":
     faulthandler.enable()  # reports where the process crashed
+    logging.getLogger("ik_toolkit").setLevel(logging.ERROR)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kind", choices=CHECKS, default="urdf")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=2400)
     arguments = parser.parse_args()
-    sys.exit(main(arguments.seed, arguments.count))
+    sys.exit(main(arguments.kind, arguments.seed, arguments.count))

@@ -36,7 +36,7 @@ def test_one_vector_is_doubted_in_one_sentence_however_it_is_called_on_its_way(r
 
 def test_angles_that_limits_allow_are_not_taken_for_degrees(caplog):
     far = robots.urdf(
-        dict(kind="revolute", limits=(20.0, 30.0)), dict(kind="revolute", axis="0 1 0", limits=(-2.0, 2.0))
+        dict(kind="revolute", limits=(20.5, 30.0)), dict(kind="revolute", axis="0 1 0", limits=(-2.0, 2.0))
     )
     errors.DOUBTED.clear()
     robot = ik.Robot.load(far)

@@ -13,7 +13,7 @@ import pytest
 from numba import config
 
 import ik_toolkit as ik
-from ik_toolkit.cli import first_use, main
+from ik_toolkit.cli import doctor, first_use, main
 from ik_toolkit.kernel import cache as kernels
 
 SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2", "--json"]
@@ -97,6 +97,49 @@ def test_the_second_run_repeats_no_notice_and_runs_nothing_from_the_current_fold
     assert done.stderr.count("were degrees meant") == 1 and "current folder" not in done.stderr
 
 
+DYING = """
+import os, sys
+from pathlib import Path
+from ik_toolkit.cli import first_use
+with first_use.only_one(Path(sys.argv[1])):
+    print("a last word", flush=True)
+    {end}
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "dead"), [("os.abort()", True), ("raise ValueError", True), ("raise KeyboardInterrupt", False)]
+)
+def test_a_compiler_that_died_in_the_background_is_reported(tmp_path, end, dead, monkeypatch, capsys):
+    place = folder(tmp_path)
+    place.mkdir(parents=True, exist_ok=True)
+    with open(place / first_use.LOG, "wb") as log:
+        subprocess.run(
+            [sys.executable, "-c", DYING.format(end=end), place], stdout=log, stderr=subprocess.DEVNULL, check=False
+        )
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("nothing is begun that dies again"))
+    monkeypatch.setattr(first_use, "_run", lambda *_: 0)
+    if not dead:
+        assert not first_use.died(place)
+        return
+    assert first_use.again(SOLVE, place, []) == 0
+    said = capsys.readouterr().err
+    assert "ended before it was done: a last word" in said and "ik doctor --prepare" in said
+    (row,) = first_use_rows()
+    assert row["state"] == "problem" and "a last word" in row["detail"]
+    with open(place / first_use.LOCK, "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        (row,) = first_use_rows()
+        assert row["state"] == "ok" and "at work" in row["detail"]
+    first_use.forget(place)
+    assert not first_use_rows()
+
+
+def first_use_rows():
+    return list(doctor._background())
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_the_second_run_ends_with_the_command(number, code):
     # A command that stops where it would compile, and whose second run sleeps until it is ended.
@@ -108,9 +151,9 @@ def needed(*_):
     raise first_use.CompileNeeded(None)
 second = '''
 import sys, time
-from ik_toolkit.cli.streams import on_sigterm
+from ik_toolkit.cli.streams import stoppable
 try:
-    with on_sigterm([]):
+    with stoppable([]):
         print(1, flush=True)
         time.sleep(60)
 except KeyboardInterrupt:

@@ -82,6 +82,14 @@ def test_check_finds_nothing_or_says_what(run, tmp_path):
     assert code == 1 and "error" in out and "joint 'j'" in out
     found = json.loads(run("check", file, "--json")[1])
     assert not found["loadable"] and found["errors"] >= 1 and found["findings"][0]["severity"] == "error"
+    file.write_text(
+        file.read_text().replace("<parent", "\n<origin rpv='0 0 1'/><parent").replace("link='b'", "link='x'")
+    )
+    file.write_text(file.read_text().replace("<joint", "<link name='x'/><joint"))
+    code, out, err = run("check", file)
+    assert code == 0 and "rpv=" in out and "warning       2" in out and not err
+    (found,) = json.loads(run("check", file, "--json")[1])["findings"]
+    assert found["line"] == 2 and found["at_load"] and "rpv= of <origin>" in found["problem"]
 
 
 def test_check_expands_xacro(run, tmp_path):
@@ -94,7 +102,19 @@ def test_check_expands_xacro(run, tmp_path):
     )
     code, out, _ = run("check", file)
     assert code == 1 and "nobody" in out
+    assert "the lines are those of the URDF that ik convert writes" in out
     assert run("check", file, "--xacro-arg", "parent:=a")[0] == 0
+
+
+def test_check_says_what_an_mjcf_loses(run, tmp_path):
+    pytest.importorskip("mujoco")
+    file = tmp_path / "arm.xml"
+    body = '<body><geom size="1"/><joint name="j{0}" range="{1}"/>'
+    file.write_text(
+        f"<mujoco><worldbody>{body.format(1, '60 0')}{body.format(2, '0 60')}</body></body></worldbody></mujoco>"
+    )
+    code, out, _ = run("check", file)
+    assert code == 0 and "the range of j1 is reversed" in " ".join(out.split()) and "j2" not in out
 
 
 def test_doctor_finds_this_machine_healthy(run):

@@ -3,6 +3,7 @@
 import csv
 import json
 import signal
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from robots import load, sample
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidTarget
 from ik_toolkit.robot import pose_files
 from ik_toolkit.robot.pose import matrix_quat, matrix_rpy
 
@@ -136,11 +138,27 @@ def test_bad_arrays_are_named(tmp_path, capsys):
             "give only one of them",
         ),
         ({"targets": np.full((2, 3), np.inf)}, "target 0"),
-        ({"targets": np.array([None, None])}, "cannot read"),
+        ({"targets": np.array([None, None])}, "targets holds values of the type object, not real numbers"),
+        ({"targets": np.array([["2020-01-01"] * 3], dtype="M8[D]")}, "datetime64[D], not real numbers"),
+        ({"targets": np.array([["1", "2", "3"]])}, "targets holds values of the type <U1, not real numbers"),
+        ({"xyz": np.ones((1, 3)) * 1j}, "xyz holds values of the type complex128, not real numbers"),
+        ({"xyz": np.ones((1, 3), dtype=bool)}, "xyz holds values of the type bool, not real numbers"),
+        ({"xyz": np.ones((1, 3)), "quat_xyzw": np.full((1, 4), "1")}, "quat_xyzw holds values of the type <U1"),
+        ({"targets": np.zeros(1, dtype=[("a", "f8")])}, "targets holds values of the type"),
     ):
         np.savez(tmp_path / "bad.npz", **arrays)
         assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
         assert words in capsys.readouterr().err
+    for tips, arrays, words in (
+        ((), {"targets": np.zeros((3 * 10**6, 3))}, "save it with numpy.savez, without"),
+        (("a", "b"), {"tips": np.zeros(10**6, dtype="U1"), "targets": np.zeros((1, 2, 3))}, "too many for names"),
+    ):
+        np.savez_compressed(tmp_path / "bad.npz", **arrays)
+        tracemalloc.start()
+        with pytest.raises(InvalidTarget, match=words):
+            pose_files.read_poses(tmp_path / "bad.npz", "targets", tips=tips)
+        assert tracemalloc.get_traced_memory()[1] < 1e6  # none of it was unpacked
+        tracemalloc.stop()
     (tmp_path / "bad.npz").write_bytes(b"not a zip")
     assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
     said = capsys.readouterr().err

@@ -25,6 +25,7 @@ HEAVY = {
     "dask",
     "distributed",
     "cma",
+    "sympy",
     "scipy.optimize",
 }  # numba looks at scipy itself
 

@@ -118,11 +118,11 @@ def test_what_is_reached_without_a_reconfiguration_is_counted(flat):
 
 # ------------------------------------------------------------------------------------------- poses that are far apart
 def test_poses_are_reached_where_those_in_between_are_not(arm):
-    """Five joints cannot keep to the straight way between full poses: each pose was given up that no neighbour leads to."""
+    """Five joints cannot keep to the straight way between full poses: the motion that keeps nearest it leads through them."""
     five = arm.locked({"forearm_roll": 0.4})
     T = between(five, five.lower * 0.8 + five.upper * 0.2, five.lower * 0.2 + five.upper * 0.8, 12)
     made = ik.solve_path(five, T, seed=1)
-    assert made.status == PathStatus.RECONFIGURES and len(made.reconfigurations) == 11
+    assert made.status == PathStatus.FOLLOWED and made.deviation[0] > made.path_tolerance[0]
     errors = np.array([five.errors(q, one) for q, one in zip(made.q, T, strict=True)])
     assert errors.max() <= 1e-6
     T[3:7, 2, 3] += 3.0

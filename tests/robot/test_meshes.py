@@ -132,7 +132,7 @@ def crowd(folder, names):
     arm = robot("a.stl", folder)
     shape = '<{0}><geometry><mesh filename="{1}"/></geometry></{0}>'
     more = "".join(shape.format(role, name) for name in names for role in ("visual", "collision"))
-    arm.urdf = arm.urdf.replace("<visual>", f"{more}<visual>", 1)
+    vars(arm)["urdf"] = arm.urdf.replace("<visual>", f"{more}<visual>", 1)
     return arm
 
 
@@ -274,7 +274,7 @@ def test_counts_of_shapes_are_capped(place):
     ball = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
     for tag, most in (("collision", 300), ("visual", 2_000)):
         arm = robot("a.stl", place / "robot", role="visual")
-        arm.urdf = arm.urdf.replace(
+        vars(arm)["urdf"] = arm.urdf.replace(
             "</visual></link>", "</visual>" + ball.replace("collision", tag) * (most + 1) + "</link>"
         )
         if tag == "collision":
@@ -286,7 +286,7 @@ def test_counts_of_shapes_are_capped(place):
 
 def test_a_mesh_that_is_used_over_and_over_is_counted_each_time(place, monkeypatch):
     arm = robot("a.stl", place / "robot")
-    arm.urdf = arm.urdf.replace(
+    vars(arm)["urdf"] = arm.urdf.replace(
         "<visual>", "<visual>" + "<geometry><mesh filename='a.stl'/></geometry></visual><visual>" * 9
     )
     monkeypatch.setattr(shapes, "MAX_TOTAL", 9)
@@ -315,7 +315,7 @@ SIZES += [
 @pytest.mark.parametrize("shape", SIZES)
 def test_shapes_without_extent_are_said(shape, place):
     arm = robot("a.stl", place / "robot")
-    arm.urdf = arm.urdf.replace('<mesh filename="a.stl"/>', f"<{shape}/>" if shape else "")
+    vars(arm)["urdf"] = arm.urdf.replace('<mesh filename="a.stl"/>', f"<{shape}/>" if shape else "")
     with pytest.raises(
         ModelError, match=r"link 'l1': .*(is not a valid shape|is zero or too large|has no|is not a shape)"
     ):

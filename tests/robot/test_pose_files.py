@@ -1,47 +1,110 @@
-"""Files of poses: what the rotations are, whichever form and file they come in."""
+"""CSV files of poses as spreadsheets write them: what cannot be read is refused with its line, and names run nothing."""
+
+import csv
 
 import numpy as np
-import pinocchio as pin
 import pytest
+import robots
 
+import ik_toolkit as ik
+from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.files import inert, without_mark, write_table
 from ik_toolkit.robot.pose_files import read_poses
+from ik_toolkit.show.motions import read_motion
 
 
-def poses_of(file):
+def poses_of(tmp_path, text):
+    file = tmp_path / "poses.csv"
+    file.write_bytes(text.encode())
     return np.concatenate([block.poses for block in read_poses(file, "targets")[1]])
 
 
-@pytest.mark.parametrize("form", ["csv", "npz"])
-def test_rotations(tmp_path, form):
-    """Quaternions as written with few digits have a length of nearly 1; they are rotations all the same."""
-    rng = np.random.default_rng(5)
-    R = [pin.exp3(rng.normal(size=3) * size) for size in (0.0, 0.3, 1.0, 2.0, 3.0, 9.0)]
-    quats = np.array([pin.Quaternion(one).coeffs() for one in R])
-    lengths = np.array([1.0, 1.005, 0.995, 1.009, 0.991, 1.0])[:, None]
-    xyz = rng.normal(size=(6, 3))
-    if form == "csv":
-        file = tmp_path / "poses.csv"
-        rows = np.hstack([xyz, quats * lengths])
-        file.write_text("x,y,z,qx,qy,qz,qw\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist()))
-    else:
-        file = tmp_path / "poses.npz"
-        np.savez(file, xyz=xyz, quat_xyzw=quats * lengths)
-    T = poses_of(file)
-    assert np.abs(T[:, :3, :3] - R).max() < 1e-14 and np.array_equal(T[:, :3, 3], xyz)
-    assert np.array_equal(T[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (6, 1)))
+REFUSED = {
+    "x,y,z\n1,2,3\n0,5,-1,0,2\n": "line 3: 5 columns, more than in the header; are decimals written with a comma",
+    "x,y,z\n0,5,1,5,0,0\n": "line 2: 6 columns, more",
+    "x,y,z\n1,2,3,\n": "line 2: 4 columns, more",
+    "x,y,z,note\n1,2,3\n": "line 2: 3 columns, fewer than in the header",
+    "x,y,z\n1,2\n": "line 2: 2 columns, fewer",
+    "x;y;z\n0,5;1,0;0\n": "not semicolons: columns are separated by commas, and decimals written with a point",
+    "x\ty\tz\n0.5\t1\t0\n": "not tabs",
+    "0.5,1,0\n0.5,1,0.1\n": "has no column x, y, z; its first line must be x,y,z",
+    "x,y,z,x\n1,2,3,4\n": "has the column x more than once",
+    'x,y,z\n"0,5",1,0\n': "line 2: '0,5' is not a finite number",
+    'x,y,z\n1,"2,3\n': "line 2: .*unclosed quote",
+    "x,y,z\n1,2,3\n\n1,2,3,4\n": "line 4: 4 columns",
+}
 
 
-def test_a_quaternion_of_another_length_is_named_with_its_line(tmp_path):
-    file = tmp_path / "poses.csv"
-    for w in ("1.02", "0.98", "0.0", "nan"):
-        file.write_text(f"x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n0,0,0,0,0,0,{w}\n")
-        with pytest.raises(InvalidTarget, match="line 3"):
-            poses_of(file)
+@pytest.mark.parametrize("text", REFUSED)
+def test_rows_that_do_not_fit_their_header_are_refused_with_their_line(tmp_path, text):
+    with pytest.raises(InvalidTarget, match=REFUSED[text]):
+        poses_of(tmp_path, text)
 
 
-def test_angles(tmp_path):
-    file = tmp_path / "poses.csv"
-    file.write_text("x,y,z,roll,pitch,yaw\n1,2,3,0.3,-0.4,0.5\n")
-    R = pin.rpy.rpyToMatrix(0.3, -0.4, 0.5)
-    assert np.abs(poses_of(file)[0, :3, :3] - R).max() < 1e-15
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x,y,z\n0.5,1,-2\n",
+        '"x","y","z"\r\n"0.5","1","-2"\r\n',
+        '\ufeffnote,x,y,z\n"a, b",0.5,1,-2\n',
+        " X , y,z\n 0.5, 1 ,-2",
+    ],
+)
+def test_what_is_meant_is_read(tmp_path, text):
+    assert poses_of(tmp_path, text).tolist() == [[0.5, 1.0, -2.0]]
+
+
+def test_a_longer_row_far_down_a_large_file_is_found(tmp_path):
+    rows = ["0.1,0.2,0.3"] * 40_000
+    rows[30_000] = "0,1,0,2,0,3"
+    with pytest.raises(InvalidTarget, match="line 30002: 6 columns"):
+        poses_of(tmp_path, "x,y,z\n" + "\n".join(rows))
+
+
+# --------------------------------------------------------------------------------------------------------------- formulas
+NAMES = ["=1+1", "+a", "-a", "@sum", "\tx", "\rx", "'=1", "''+a", "'", "'a", "a=b", "", "q_=1", "-", "- 0.5"]
+NUMBERS = ["-0.5", "+1", "-inf", "1e-3", "-1e300"]
+
+
+def test_names_run_nothing_and_are_read_back():
+    for name in NAMES:
+        assert inert(name)[:1] not in ("=", "+", "-", "@", "\t", "\r") and without_mark(inert(name)) == name, name
+    assert [inert(number) for number in NUMBERS] == NUMBERS
+    assert len({inert(name) for name in NAMES}) == len(NAMES)
+
+
+def test_tables_keep_their_numbers(tmp_path):
+    write_table(tmp_path / "a.csv", ["=cmd()", "b"], [["@x", -0.5], [-1.5, "-2"]])
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        assert list(csv.reader(stream)) == [["'=cmd()", "b"], ["'@x", "-0.5"], ["-1.5", "-2"]]
+
+
+def test_joints_whose_names_are_formulas(tmp_path, monkeypatch):
+    """From a description through each of our files, and back."""
+    text = robots.urdf(*({"kind": "revolute", "axis": "0 0 1", "xyz": "0.5 0 0"} for _ in range(3)))
+    for k, name in enumerate(("=HYPERLINK()", "@j", "-j")):
+        text = text.replace(f'name="j{k}"', f'name="{name}"')
+    (tmp_path / "arm.urdf").write_text(text)
+    (tmp_path / "in.csv").write_text("x,y,z\n1.2,0.3,0.0\n1.1,0.3,0.0\n")
+    monkeypatch.chdir(tmp_path)
+    robot = ik.Robot.load("arm.urdf")
+    assert main(["solve", "arm.urdf", "--targets", "in.csv", "-o", "out.csv"]) == 0
+    with open("out.csv", newline="") as stream:
+        head = next(csv.reader(stream))
+    assert head[:3] == ["'=HYPERLINK()", "'@j", "'-j"]
+    ik.solve_path(robot, [robot.fk(q).translation for q in np.linspace((0.2,) * 3, (0.4,) * 3, 4)]).save("path.csv")
+    t, Q = read_motion(robot, "path.csv")
+    assert t is None and Q.shape == (4, 3)
+
+
+def test_tips_whose_names_are_formulas(tmp_path):
+    (tmp_path / "in.csv").write_text("'=tip.x,'=tip.y,'=tip.z\n1,2,3\n")
+    (block,) = read_poses(tmp_path / "in.csv", "targets", tips=["=tip"])[1]
+    assert block.poses["=tip"].tolist() == [[1.0, 2.0, 3.0]]
+
+
+def test_a_motion_of_ragged_rows_is_refused(tmp_path):
+    (tmp_path / "m.csv").write_text("joint_1,joint_2\n0,1,0,2\n0,1,0,3\n")
+    with pytest.raises(ik.IKError, match="line 2 has 4 columns, and the header 2"):
+        read_motion(robots.load("planar_2r"), tmp_path / "m.csv")

@@ -58,6 +58,49 @@ def test_equal_ends_are_not_guessed_between():
     assert len(str(caught.value)) < 200
 
 
+def scene(count, *things):
+    """An arm of `count` joints that ends in link `seg`, and things of a scene (name, joint type) beside it."""
+    text = '<robot name="scene"><link name="world"/>'
+    for i in range(count):
+        end = "seg" if i == count - 1 else f"l{i}"
+        text += joint(f"j{i}", "revolute", f"l{i - 1}" if i else "world", end)
+    return text + "".join(joint(f"{name}_joint", kind, "world", name) for name, kind in things) + "</robot>"
+
+
+@pytest.mark.parametrize(
+    "things",
+    [
+        [("crate", "floating")],
+        [("box", "floating"), ("gripper_box", "planar"), ("hand_tool", "floating")],
+        [("target", "fixed"), ("lidar_link", "revolute"), ("door", "revolute")],
+        [("camera2", "prismatic"), ("lidar_tcp", "revolute"), ("goal_tool", "revolute")],
+    ],
+)
+def test_things_of_a_scene_are_no_tips(things):
+    for load in (ik.Robot.load, ik.Robot.from_urdf):
+        assert load(scene(5, *things)).tip == "seg"
+
+
+def test_a_robot_on_a_floating_base_keeps_its_tip():
+    floats = '<robot name="r"><link name="world"/>' + joint("f", "floating", "world", "o")
+    text = floats + joint("j1", "revolute", "o", "a") + joint("j2", "revolute", "a", "hand") + "</robot>"
+    assert ik.Robot.load(text).tip == "hand" and ik.Robot.load(text, base_limits=(-1, 1)).n == 8
+    assert any("joint 'f' is held still and poses are given in 'o'" in note for note in ik.Robot.load(text).notes)
+    assert any("joint 'f' is held" in note for note in ik.Tree.load(text, tips=["hand"]).notes)
+    assert not ik.Robot.load(text, base_limits=(-1, 1)).notes
+    assert ik.Robot.load(floats + "</robot>", base_limits=(-1, 1)).tip == "o"
+
+
+def test_a_sensor_of_one_joint_is_no_tip_of_two_arms():
+    text = '<robot name="h"><link name="pelvis"/>' + joint("waist", "revolute", "pelvis", "torso")
+    text += joint("lid", "fixed", "torso", "lidar_link") + joint("pole", "fixed", "torso", "pole_link")
+    for side in ("left", "right"):
+        text += joint(f"{side}_a", "revolute", "torso", f"{side}_upper")
+        text += joint(f"{side}_b", "revolute", f"{side}_upper", f"{side}_force_sensor")
+    with pytest.raises(FrameNotFound, match="several likely tips: left_force_sensor, right_force_sensor"):
+        ik.Robot.load(text + "</robot>")
+
+
 def test_joints_are_tips_too():
     robot = ik.Robot.load(arm("tool0"), tip="j2")
     assert robot.n == 2 and ik.Robot.load(arm("tool0"), tip="b").fk([0.3, 0.4]).isApprox(robot.fk([0.3, 0.4]))

@@ -6,11 +6,16 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
+import robots
+from random_trees import random_tree
+from second_fk import SecondFK, pose_errors
 from trees import TREES, direct, mixed, poses, tree_of
 
 import ik_toolkit as ik
 from ik_toolkit import errors
+from ik_toolkit.errors import ModelError
 from ik_toolkit.robot.library import find
+from ik_toolkit.robot.robot import Robot
 from ik_toolkit.robot.tree import Tree
 
 
@@ -129,7 +134,7 @@ def test_configurations_as_of_a_robot(tree):
     assert f"{tree.base} → " in tree._repr_html_()
 
 
-def test_limits_of_a_shared_joint_are_those_of_both_paths():
+def test_limits_of_a_shared_joint_are_those_of_all_its_followers():
     tree = tree_of("mixed")
     lift, left = tree.joint_names.index("lift"), tree.arms[0]
     # the right arm's follower (0.8 lift + 0.1 within -1.6..1.8) allows more than the lift itself: the lift's own limit stays
@@ -141,7 +146,7 @@ def test_limits_of_a_shared_joint_are_those_of_both_paths():
         tight = ik.Tree.load(mixed().replace('multiplier="0.05"', 'multiplier="0.2"'), tips=tips)
         assert tight.upper[turn] == pytest.approx((0.3 - 0.02) / 0.2)
         assert tight.lower[turn] == pytest.approx((-0.2 - 0.02) / 0.2)
-        assert max(arm.upper[0] for arm in tight.arms) == 2.0
+        assert {arm.upper[0] for arm in tight.arms} == {tight.upper[turn]}  # a follower off the path counts too
 
 
 def test_a_joint_that_one_path_follows_never_jumps_a_turn():
@@ -259,3 +264,73 @@ def test_errors_take_targets_in_order_or_by_tip(brokk):
         brokk.errors(brokk.home, {**beside, "lefttip": beside[left]})
     with pytest.raises(errors.InvalidConfiguration):
         brokk.errors(brokk.home[1:], beside)
+
+
+def branched(ratio=0.5, limits=(-1.5, 1.5)):
+    """Two arms on a torso; the second joint of the left one follows the first of the right one."""
+    tie = f'<mimic joint="r0" multiplier="{ratio}" offset="0.1"/>'
+    parts = [robots.joint("torso", "revolute", "root", "chest", "0 0 1", "0 0 0.3")]
+    for side in "lr":
+        parent = "chest"
+        for k in range(4):
+            name, axis = f"{side}{k}", ("0 1 0", "1 0 0", "0 1 0", "0 0 1")[k]
+            mine = (tie, limits) if name == "l1" else ("", (-1.5, 1.5))
+            parts.append(
+                robots.joint(
+                    name, "revolute", parent, f"{name}_link", axis, "0.2 0.1 0.1", "0.1 0.2 0", mine[1], mine[0]
+                )
+            )
+            parent = f"{name}_link"
+    return f'<robot name="branched"><link name="root"/>{"".join(parts)}</robot>'
+
+
+def test_a_follower_on_the_branch_of_the_base_moves_all_tips():
+    """Base on the left hand: l1, between it and the torso, follows a joint of the right arm and so moves the other tips too."""
+    text = branched()
+    tree = Tree.load(text, base="l3_link", tips=["chest", "root", "r3_link"])
+    assert tree.joint_names == ("r0", "r1", "r2", "r3")
+    assert [arm.joint_names for arm in tree.arms] == [("r0",), ("r0",), ("r0", "r1", "r2", "r3")]
+    Q = tree.random_q(np.random.default_rng(0), 10)
+    for tip in tree.tips:
+        his = SecondFK(text, "l3_link", tip).fk(Q, tree.joint_names)
+        mine = np.array([tree.fk(q)[tip].homogeneous for q in Q])
+        assert np.abs(mine - his).max() < 1e-12
+    many = ik.solve_batch(
+        tree, {tip: np.array([tree.fk(q)[tip].homogeneous for q in Q]) for tip in tree.tips}, check=1.0
+    )
+    assert many.success.all()
+    again = pickle.loads(pickle.dumps(tree))
+    assert again.joint_names == tree.joint_names and np.array_equal(again.home, tree.home)
+    held = tree.locked({"r1": 0.3})
+    assert held.joint_names == ("r0", "r2", "r3") and np.array_equal(held.lower, tree.lower[[0, 2, 3]])
+    turned = Tree.load(text, base="l3_link", tips=["r3_link", "chest"])
+    assert turned.joint_names == tree.joint_names
+    with pytest.raises(ModelError, match="no moving joint between base 'l3_link' and tip 'chest'"):
+        Robot.load(text, base="l3_link", tip="chest")
+
+
+def test_limits_and_speeds_of_a_follower_off_the_path_count():
+    text = branched(ratio=2.0, limits=(-0.9, 1.1))
+    arm = Robot.load(text, tip="r3_link")
+    assert arm.lower[1] == pytest.approx(-0.5) and arm.upper[1] == pytest.approx(0.5)  # (l1 - 0.1) / 2
+    plain = Robot.load(branched(ratio=0.1), tip="r3_link").velocity_limits[1]
+    assert arm.velocity_limits[1] == 0.5 * plain
+
+
+def test_random_trees_agree_with_the_second_fk():
+    """The same trees as scripts/break/robots.py --kind tree tries by the hundred."""
+    tried = 0
+    for seed in range(40):
+        case = random_tree(rng := np.random.default_rng([3, seed]))
+        try:
+            tree = Tree.load(case.text, base=case.base, tips=case.tips)
+        except ModelError:
+            continue
+        tried += 1
+        Q = tree.random_q(rng, 4)
+        for tip, judge in zip(case.tips, case.judges(), strict=True):
+            mine = np.array([tree.fk(q)[tip].homogeneous for q in Q])
+            position, angle = pose_errors(mine, judge.fk(Q, tree.joint_names))
+            assert position.max() < 1e-11 * max(tree.reach, judge.largest_offset()) and angle.max() < 1e-11
+            assert not judge.outside(Q, tree.joint_names).any()
+    assert tried > 30

@@ -379,6 +379,8 @@ def test_a_worker_does_the_newest_and_survives():
 
 
 def test_refusals_by_header():
+    from websockets.datastructures import Headers
+
     from ik_toolkit.show.gate import is_loopback, refusal
 
     assert is_loopback("127.0.0.1") and is_loopback("localhost") and is_loopback("::1") and not is_loopback("0.0.0.0")
@@ -386,3 +388,7 @@ def test_refusals_by_header():
     assert "only" in refusal({"Host": "evil.example:1"}, "127.0.0.1")
     assert refusal({"Host": "arm.example:1", "Origin": "http://arm.example:1"}, "0.0.0.0") == ""
     assert "other sites" in refusal({"Host": "arm.example:1", "Origin": "http://evil.example"}, "0.0.0.0")
+    host, origin = ("Host", "localhost:1"), ("Origin", "http://localhost:1")
+    assert refusal(Headers([host, origin]), "127.0.0.1") == ""
+    for twice in ([host, ("host", "evil.example"), origin], [host, origin, ("origin", "http://evil.example")]):
+        assert "more than one header" in refusal(Headers(twice), "127.0.0.1")

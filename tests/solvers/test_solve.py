@@ -74,7 +74,7 @@ def test_names_classes_and_instances_mean_the_same():
         (dict(mask=("x",) * 6), errors.InvalidOption, "mask must be numbers"),
         (dict(joint_weights="ab"), errors.InvalidOption, "joint_weights must be numbers"),
         (dict(objective=["mid-range"]), errors.InvalidOption, "objective must be one of"),
-        (dict(limits="no"), errors.InvalidOption, "limits must be True or False here, not 'no'"),
+        (dict(limits="no"), errors.InvalidOption, "limits must be True, False, a dict from joint names"),
         (dict(seed=10**400), errors.InvalidOption, "seed"),
         (dict(solver="lm", damping=[1, 2]), errors.InvalidOption, r"finite numbers, not damping=\[1, 2\]"),
         (dict(solver=ik.LM(damping=None)), errors.InvalidOption, "parameters of solver 'lm'"),

@@ -177,3 +177,35 @@ def test_a_run_over_streams_goes_on_where_its_file_leaves_off(scripts, monkeypat
         ("second", [*processes], None),
         ("third", [*processes], kept[3]["rows"]),
     ]
+
+
+def test_data_are_compact_and_lose_no_figure(scripts):
+    """A row a line: what the commands wrote comes back to the last digit, and is written the same again."""
+    common = scripts("common")
+    files = sorted((SCRIPTS.parent / "docs" / "data").glob("benchmark_*.json"))
+    assert files
+    for path in files:
+        data = common.read(path)
+        assert path.read_text(encoding="utf-8") == common.compact(data) + "\n", path.name
+        for row in data.get("rows", []):
+            assert len(json.dumps(row)) <= common.ROW or "\n" in common.compact(row)
+    odd = {"a": [0.1 + 0.2, None, "x\n|"], "b": [{"k": [1e-300] * 200}] * 3, "c": {}}
+    assert json.loads(common.compact(odd)) == odd and len(common.compact(odd).splitlines()) > 3
+
+
+def test_benchmark_pages_are_made_from_the_data(scripts):
+    """No figure is typed: the answers and every page below them are what page.py makes of docs/data."""
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
+    page, common = scripts("page"), scripts("common")
+    docs = SCRIPTS.parent / "docs"
+    found = {}
+    for one in page.PAGES:
+        path = docs / "data" / f"benchmark_{one.data}.json"
+        if path.exists():
+            found[one.data] = common.read(path)
+            text = (docs / "benchmarks" / f"{one.name}.md").read_text(encoding="utf-8")
+            assert text == page.detail(one, found[one.data]), one.name
+    text = (docs / "benchmarks.md").read_text(encoding="utf-8")
+    for answer in page.answers(found):
+        assert f"## {answer.question}\n\n{answer.words}" in text and answer.table in text
+        assert (docs / "benchmarks" / f"{answer.page}.md").exists()

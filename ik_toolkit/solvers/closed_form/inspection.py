@@ -17,7 +17,7 @@ from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, ORTHONORMAL, 
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS, copy
-from ..derivation import Derivation
+from ..explain.worked_solution import WorkedSolution
 from ..protocol import Asked, closed_form, fitted
 from .finish import polish
 from .geometry import (
@@ -240,7 +240,7 @@ class Inspection(NamedTuple):
         place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
-    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivation:
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
         """The formulas with their numbers for T (4, 4); box (4, n) as for `every`."""
         from .inspection_steps import derive
 

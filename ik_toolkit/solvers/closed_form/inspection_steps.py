@@ -4,9 +4,11 @@ import math
 from typing import Any
 
 import numpy as np
+from sympy import Abs, Matrix, Max, Min, atan2, cos, pi, sin, sqrt
 
 from ...kernel.jit import cached
-from ..derivation import Branch, Derivation, Free, Step, Worksheet, joint_step, zero_steps
+from ..explain.worked_solution import Branch, Free, WorkedSolution
+from ..explain.worksheet import Worksheet, zero_angles
 from .lift_arm import A4, A6, GIVEN, JOINTS, LIFT, joint_values, near_angles, wrist_pose
 from .lift_list import feasible_lifts, looks
 from .reach import (
@@ -32,7 +34,6 @@ SHOULDER, ROOM, MOVED, ON_SIX, STRAIGHT, BEND, INNER, HEADING = (
 ANGLES, BROKEN, Q = 3, 9, 10  # slots of a branch
 BASE, TOOL = 0, 12  # slots of the transforms base -> shoulder axes and tip -> wrist axes: rotation, point
 ALIGNED = 1e-12  # [m], or of a rotation: what rounding leaves of axes that are the same
-ORDINALS = ("first", "second", "third")
 PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
@@ -67,7 +68,7 @@ def worked_out(p, T, d, box, head, table):
     return count
 
 
-def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivation:
+def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
     """Formulas and branches of the pose T (4, 4) at box[2]'s lift, or the given one; box as in `geometry.copy_limits`."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
@@ -75,121 +76,130 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivat
     count = worked_out(p, T, sign * value, box, head, table)
     marks = np.empty((count, 3), dtype=np.int8)
     looks(p, T, sign * value, np.ascontiguousarray(table[:count, Q:]), marks)
-    given = _given(robot, p, T, head, sign * value)
-    first = next((k for k, step in enumerate(given) if step.formula), len(given))
-    shared = (*given[first:], *_shared(given, head))
-    given = given[:first]
+    sheet = Worksheet()
+    symbols = _forearm(sheet, p, T, head, sign * value)
     branches = []
     for row, mark in zip(table[:count], marks, strict=True):
         label = ", ".join(f"{name} {SIGNS[int(x)]}" for name, x in zip(PARTS, mark, strict=True))
         q = row[Q:].copy()
         outside = tuple(robot.outside(q)) if row[BROKEN] > 0.0 else ()
-        branches.append(Branch(label, q, outside, _own(robot, p, (*given, *shared), head, row)))
+        own = Worksheet(sheet.steps)
+        _angles(own, symbols, robot, p, head, row)
+        branches.append(Branch(label, q, outside, tuple(own.steps)))
     free, words = None, ""
-    near = EDGE * (p[A4] + p[A6])
     if place >= 0:
         inside = feasible_lifts(p, T, box[0, place], box[1, place])
         free = Free(place, "lift", tuple(inside), tuple(feasible_lifts(p, T)))
-    if head[ROOM] < -near:
+    if _is_far(p, head):
         where = f" at lift {round(1000.0 * value, 6) + 0.0:.6g} mm" if place >= 0 else ""
         words = (
             f"the pose is {1000.0 * head[MOVED]:.4g} mm out of reach{where}; the branches are those of the nearest one with "
             "the same orientation"
         )
-    return Derivation(given, shared, tuple(branches), LEGEND, words, free)
+    return WorkedSolution(tuple(sheet.steps), tuple(branches), LEGEND, words, free)
 
 
-def _given(robot: Any, p: np.ndarray, T: np.ndarray, head: np.ndarray, d: float) -> tuple[Step, ...]:
-    """What the formulas start from; the last steps are the wrist, where it follows from the target by a shift alone."""
-    steps = [
-        Step("a4", "", p[A4], "m", "shoulder to axis 5"),
-        Step("a6", "", p[A6], "m", "axis 5 to axis 7"),
-        Step("d", "", d, "m", "height of the shoulder above where it is at lift 0"),
-    ]
+def _is_far(p: np.ndarray, head: np.ndarray) -> bool:
+    """Whether the pose is out of reach, so that the formulas are those of the nearest one."""
+    return bool(head[ROOM] < -EDGE * (p[A4] + p[A6]))
+
+
+def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> tuple[Any, Any, dict[str, Any]]:
+    """Give the target; return the wrist's rotation, its point, and the angles theta at q = 0 as symbols.
+
+    The point follows by a formula where base and tool only shift and the target is in reach: the rotation is then the target's.
+    """
     plain = all(np.abs(p[at : at + 9].reshape(3, 3) - np.eye(3)).max() < ALIGNED for at in (BASE, TOOL))
     of = "the target's rotation" if plain else "the wrist's rotation, in the shoulder's axes"
-    for k, letter in enumerate("noa"):
-        words = f"{ORDINALS[k]} column of {of}"
-        steps += [Step(f"{letter}_{x}", "", head[3 * i + k], "", words if not i else "") for i, x in enumerate("xyz")]
-    steps += zero_steps({name: p[JOINTS + 3 * k + 2] for k, name in enumerate(THETA)})
+    columns = [
+        sheet.vector(letter, None, "", f"{ordinal} column of {of}", head[k:9:3])
+        for k, (letter, ordinal) in enumerate(zip("noa", ("first", "second", "third"), strict=True))
+    ]
+    R = Matrix.hstack(*columns)
+    zeros = zero_angles(sheet, {name: p[JOINTS + 3 * k + 2] for k, name in enumerate(THETA)})
     words = "the wrist, on axis 7 and level with axis 6, from the shoulder at lift 0"
-    if not plain:
-        steps += [Step(f"w_{x}", "", head[9 + i], "m", words if not i else "") for i, x in enumerate("xyz")]
-        return tuple(steps)
-    steps += [Step(f"p_{x}", "", T[i, 3], "m", "" if i else "the target's position") for i, x in enumerate("xyz")]
-    shift, tool = p[BASE + 9 : BASE + 12], p[TOOL + 9 : TOOL + 12]
-    up = np.abs(shift[:2]).max() < ALIGNED
-    along = np.abs(tool[1:]).max() < ALIGNED
-    names = [Step("d1", "", -shift[2], "m", "height of the shoulder at lift 0")] if up else [
-        Step(f"b_{x}", "", -shift[i], "m", "" if i else "the shoulder at lift 0") for i, x in enumerate("xyz")
-    ]  # fmt: skip
-    names += [Step("a7", "", -tool[0], "m", "axis 7 to the tip")] if along else [
-        Step(f"e_{x}", "", -tool[i], "m", "" if i else "the tip, from axis 7") for i, x in enumerate("xyz")
-    ]  # fmt: skip
-    sheet = Worksheet((*steps, *names))
-    for i, x in enumerate("xyz"):
-        formula = f"p_{x}" + (" - d1" * (i == 2) if up else f" - b_{x}")
-        formula += f" - a7*n_{x}" if along else f" - e_x*n_{x} - e_y*o_{x} - e_z*a_{x}"
-        sheet.add(f"w_{x}", formula, head[9 + i], "m", "" if i else words)
-    return (*steps, *names, *sheet.steps)
+    if _is_far(p, head):
+        words = "the wrist of the nearest pose in reach, from the shoulder at lift 0"
+    if not plain or _is_far(p, head):
+        return R, sheet.vector("w", None, "m", words, head[9:12]), zeros
+    point = sheet.vector("p", None, "m", "the target's position", T[:3, 3])
+    shift, tool = -p[BASE + 9 : BASE + 12], -p[TOOL + 9 : TOOL + 12]
+    if np.abs(shift[:2]).max() < ALIGNED:
+        foot = Matrix([0, 0, sheet.given("d1", shift[2], "m", "height of the shoulder at lift 0")])
+    else:
+        foot = sheet.vector("b", None, "m", "the shoulder at lift 0", shift)
+    if np.abs(tool[1:]).max() < ALIGNED:
+        tip = Matrix([sheet.given("a7", tool[0], "m", "axis 7 to the tip"), 0, 0])
+    else:
+        tip = sheet.vector("e", None, "m", "the tip, from axis 7", tool)
+    return R, sheet.vector("w", point - foot - R * tip, "m", words, head[9:12]), zeros
 
 
-def _shared(given: tuple[Step, ...], head: np.ndarray) -> tuple[Step, ...]:
-    """Reach and forearm: the formulas that all branches have in common."""
-    sheet = Worksheet(given)
-    sheet.add("h", "d - w_z", None, "m", "height of the shoulder above the wrist")
-    for k, (axis, letter) in enumerate(zip("xyz", "noa", strict=True)):
-        formula = f"{letter}_z*h - {letter}_x*w_x - {letter}_y*w_y"
-        sheet.add(f"s_{axis}", formula, head[SHOULDER + k], "m", "" if k else "the shoulder, in the wrist's axes")
-    sheet.add("r", "hypot(s_x, s_y)", None, "m", "its distance from axis 7")
-    moved = head[MOVED] > 0.0
-    room = "min(a4 - hypot(r - a6, s_z), hypot(r + a6, s_z) - a4)"
-    sheet.add("g", room, None if moved else head[ROOM], "m", "room left in the reach; below 0 is out of reach")
-    span = "min(max(sqrt((a4 - s_z)*(a4 + s_z)), abs(r - a6)), r + a6)"
-    sheet.add("L", span, None, "m", "size of a4 cos theta_5, clamped to what the elbow can span")
+def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, lift: float) -> dict[str, Any]:
+    """Write down what all branches have in common, reach and forearm; return the symbols that they need."""
+    a4 = sheet.given("a4", p[A4], "m", "shoulder to axis 5")
+    a6 = sheet.given("a6", p[A6], "m", "axis 5 to axis 7")
+    d = sheet.given("d", lift, "m", "height of the shoulder above where it is at lift 0")
+    R, w, zeros = _wrist(sheet, p, T, head)
+    h = sheet.formula("h", d - w[2], "m", "height of the shoulder above the wrist")
+    words = "the shoulder, in the wrist's axes"
+    s = sheet.vector("s", R.T * Matrix([-w[0], -w[1], h]), "m", words, head[SHOULDER : SHOULDER + 3])
+    r = sheet.formula("r", sqrt(s[0] ** 2 + s[1] ** 2), "m", "its distance from axis 7")
+    near, far = (sqrt((r + side * a6) ** 2 + s[2] ** 2) for side in (-1, 1))
+    words = "room left in the reach; below 0 is out of reach"
+    room = Min(a4 - near, far - a4, evaluate=False)  # unevaluated: comparing the two takes SymPy 50 ms
+    sheet.formula("g", room, "m", words, None if head[MOVED] > 0.0 else head[ROOM])
+    wide = Max(sqrt((a4 - s[2]) * (a4 + s[2])), Abs(r - a6), evaluate=False)
+    words = "size of a4 cos theta_5, clamped to what the elbow can span"
+    L = sheet.formula("L", Min(wide, r + a6, evaluate=False), "m", words)
     if head[ON_SIX]:
-        sheet.add("beta", "", head[BEND], "rad", "free: the shoulder lies on axis 6; kept where it is")
-        sheet.add("gamma", "", head[INNER], "rad")
+        words = "free: the shoulder lies on axis 6; kept where it is"
+        beta = sheet.given("beta", head[BEND], "rad", words)
+        gamma = sheet.given("gamma", head[INNER], "rad")
     else:
-        sheet.add(
-            "u", "sqrt(a6 + L - r)*sqrt(a6 + L + r)", None, "m", "the triangle of the links a6 and L, which span r"
-        )
-        sheet.add("v", "sqrt(r - abs(a6 - L))*sqrt(r + abs(a6 - L))", None, "m")
-        sheet.add("beta", "2*atan2(u, v)", head[BEND], "rad", "bend of the elbow")
-        sheet.add(
-            "gamma", "atan2(-(L*sin(beta)), a6 + L*cos(beta))", head[INNER], "rad", "rotation due to the bent elbow"
-        )
-    sheet.add("chi", "atan2(-s_y, -s_x)", head[HEADING], "rad", "direction away from the shoulder")
-    return tuple(sheet.steps)
+        words = "the triangle of the links a6 and L, which span r"
+        u = sheet.formula("u", sqrt(a6 + L - r) * sqrt(a6 + L + r), "m", words)
+        v = sheet.formula("v", sqrt(r - Abs(a6 - L)) * sqrt(r + Abs(a6 - L)), "m")
+        beta = sheet.formula("beta", 2 * atan2(u, v), "rad", "bend of the elbow", head[BEND])
+        inner = atan2(-L * sin(beta), a6 + L * cos(beta))
+        gamma = sheet.angle("gamma", inner, head[INNER], "rotation due to the bent elbow")
+    words = "direction away from the shoulder"
+    if sheet.values[r] <= ON_AXIS * (p[A4] + p[A6]):
+        chi = sheet.given("chi", head[HEADING], "rad", "free: the shoulder lies on axis 7; kept where it is")
+    else:
+        chi = sheet.formula("chi", atan2(-s[1], -s[0]), "rad", words, head[HEADING])
+    return {"R": R, "s_z": s[2], "L": L, "beta": beta, "gamma": gamma, "chi": chi, "zeros": zeros}
 
 
-def _own(robot: Any, p: np.ndarray, before: tuple[Step, ...], head: np.ndarray, row: np.ndarray) -> tuple[Step, ...]:
-    """Formulas of one branch."""
-    sheet = Worksheet(before)
-    k6, k5, _ = row[:3]
+def _angles(
+    sheet: Worksheet, symbols: dict[str, Any], robot: Any, p: np.ndarray, head: np.ndarray, row: np.ndarray
+) -> None:
+    """Write down the joint angles of one branch, a row of `worked_out`."""
+    k6, k5, k3 = map(int, row[:3])
     t1, t3, t4, t5, t6, t7 = row[ANGLES:BROKEN]
-    sheet.angle("theta_5", "pi - atan2(s_z, L)" if k5 else "atan2(s_z, L)", t5, "the wrist's other side" if k5 else "")
+    R, L, s_z, beta, gamma, chi = (symbols[name] for name in ("R", "L", "s_z", "beta", "gamma", "chi"))
+    wrist, elbow = atan2(s_z, L), -beta if k6 else beta
+    theta_5 = sheet.angle("theta_5", pi - wrist if k5 else wrist, t5, "the wrist's other side" if k5 else "")
     words = "the elbow is straight" if head[STRAIGHT] else "elbow: beta or -beta, with the other wrist half a turn away"
-    sheet.angle("theta_6", (("beta - pi", "pi - beta") if k5 else ("beta", "-beta"))[int(k6)], t6, words)
-    sheet.angle("theta_7", "-gamma - chi" if k6 else "gamma - chi", t7)
-    sheet.add("phi", "theta_6 + theta_7", None, "rad", "turns the wrist back to the forearm")
-    for i, axis in enumerate("xyz"):
-        words = "" if i else "axis 4, in the shoulder's axes"
-        sheet.add(f"m_{axis}", f"-(n_{axis}*sin(phi) + o_{axis}*cos(phi))", None, "", words)
-    for i, axis in enumerate("xy"):
-        along = f"(n_{axis}*cos(phi) - o_{axis}*sin(phi))"
-        words = "" if i else "x and y of the upper arm's direction, i, and of the one across it and axis 4, j"
-        sheet.add(f"i_{axis}", f"cos(theta_5)*{along} - sin(theta_5)*a_{axis}", None, "", words)
-        sheet.add(f"j_{axis}", f"sin(theta_5)*{along} + cos(theta_5)*a_{axis}")
-    tilt = math.hypot(sheet.values["m_x"], sheet.values["m_y"])
-    if tilt <= 10.0 * ON_AXIS:
-        sheet.add("theta_1", "", t1, "rad", "free: axes 1 and 4 are parallel; kept where it is")
+    theta_6 = sheet.angle("theta_6", elbow - pi * (-1) ** k6 if k5 else elbow, t6, words)
+    theta_7 = sheet.angle("theta_7", (-gamma if k6 else gamma) - chi, t7)
+    phi = sheet.formula("phi", theta_6 + theta_7, "rad", "turns the wrist back to the forearm")
+    words = "axis 4, in the shoulder's axes"
+    m = sheet.vector("m", -R * Matrix([sin(phi), cos(phi), 0]), "", words)
+    along, across = (R * Matrix([cos(phi), -sin(phi), 0]))[:2, :], R[:2, 2]
+    words = "x and y of the upper arm's direction"
+    i = sheet.vector("i", cos(theta_5) * along - sin(theta_5) * across, "", words)
+    words = "x and y of the direction across the upper arm and axis 4"
+    j = sheet.vector("j", sin(theta_5) * along + cos(theta_5) * across, "", words)
+    m_x, m_y = sheet.values[m[0]], sheet.values[m[1]]
+    if math.hypot(m_x, m_y) <= 10.0 * ON_AXIS:
+        theta_1 = sheet.given("theta_1", t1, "rad", "free: axes 1 and 4 are parallel; kept where it is")
     else:
-        turn = ("", " - pi" if math.atan2(sheet.values["m_y"], sheet.values["m_x"]) >= 0.0 else " + pi")[int(row[2])]
-        sheet.angle("theta_1", f"atan2(m_y, m_x){turn}", t1, "shoulder: this or half a turn further")
-    sheet.angle("theta_3", "atan2(m_x*cos(theta_1) + m_y*sin(theta_1), -m_z)", t3)
-    sheet.angle("theta_4", "atan2(i_x*sin(theta_1) - i_y*cos(theta_1), j_x*sin(theta_1) - j_y*cos(theta_1))", t4)
-    for k, name in enumerate(THETA):
-        i = int(p[JOINTS + 3 * k])
-        joint_step(sheet, i, name, p[JOINTS + 3 * k + 1], row[Q + i], robot.joint_names[i])
-    return tuple(sheet.steps)
+        turn = k3 * (-pi if math.atan2(m_y, m_x) >= 0.0 else pi)
+        theta_1 = sheet.angle("theta_1", atan2(m[1], m[0]) + turn, t1, "shoulder: this or half a turn further")
+    theta_3 = sheet.angle("theta_3", atan2(m[0] * cos(theta_1) + m[1] * sin(theta_1), -m[2]), t3)
+    upper = atan2(i[0] * sin(theta_1) - i[1] * cos(theta_1), j[0] * sin(theta_1) - j[1] * cos(theta_1))
+    theta_4 = sheet.angle("theta_4", upper, t4)
+    for k, theta in enumerate((theta_1, theta_3, theta_4, theta_5, theta_6, theta_7)):
+        place, sign = int(p[JOINTS + 3 * k]), p[JOINTS + 3 * k + 1]
+        sheet.joint(robot.joint_names[place], theta, place, sign, symbols["zeros"][str(theta)], row[Q + place])

@@ -11,7 +11,7 @@ from ...kernel.checks import BAD_START, BAD_TARGET, ORTHONORMAL, rigid
 from ...kernel.jit import cached, inner
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS, copy
-from ..derivation import Derivation
+from ..explain.worked_solution import WorkedSolution
 from ..protocol import closed_form
 from .finish import polish
 from .geometry import (
@@ -179,7 +179,7 @@ class Planar2R(NamedTuple):
         complete = not (nearly or families)
         return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
-    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivation:
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
         """The formulas with their numbers for T (4, 4); box (4, n) as for `every`."""
         from .planar_2r_steps import derive
 

@@ -1,69 +1,69 @@
 """The closed form of two parallel axes, worked out step by step for one point."""
 
+import math
 from typing import Any
 
 import numpy as np
+from sympy import Abs, Max, Min, atan2, cos, sin, sqrt
 
-from ...kernel.jit import cached
-from ..derivation import Branch, Derivation, Step, Worksheet, joint_step, zero_steps
-from .planar_arm import ANGLES, L1, L2, every_branch, to_plane
-from .reach import ON_AXIS, planar_branches, planar_margin
+from ..explain.worked_solution import Branch, WorkedSolution
+from ..explain.worksheet import Worksheet, zero_angles
+from .planar_arm import ANGLES, HEIGHT, L1, L2, every_branch
+from .reach import ON_AXIS
 
 BESIDE = "newton"  # what Chinyai compares it with
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
 LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen along the line from the first joint to the target."
 
 
-@cached
-def worked_out(p, T, box, head, sols):
-    """Fill head (4,) with x, y, height off the arm's plane and room left in the reach [m], sols (2, 2) with the branches.
-
-    Returns how many branches there are.
-    """
-    x, y, off = to_plane(p, T)
-    head[0], head[1], head[2] = x, y, off
-    head[3] = planar_margin(x, y, p[L1], p[L2])
-    return planar_branches(x, y, p[L1], p[L2], p[ANGLES] * box[2, 0] + p[ANGLES + 1], sols)
-
-
-def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivation:
+def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
     """Formulas and branches of the point of T (4, 4); box as in `geometry.copy_limits`."""
-    head, sols = np.empty(4), np.empty((2, 2))
-    count = worked_out(p, T, box, head, sols)
-    q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
-    every_branch(p, T, box, q, broken, marks)
-    x, y, off, room = head
-    given = (
-        Step("l1", "", p[L1], "m", "first link"),
-        Step("l2", "", p[L2], "m", "second link, to the tip"),
-        Step("x", "", x, "m", "target in the arm's plane, from the first joint"),
-        Step("y", "", y, "m"),
-        *zero_steps({"theta_1": p[ANGLES + 1], "theta_2": p[ANGLES + 3]}),
-    )
-    sheet = Worksheet(given)
-    sheet.add("r", "hypot(x, y)", None, "m", "distance of the target from the first joint")
-    sheet.add("g", "min(l1 + l2 - r, r - abs(l1 - l2))", room, "m", "room left in the reach: below 0, out of reach")
-    sheet.add("psi", "atan2(y, x)", None, "rad", "direction of the target")
-    if room >= 0.0:
-        sheet.add("c2", "(r**2 - l1**2 - l2**2)/(2*l1*l2)", None, "", "cosine of theta_2, by the law of cosines")
-    sheet.add("u", "sqrt(l1 + l2 - r)*sqrt(l1 + l2 + r)", None, "m", "the same triangle, without cancellation")
-    sheet.add("v", "sqrt(r - abs(l1 - l2))*sqrt(r + abs(l1 - l2))", None, "m")
+    q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
+    count, _ = every_branch(p, T, box, q, broken, marks)
+    angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # theta_1 and theta_2 of each branch
+    point = p[:9].reshape(3, 3) @ T[:3, 3] + p[9:12]  # in the arm's plane, and its height off it
+    sheet = Worksheet()
+    l1 = sheet.given("l1", p[L1], "m", "first link")
+    l2 = sheet.given("l2", p[L2], "m", "second link, to the tip")
+    x = sheet.given("x", point[0], "m", "target in the arm's plane, from the first joint")
+    y = sheet.given("y", point[1], "m")
+    zeros = zero_angles(sheet, {"theta_1": p[ANGLES + 1], "theta_2": p[ANGLES + 3]})
+    r = sheet.formula("r", sqrt(x**2 + y**2), "m", "distance of the target from the first joint")
+    margin = Min(l1 + l2 - r, r - Abs(l1 - l2), evaluate=False)
+    g = sheet.formula("g", margin, "m", "room left in the reach: below 0, out of reach")
+    room = sheet.values[g]
+    psi = sheet.formula("psi", atan2(y, x), "rad", "direction of the target")
+    if room < 0.0:
+        words = "distance of the nearest point that the arm reaches"
+        r = sheet.formula("rho", Min(Max(r, Abs(l1 - l2)), l1 + l2, evaluate=False), "m", words)
+    sheet.formula("c2", (r**2 - l1**2 - l2**2) / (2 * l1 * l2), "", "cosine of theta_2, by the law of cosines")
+    u = sheet.formula("u", sqrt(l1 + l2 - r) * sqrt(l1 + l2 + r), "m", "the same triangle, without cancellation")
+    v = sheet.formula("v", sqrt(r - Abs(l1 - l2)) * sqrt(r + Abs(l1 - l2)), "m")
+    folded = max(sheet.values[r], abs(p[L1] - p[L2])) <= ON_AXIS * (p[L1] + p[L2])
     branches = []
     for k in range(count):
-        own = Worksheet((*given, *sheet.steps))
+        own = Worksheet(sheet.steps)
         side = int(marks[k, 1])
-        own.add("theta_2", "2*atan2(u, v)" if side >= 0 else "-2*atan2(u, v)", sols[k, 1], "rad", "has that cosine")
-        own.add("beta", "atan2(l2*sin(theta_2), l1 + l2*cos(theta_2))", None, "rad", "rotation due to the bent elbow")
-        if max(sheet.values["r"], abs(p[L1] - p[L2])) <= ON_AXIS * (p[L1] + p[L2]):
-            own.add("theta_1", "", sols[k, 0], "rad", "free: the links fold back onto the base; kept where it is")
+        bend = 2 * atan2(u, v) * (1 if side >= 0 else -1)
+        theta_2 = own.angle("theta_2", bend, angles[k, 1], "has that cosine")
+        if side:
+            inner = atan2(l2 * sin(theta_2), l1 + l2 * cos(theta_2))
+            beta = own.formula("beta", inner, "rad", "rotation due to the bent elbow")
         else:
-            own.angle("theta_1", "psi - beta", sols[k, 0])
-        for i in range(2):
-            joint_step(own, i, f"theta_{i + 1}", p[ANGLES + 2 * i], q[k, i], robot.joint_names[i])
+            turned = abs(math.sin(0.5 * angles[k, 1])) > 0.5 and p[L1] < p[L2]
+            beta = own.given("beta", math.pi * turned, "rad", "the tip is on the line of the first link")
+        if folded:
+            words = "free: the links fold back onto the base; kept where it is"
+            theta_1 = own.given("theta_1", angles[k, 0], "rad", words)
+        else:
+            theta_1 = own.angle("theta_1", psi - beta, angles[k, 0])
+        for i, theta in enumerate((theta_1, theta_2)):
+            own.joint(robot.joint_names[i], theta, i, p[ANGLES + 2 * i], zeros[str(theta)], q[k, i])
         outside = tuple(robot.outside(q[k])) if broken[k] > 0.0 else ()
         branches.append(Branch(LABELS[side], q[k], outside, tuple(own.steps)))
-    words = _words(robot, room, off)
-    return Derivation(given, tuple(sheet.steps), tuple(branches), LEGEND, words, None, BESIDE)
+    return WorkedSolution(
+        tuple(sheet.steps), tuple(branches), LEGEND, _words(robot, room, point[2] - p[HEIGHT]), None, BESIDE
+    )
 
 
 def _words(robot: Any, room: float, off: float) -> str:

@@ -123,17 +123,3 @@ def test_a_target_that_is_refused_or_where_it_begins_is_not_looked_at():
     samples, stand, T = session.new_samples(2, 1), unknown(1), np.eye(4)[None]
     assert arrived(samples, T, slot=0, first=1, stand=stand) == TAKEN and not stand[STAND.known]
     assert arrived(samples, np.full_like(T, np.nan), stand=stand) == HELD and not stand[STAND.known]
-
-
-@pytest.mark.parametrize("make", [
-    lambda: session.new_settings(7, 6, 12), lambda: session.new_carried(9, 44, 37, 12), lambda: session.new_samples(3, 2),
-    lambda: session.new_record(5, 11, 12),
-])  # fmt: skip
-def test_parts_of_a_block_do_not_overlap(make):
-    """Every part keeps what was written to it, and the counts stay."""
-    parts = make()
-    counts = parts.block[1:5].copy()
-    for k, part in enumerate(parts[1:], 1):
-        part[...] = k
-    assert all((part == k).all() for k, part in enumerate(parts[1:], 1)) and np.array_equal(parts.block[1:5], counts)
-    assert session.record_of(session.new_record(1, 3, 6).block).C.shape == (0, 3)

@@ -4,12 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from random_arms import make_levels
 
-from ik_toolkit.kernel import box, clock, constrain, levels, motion, obey, servo, wanted, weak
+from ik_toolkit.kernel import box, clock, motion, obey, servo, wanted, weak
 from ik_toolkit.kernel.box import HELD
 from ik_toolkit.kernel.constrain import LEAVE, SLOW
-from ik_toolkit.kernel.levels import HIGH, LOW, RHS
 from ik_toolkit.kernel.motion import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
 from ik_toolkit.kernel.search import SINGULAR_STEP
 
@@ -169,20 +167,6 @@ def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does()
     assert not left[[1, 4]].any() and np.array_equal(left[[0, 2, 3]], J[[0, 2, 3]])
 
 
-def test_from_rest_standing_still_is_allowed_and_nothing_else_changes():
-    rng, n, count = np.random.default_rng(5), 4, 3
-    for _ in range(50):
-        s = make_levels(n, count + 1)
-        s.V[LOW, :n], s.V[HIGH, :n] = np.sort(rng.normal(size=(2, n)) + rng.choice([0.0, 1.0, -1.0], n), axis=0)
-        s.S[RHS, :count] = rng.normal(size=count) + rng.choice([0.0, 2.0])
-        low, high, most = s.V[LOW, :n].copy(), s.V[HIGH, :n].copy(), s.S[RHS, : count + 1].copy()
-        barred = (low > 0.0).any() or (high < 0.0).any() or (most[:count] < 0.0).any()
-        assert levels.from_rest(s.V, s.S, n, count) == barred
-        assert np.array_equal(s.V[LOW, :n], np.minimum(low, 0.0))
-        assert np.array_equal(s.V[HIGH, :n], np.maximum(high, 0.0))
-        assert np.array_equal(s.S[RHS, :count], np.maximum(most[:count], 0.0)) and s.S[RHS, count] == most[count]
-
-
 def test_half_planes_are_gathered_and_rates_clipped():
     lines, level = np.arange(12.0).reshape(4, 3), np.arange(4.0)
     planes, edges = np.zeros((6, 3)), np.zeros(6)
@@ -329,28 +313,6 @@ def test_a_step_of_a_rule():
 
 
 # -------------------------------------------------------------------------------------------------- the constrained step
-def test_errors_and_excess_of_a_wanted_rate():
-    rng = np.random.default_rng(4)
-    J, weight, back, front, x = (
-        rng.normal(size=(5, 6)),
-        rng.random(6),
-        rng.normal(size=6),
-        rng.normal(size=6),
-        rng.normal(size=5),
-    )
-    v = back + 0.7 * front
-    got = constrain.task_error(J, weight, back, front, 0.7, x)
-    np.testing.assert_allclose(got, [((weight * (J.T @ x - v)) ** 2).sum(), ((weight * v) ** 2).sum()])
-    scale, low, high = rng.uniform(0.5, 2.0, 5), -rng.random(5), rng.random(5)
-    A, b = rng.normal(size=(3, 5)), rng.normal(size=3)
-    for want in (x, np.zeros(5), 3.0 * x):
-        for count in (0, 2, 3):
-            most = max(0.0, ((low - want) / scale).max(), ((want - high) / scale).max())
-            for k in range(count):
-                most = max(most, (A[k] @ want - b[k]) / (np.abs(A[k]) @ scale))
-            assert constrain.outside(want, scale, low, high, A, b, count) == pytest.approx(most)
-    assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([-0.1]), 1) == 1.0
-    assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([0.1]), 1) == 0.0
 
 
 @pytest.mark.parametrize("mode", [LEAVE, SLOW, CLIP])

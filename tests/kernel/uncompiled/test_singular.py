@@ -4,89 +4,13 @@ import itertools
 
 import numpy as np
 import pytest
-from random_arms import make_levels
 
-from ik_toolkit.kernel import modes, singular, wanted, weak, wishes
+from ik_toolkit.kernel import modes, wanted, weak, wishes
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import approach
 from ik_toolkit.kernel.constrain import LEAVE
-from ik_toolkit.kernel.levels import HIGH, LOW, RHS, SIZE, WANT
-from ik_toolkit.kernel.linalg import make_rows_orthogonal
 from ik_toolkit.kernel.modes import SIDE
 from ik_toolkit.kernel.motion import AV, CV, STATE, Law
-
-
-def task_of(rng, values, n=7):
-    """Rows of a task with these singular values: r x n."""
-    r = len(values)
-    U, _ = np.linalg.qr(rng.normal(size=(r, r)))
-    W, _ = np.linalg.qr(rng.normal(size=(n, n)))
-    return U * values @ W[:, :r].T, U, W[:, :r]
-
-
-def test_rows_of_rounding_end_the_turning(turns):
-    """With a locked joint in a task of full rank, rows went on turning for 40 sweeps: rounding is never orthogonal."""
-    rng = np.random.default_rng(8)
-    C = rng.normal(size=(6, 7))
-    C[:, [1, 4]] = 0.0
-    s, asked = make_levels(8, 7), np.zeros((7, 2))
-    s.P[:6, :7] = C
-    make_rows_orthogonal(s.P, asked, s.S[SIZE], 0, 6, 7)
-    assert len(turns) < 15 * 10
-    size = np.linalg.norm(s.P[:6, :7], axis=1)
-    np.testing.assert_allclose(np.sort(size), np.linalg.svd(C, compute_uv=False)[::-1], atol=1e-14)
-
-
-def test_whether_a_task_is_regular():
-    rng = np.random.default_rng(0)
-    seen = set()
-    for _ in range(60):
-        values = 10.0 ** rng.uniform(-2.0, 0.5, 4)
-        C, *_ = task_of(rng, values)
-        s = make_levels(8, 7)
-        s.P[2:6, :7] = C
-        least = 10.0 ** rng.uniform(-3.0, 0.0)
-        surely = singular.regular(s.P, s.L, 2, 4, 7, least)
-        assert not surely or values.min() > least
-        assert surely == ((1.0 / values**2).sum() * max(least**2, 1e-12 * (C**2).sum(axis=1).max()) < 1.0)
-        seen.add(surely)
-    assert seen == {True, False}
-    C[3] = C[0]
-    s.P[2:6, :7] = C
-    assert not singular.regular(s.P, s.L, 2, 4, 7, 0.0)
-
-
-def test_rows_are_turned_and_singular_ones_damped():
-    rng = np.random.default_rng(1)
-    values = np.array([1.5, 0.8, 0.12, 0.0])
-    C, U, W = task_of(rng, values)
-    s, asked = make_levels(8, 7), np.zeros((7, 2))
-    s.P[2:6, :7], asked[2:6] = C, rng.normal(size=(4, 2))
-    given = asked[2:6].copy()
-    make_rows_orthogonal(s.P, asked, s.S[SIZE], 2, 4, 7)
-    R = s.P[2:6, :7]
-    np.testing.assert_allclose(R @ R.T - np.diag(np.diag(R @ R.T)), 0.0, atol=1e-14)
-    np.testing.assert_allclose(np.sort(np.linalg.norm(R, axis=1)), np.sort(values), atol=1e-14)
-    np.testing.assert_allclose(R.T @ asked[2:6], C.T @ given, atol=1e-13)  # the same problem
-    np.testing.assert_allclose(np.linalg.norm(asked[2:6], axis=0), np.linalg.norm(given, axis=0))
-    before, rates = R.copy(), asked[2:6].copy()
-    want, low, high = rng.normal(size=7), np.full(7, -0.5), np.full(7, 0.6)
-    s.V[WANT, :7], s.V[LOW, :7], s.V[HIGH, :7] = want, low, high
-    assert singular.damp(s.P, s.V, s.S, asked, 2, 4, 7, 0.4, 0.3, 0.9, 0.25) == 3
-    place = 2
-    for k in range(4):
-        size = np.linalg.norm(before[k])
-        if size < 1e-9:
-            continue
-        fade = max(1.0 - (size / 0.4) ** 2, 0.0)
-        extra = (0.3 * fade) ** 2
-        length = np.sqrt(size**2 + extra)
-        own = before[k] / size @ np.clip(want, low, high)
-        np.testing.assert_allclose(s.P[place, :7], before[k] / size * length, atol=1e-14)
-        assert asked[place, 0] == pytest.approx((size * rates[k, 0] + extra * own) / length)
-        assert asked[place, 1] == pytest.approx(size * rates[k, 1] * (1.0 - 0.25 * fade) / length)
-        assert s.S[RHS, place] == pytest.approx(asked[place, 0] + 0.9 * asked[place, 1])
-        place += 1
 
 
 def test_modes_of_a_pose_nearby_are_a_start(turns):

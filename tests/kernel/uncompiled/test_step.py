@@ -1,19 +1,16 @@
-"""One step of a tracker: a published law with a clock, the effect of limits, two levels of objectives, scratch arrays."""
-
-import itertools
+"""One step of a tracker: a published law with a clock, the effect of limits, signs of multipliers."""
 
 import numpy as np
 import pytest
 import random_arms as arms
-from random_arms import make_levels, orders, task
+from random_arms import orders, task
 
 from ik_toolkit.kernel import constrain as constrain_module
 from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import RECOVERING, ROW
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room, room_on, room_space
+from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
-from ik_toolkit.kernel.problem import make_desk
 from ik_toolkit.kernel.serial import make_serial
 from ik_toolkit.kernel.stages import CAUTIOUS
 
@@ -24,41 +21,6 @@ def law(code=CV, **values):
 
 def bench(n, m, rows=3):
     return bench_on(np.zeros(bench_space(n, m, rows)), n, m, rows)
-
-
-def test_shapes_of_scratch():
-    n, m, rows = 7, 12, 4
-    s = bench(n, m, rows)
-    shapes = {name: getattr(s, name).shape for name in s._fields}
-    of = {
-        (n,): "why_low why_top move null x1 x2 x w g lead v probe before at size even floor roof", (2, 4, 4): "Ts", (2, 3): "flip",
-        (m,): "Vs As e ahead f pace a ask bias weight t sv lost xk pull y", (m, m): "G H U", (n, m): "J V", (m, n): "W",
-        (n + rows,): "multiplier", (rows, n): "planes", (rows,): "edges",
-    }  # fmt: skip
-    assert shapes == {name: shape for shape, names in of.items() for name in names.split()}
-    assert bench(9, 6).G.shape == (9, 9) and bench(9, 6).y.shape == (9,)
-    K, N = 6, 9
-    s = make_levels(N, K)
-    want = {
-        "P": (K, N),
-        "W": (K, N),
-        "L": (K, K),
-        "U": (2 * K, K),
-        "V": (8, N),
-        "S": (12, K),
-        "state": (N + K,),
-        "order": (K,),
-    }
-    assert {name: getattr(s, name).shape for name in s._fields} == want
-    for room in (make_room(n, m, rows), room_on(np.zeros(room_space(n, m, rows)), n, m, rows)):
-        assert room.task.shape == (rows + m + 1, 2) and room.levels.P.shape == (rows + m + 1, n + m + 1)
-    desk = make_desk(np.zeros(4000), n, m)
-    assert {name: getattr(desk, name).shape for name in desk._fields} == {
-        "q": (n,), "dq": (n,), "start": (n,), "w": (n,), "x": (4 * n + 8,), "J": (n, m), "A": (m, m), "y": (m,),
-        "e": (m,), "spent": (2,),
-        "errors": (3, 2, 2),
-    }  # fmt: skip
-    assert not desk.J.any() and not desk.spent.any()
 
 
 @pytest.mark.parametrize("code", [CV, AV, CA, AA])
@@ -232,80 +194,6 @@ def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mod
 
 
 # ----------------------------------------------------------------------------------------------------------- two levels
-def solved(C, d, want, low, high, A, b, state=None):
-    n, count, r = len(want), len(b), len(d)
-    s = make_levels(n, count + r + 1)
-    s.V[levels.WANT, :n], s.V[levels.LOW, :n], s.V[levels.HIGH, :n] = want, low, high
-    s.P[:count, :n], s.P[count : count + r, :n] = A, C
-    s.S[levels.RHS, :count], s.S[levels.RHS, count : count + r] = b, d
-    if state is not None:
-        s.state[:n], s.state[n : n + count] = state[:n], state[n:]
-    end = qp.solve_levels(s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, n, count, r, False)
-    first = np.append(s.V[levels.ONE, :n], s.S[levels.ROW_ONE, :count])
-    second = np.append(s.V[levels.TWO, :n], s.S[levels.ROW_TWO, :count])
-    return end, s.V[levels.Y, :n].copy(), first, second, np.append(s.state[:n], s.state[n : n + count]), s
-
-
-def enumerated(C, d, want, low, high, A, b):
-    """The best of all active sets, bounds and half-planes."""
-    n, best, found = len(want), (np.inf, np.inf), None
-    for sides in itertools.product((-1, 0, 1), repeat=n):
-        free = np.array(sides) == 0
-        x = np.where(free, 0.0, np.where(np.array(sides) < 0, low, high))
-        if not np.isfinite(x).all():
-            continue
-        for size in range(min(len(b), int(free.sum())) + 1):
-            for rows in itertools.combinations(range(len(b)), size):
-                y = x.copy()
-                B = A[list(rows)][:, free]
-                if size and np.linalg.matrix_rank(B, 1e-9) < size:
-                    continue
-                part = np.linalg.pinv(B) @ (b[list(rows)] - A[list(rows)] @ x) if size else np.zeros(free.sum())
-                Z = np.linalg.svd(B)[2][size:].T if size else np.eye(free.sum())
-                y[free] = part + Z @ (Z.T @ (want[free] - part))
-                if free.any() and Z.shape[1]:
-                    y[free] += Z @ np.linalg.pinv(C[:, free] @ Z, 1e-10) @ (d - C @ y)
-                if np.all(y >= low - 1e-11) and np.all(y <= high + 1e-11) and np.all(A @ y <= b + 1e-11):
-                    one, two = ((C @ y - d) ** 2).sum(), ((y - want) ** 2).sum()
-                    if one < best[0] - 1e-10 or (one < best[0] + 1e-10 and two < best[1]):
-                        best, found = (one, two), y
-    return best, found
-
-
-@pytest.mark.parametrize("seed", range(16))
-def test_two_objectives_inside_bounds_and_half_planes(seed):
-    rng = np.random.default_rng(seed)
-    for _ in range(3):
-        n, rows, r = int(rng.integers(1, 4)), int(rng.integers(0, 3)), int(rng.integers(1, 4))
-        C = rng.normal(size=(r, n))
-        if r > 1 and rng.random() < 0.5:
-            C[-1] = 2.0 * C[0]
-        d, want = rng.normal(size=r) * rng.choice([0.1, 1.0, 4.0]), rng.normal(size=n)
-        low, high = -rng.uniform(0.05, 1.0, n), rng.uniform(0.05, 1.0, n)
-        if rng.random() < 0.2:
-            low[0] = high[0]
-        A = rng.normal(size=(rows, n))
-        if rows == 2 and rng.random() < 0.3:
-            A[1] = -A[0]
-        A /= np.linalg.norm(A, axis=1)[:, None]
-        b = A @ np.clip(0.3 * rng.normal(size=n), low, high) + rng.choice([0.0, 0.1], rows)
-        best, y = enumerated(C, d, want, low, high, A, b)
-        starts = [None, *(np.concatenate([rng.integers(-1, 2, n), rng.integers(0, 2, rows)]) for _ in range(3))]
-        for start in starts:
-            end, x, one, two, state, s = solved(C, d, want, low, high, A, b, start)
-            assert end == qp.DONE
-            np.testing.assert_allclose(x, y, atol=2e-8)
-            G = np.vstack([np.eye(n), A]).T  # what holds pushes back: on the first objective, then on the second
-            np.testing.assert_allclose(C.T @ (C @ x - d) + G @ one, 0.0, atol=1e-9)
-            rest = x - want + G @ two
-            null = np.eye(n) - np.linalg.pinv(C, 1e-9) @ C
-            np.testing.assert_allclose(null @ rest, 0.0, atol=1e-8)
-            fixed = np.append(low == high, np.zeros(rows, bool))
-            sides = np.where(state > 0, 1.0, -1.0)
-            for k in np.flatnonzero(~fixed):
-                assert one[k] * sides[k] >= -1e-9 and (one[k] != 0.0 or two[k] * sides[k] >= -1e-9)
-                assert state[k] != 0 or (one[k] == 0.0 and two[k] == 0.0)
-            assert qp.unmet(s.S, rows, r) == (np.linalg.norm(C @ x - d) > 1e-9 * np.linalg.norm(d))
 
 
 def test_signs_and_shares_of_multipliers():

@@ -8,7 +8,6 @@ import pytest
 import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
-import ik_toolkit as ik
 from ik_toolkit.kernel import chain as chains
 from ik_toolkit.kernel.records import WHAT, Ends
 from ik_toolkit.kernel.task import BASE, FREE, PART, POSE, POSITION, TARGET, TIP
@@ -231,19 +230,3 @@ def test_whole_poses_of_several_tips():
     A = T[0, :3, :3]
     np.testing.assert_allclose(out[6:], [*(R[1] @ A @ V[6:9] / tree.scale), *(R[1] @ A @ V[9:])], atol=1e-12)
     assert p.inside(0, 9.0) == Ends(tree.ends[0], n).upper(0) and p.inside(0, -9.0) == Ends(tree.ends[0], n).lower(0)
-
-
-@pytest.mark.parametrize(
-    ("rule", "near", "tolerance"), [("pinv", 0.1, 1e-6), ("transpose", 0.02, 1e-3), ("pid", 0.05, 1e-2)]
-)
-def test_rules_solve_for_several_tips(rule, near, tolerance):
-    tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
-    rng = np.random.default_rng(3)
-    for _ in range(3):
-        q = tree.random_q(rng)
-        targets = np.array([T.homogeneous for T in tree.fk(q).values()])
-        start = np.clip(q + near * rng.uniform(-1, 1, tree.n), tree.lower, tree.upper)
-        result = ik.solve(tree, targets, rule, q0=start, tolerance=tolerance, restarts=0)
-        worst = max(error[0] for error in tree.errors(result.q, targets))
-        assert result.success and result.position_error == pytest.approx(worst, abs=1e-9)
-        assert not tree.outside(result.q)

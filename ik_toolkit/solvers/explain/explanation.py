@@ -7,15 +7,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..robot.dh import DHTable
-from .blocks import UNITS, Block, Broken, Formulas, Given, Heading, Table, Words, to_markdown, to_text
-from .derivation import Branch, Derivation
+from ...robot.dh import DHTable
 from .dh_table import dh_blocks
-from .formula import decimals, number, unit_of
-
-ABREAST = 4  # branches side by side
-FIRST, LAST = 10, 4  # iterations shown of a long run
-TOLD = 3  # joints whose values fit next to an iteration's errors
+from .layout import (
+    UNITS,
+    Block,
+    Equations,
+    OutsideLimits,
+    Sentence,
+    Table,
+    Title,
+    decimals,
+    number,
+    to_html,
+    to_markdown,
+    to_text,
+    unit_of,
+)
+from .worked_solution import Branch, WorkedSolution
 
 
 class Iterations(NamedTuple):
@@ -38,7 +47,7 @@ class Explanation:
     """How a solution was computed. `str()` gives the text (80 columns), a notebook shows it with formulas rendered.
 
     robot; q (n,) the answer [rad or m]; message of the solve; targets by tip: T (4, 4), or (3,) where no rotation counts; tables by
-    tip (None: there is none); derivation, form (name of the closed form) and source (where it is from), or None and why there is
+    tip (None: there is none); worked, form (name of the closed form) and source (where it is from), or None and why there is
     none; chosen: which branch is the answer, or None; errors of each branch by Pinocchio [m, rad or None]; iterations, or None.
     """
 
@@ -47,7 +56,7 @@ class Explanation:
     message: str
     targets: dict[str, np.ndarray]
     tables: dict[str, DHTable | None]
-    derivation: Derivation | None
+    worked: WorkedSolution | None
     form: str
     source: str
     why: str
@@ -63,50 +72,48 @@ class Explanation:
 
     def blocks(self) -> Iterator[Block]:
         """The whole, part by part."""
-        yield Words(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
+        yield Sentence(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
         for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
-            yield Heading("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
+            yield Title("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
             yield from dh_blocks(arm, self.tables[arm.tip], self.q[np.asarray(place)])
         for tip, T in self.targets.items():
-            yield Heading("Target" + (f" of {tip}" if len(self.tables) > 1 else ""))
+            yield Title("Target" + (f" of {tip}" if len(self.tables) > 1 else ""))
             yield target_table(T, self.places)
-        if self.derivation is not None:
-            yield Heading(f"Closed form '{self.form}'")
-            if self.derivation.free is not None:
-                yield Words(self.free_words())
+        if self.worked is not None:
+            yield Title(f"Closed form '{self.form}'")
+            if self.worked.free is not None:
+                yield Sentence(self.free_words())
             yield from self.formula_blocks(self.chosen or 0)
-            yield Heading("Branches")
+            yield Title("Branches")
             yield from self.branch_blocks()
         else:
-            yield Heading("Closed form")
-            yield Words(self.why)
+            yield Title("Closed form")
+            yield Sentence(self.why)
         if self.iterations is not None:
-            yield Heading(f"Iterations of '{self.iterations.solver}'")
+            yield Title(f"Iterations of '{self.iterations.solver}'")
             yield from self.iteration_blocks()
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
         """Formulas with their numbers, those of branch k."""
-        assert self.derivation is not None
-        made = self.derivation
+        assert self.worked is not None
+        made = self.worked
         if made.words:
-            yield Words(f"{made.words[0].upper()}{made.words[1:]}.")
+            yield Sentence(f"{made.words[0].upper()}{made.words[1:]}.")
         branch = made.branches[k] if made.branches else Branch("", self.q)
-        if not made.given:
-            yield Words("This closed form shows no formulas, only its branches.")
+        if not made.steps:
+            yield Sentence("This closed form shows no formulas, only its branches.")
             return
-        numbers = made.symbols(branch)
-        yield Given(made.given, self.places)
-        yield Formulas(made.shared, numbers, self.places)
+        yield Equations(made.steps, (), self.places)
         if branch.label:
-            yield Words(f"Branch {k + 1}, {branch.label}:")
-        yield Formulas(branch.steps, numbers, self.places)
+            yield Sentence(f"Branch {k + 1}, {branch.label}:")
+        yield Equations(branch.steps, made.steps, self.places)
         if self.source:
-            yield Words(f"Source: {self.source}.")
+            yield Sentence(f"Source: {self.source}.")
 
     def free_words(self) -> str:
         """Ranges of the free joint."""
-        assert self.derivation is not None and self.derivation.free is not None
-        free = self.derivation.free
+        assert self.worked is not None and self.worked.free is not None
+        free = self.worked.free
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])
 
         def said(spans: Sequence[tuple[float, float]]) -> str:
@@ -123,10 +130,10 @@ class Explanation:
 
     def branch_blocks(self) -> Iterator[Block]:
         """Branches: label, joint values, error by Pinocchio."""
-        assert self.derivation is not None
-        branches, kinds = self.derivation.branches, self.robot.joint_kinds
+        assert self.worked is not None
+        branches, kinds = self.worked.branches, self.robot.joint_kinds
         if not branches:
-            yield Words("There is none.")
+            yield Sentence("There is none.")
             return
         rows = []
         for k, branch in enumerate(branches):
@@ -134,63 +141,55 @@ class Explanation:
             said = f"outside {count} limit{'s' * (count > 1)}" if count else "inside the limits"
             rows.append((str(k + 1), branch.label, f"{said}; the answer" if k == self.chosen else said))
         yield Table(("", "branch", ""), rows)
-        for first in range(0, len(branches), ABREAST):
-            shown = range(first, min(first + ABREAST, len(branches)))
-            rows = []
-            for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
-                unit = unit_of(kind)
-                values = ((number(branches[k].q[i], unit, self.places), name in branches[k].outside) for k in shown)
-                rows.append((name, *(Broken(text) if bad else text for text, bad in values)))
-            rows.append(("FK error", *(f"{1000.0 * self.errors[k][0]:.0e}" for k in shown)))
-            yield Table(("joint", *(str(k + 1) for k in shown)), rows)
+        rows = []
+        for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
+            texts = [number(branch.q[i], unit_of(kind), self.places) for branch in branches]
+            bad = [name in branch.outside for branch in branches]
+            rows.append((name, *(OutsideLimits(x) if y else x for x, y in zip(texts, bad, strict=True))))
+        rows.append(("FK error", *(f"{1000.0 * position:.0e}" for position, _ in self.errors)))
+        yield Table(("joint", *(str(k + 1) for k in range(len(branches)))), rows)
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
-        yield Words(f"{marked}FK error: distance from the target by Pinocchio. {self.derivation.legend}".rstrip())
+        yield Sentence(f"{marked}FK error: distance from the target by Pinocchio. {self.worked.legend}".rstrip())
         if self.chosen is None:
-            yield Words("The solution is not one of these branches.")
+            yield Sentence("The solution is not one of these branches.")
 
     def iteration_blocks(self) -> Iterator[Block]:
         """Errors by iteration."""
         assert self.iterations is not None
         i = self.iterations
-        turned, told = not np.isnan(i.orientation).all(), self.robot.n <= TOLD
+        turned = not np.isnan(i.orientation).all()
+        joints = range(self.robot.n if self.robot.n <= 3 else 0)  # more do not fit beside the errors
         units = [unit_of(kind) for kind in self.robot.joint_kinds]
-        head = (
-            "k",
-            "error (mm)",
-            *(["error (deg)"] if turned else []),
-            *(self.robot.joint_names if told else ()),
-        )
-        count, rows = len(i.position), []
-        for k in range(count):
-            if count > FIRST + LAST and FIRST <= k < count - LAST:
-                if k == FIRST:
-                    rows.append(("...", *("" for _ in head[1:])))
-                continue
+        names = [self.robot.joint_names[j] for j in joints]
+        head = ("k", "error (mm)", *["error (deg)"] * turned, *names)
+        rows = []
+        for k in range(len(i.position)):
             cells = [str(k), f"{1000.0 * i.position[k]:.3e}"]
             cells += [f"{math.degrees(i.orientation[k]):.3e}"] if turned else []
-            cells += [number(x, u, self.places) for x, u in zip(i.q[k], units, strict=True)] if told else []
-            rows.append(tuple(cells))
+            rows.append((*cells, *(number(i.q[k, j], units[j], self.places) for j in joints)))
+        if len(rows) > 14:  # of a long run the first ten and the last four
+            rows[10:-4] = [("...", *[""] * (len(head) - 1))]
         yield Table(head, rows)
         which = f" Attempt {i.attempt} is shown." if i.attempt else ""
-        yield Words(f"{i.message[0].upper()}{i.message[1:].rstrip('.')}.{which}")
+        yield Sentence(f"{i.message[0].upper()}{i.message[1:].rstrip('.')}.{which}")
 
     # ------------------------------------------------------------------------------------------------------------ written
     def __str__(self) -> str:
         """Plain text, 80 columns wide."""
-        lines: list[str] = []
-        for block in self.blocks():
-            more = to_text(block)
-            lines += more[1:] if isinstance(block, Heading | Words) and not lines else more
-        return "\n".join(lines)
+        return to_text(self.blocks())
 
     def __repr__(self) -> str:
         """One line."""
-        branches = "" if self.derivation is None else f", '{self.form}', {len(self.derivation.branches)} branches"
+        branches = "" if self.worked is None else f", '{self.form}', {len(self.worked.branches)} branches"
         return f"Explanation('{self.robot.name}'{branches}; print it to read it)"
 
     def to_markdown(self) -> str:
         """Markdown with the formulas in LaTeX."""
-        return "\n\n".join(to_markdown(block) for block in self.blocks())
+        return to_markdown(self.blocks())
+
+    def to_html(self) -> str:
+        """HTML for inside a page, with the formulas in MathML."""
+        return to_html(self.blocks())
 
     def _repr_markdown_(self) -> str:
         """For notebooks."""
@@ -198,20 +197,20 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists in metres and radians, ready for JSON."""
-        made, i = self.derivation, self.iterations
+        made, i = self.worked, self.iterations
         free = made.free if made is not None else None
         return {
             "closed_form": self.form or None,
             "why": self.why,
             "dh": {tip: _plain_table(table) for tip, table in self.tables.items()},
-            "given": [step._asdict() for step in made.given] if made else [],
-            "steps": [step._asdict() for step in made.shared] if made else [],
+            "given": [step.to_dict() for step in made.steps if step.formula is None] if made else [],
+            "steps": [step.to_dict() for step in made.steps if step.formula is not None] if made else [],
             "branches": [
                 {
                     "label": branch.label,
                     "q": branch.q.tolist(),
                     "outside": list(branch.outside),
-                    "steps": [step._asdict() for step in branch.steps],
+                    "steps": [step.to_dict() for step in branch.steps],
                     "position_error": error[0],
                     "orientation_error": error[1],
                 }

@@ -1,56 +1,53 @@
-"""Making an explanation: the closed form that fits, its derivation for the target, and the path of an iterative solver."""
+"""Making an explanation: the closed form that fits, its solution for the target, and the path of an iterative solver."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import InvalidTarget
-from ..kernel.records import AT, WEIGHTS
-from ..kernel.task import FREE, POSE, POSITION
-from .closed_form import fits
-from .derivation import Derivation
+from ...errors import InvalidTarget, MissingExtra
+from ...kernel.records import AT, WEIGHTS
+from ...kernel.task import FREE, POSE, POSITION
+from ..closed_form import fits
+from ..finish import record
+from ..plan import Plan
+from ..protocol import Asked, refusal
+from ..registry import GENERAL, find_row
+from ..status import SEARCHED
+from ..task import counts_in_part
 from .dh_table import dh_of
 from .explanation import Explanation, Iterations
-from .finish import record
-from .plan import Plan
-from .protocol import Asked, refusal
-from .registry import GENERAL, find_row
-from .status import SEARCHED
-from .task import counts_in_part
+from .worked_solution import Branch, WorkedSolution
 
 if TYPE_CHECKING:
-    from .derivation import Branch
-    from .result import Outcome, Result
+    from ..result import Outcome, Result
 
 NEARLY = 1e-3  # of the reach: what the finish on the real chain mends, EAIK's answers near a singular pose among them
 SAME = 1e-6  # rad, or of the reach: how far the answer may be from the branch it is (a near fit is finished on the real chain)
 
 
 def explain(result: "Result") -> Explanation:
-    """Explain a result. Raises InvalidTarget for one that keeps no target (a row of a batch)."""
+    """Explain a result. Raises InvalidTarget for one that keeps no target (a row of a batch), MissingExtra (sympy)."""
     of = result._of
     if not of.T.size:
         raise InvalidTarget("a result of a batch keeps no target; solve that target alone to get an explanation")
     plan, robot, q = of.plan, of.plan.robot, result.q.copy()
     form, why = _form_of(of)
-    derivation, chosen, errors, source = None, None, (), ""
+    solution, chosen, errors, source = None, None, (), ""
     if form is not None:
-        derivation = _derived(form, of, q)
+        solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
-        if not derivation.given:  # a list made by another package, with poses that match only roughly
-            kept = [
-                branch for branch in derivation.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach
-            ]
-            derivation = derivation._replace(branches=tuple(kept))
-        chosen = _nearest(robot, derivation.branches, q)
-        errors = tuple(robot.errors(branch.q, target) for branch in derivation.branches)
+        if not solution.steps:  # a list made by another package, with poses that match only roughly
+            kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
+            solution = solution._replace(branches=tuple(kept))
+        chosen = _nearest(robot, solution.branches, q)
+        errors = tuple(robot.errors(branch.q, target) for branch in solution.branches)
         source = form.row.citation
     iterations = None
     if not plan.row.closed or of.row[AT.excess] == SEARCHED:
         iterations = _iterations(of if not plan.row.closed else _search(of), type(result))
-    elif derivation is not None and derivation.beside:
-        iterations = _iterations(_beside(of, derivation.beside), type(result))
+    elif solution is not None and solution.beside:
+        iterations = _iterations(_beside(of, solution.beside), type(result))
     each = of.T[0] if robot.by_tip else of.T
     targets = {
         tip: T if kind == POSE else T[:3, 3]
@@ -60,7 +57,7 @@ def explain(result: "Result") -> Explanation:
     tables = {arm.tip: dh_of(arm) for arm in robot.arms}
     name = form.row.name if form is not None else ""
     return Explanation(
-        robot, q, result.message, targets, tables, derivation, name, source, why, chosen, errors, iterations
+        robot, q, result.message, targets, tables, solution, name, source, why, chosen, errors, iterations
     )
 
 
@@ -86,17 +83,22 @@ def _form_of(of: "Outcome") -> tuple[Plan | None, str]:
     return Plan(robot, row, row.load()(), plan.options), ""
 
 
-def _derived(form: Plan, of: "Outcome", q: np.ndarray) -> Derivation:
-    """Derivation for the target; free joints stay as they are at the answer q (n,)."""
+def _derived(form: Plan, of: "Outcome", q: np.ndarray) -> WorkedSolution:
+    """The closed form worked out for the target; free joints stay as they are at the answer q (n,)."""
     robot = form.robot
     free = np.full(robot.n, np.inf)
     lower, upper = (robot.lower, robot.upper) if form.options.limits else (-free, free)
     box = np.vstack([lower, upper, q, 1.0 / robot.chain.unit**2])
     numbers = form.orders(of.kinds, True)[WEIGHTS + robot.n :]
-    return form.rule.derive(robot, numbers, of.T[0], box)
+    try:
+        return form.rule.derive(robot, numbers, of.T[0], box)
+    except ModuleNotFoundError as error:
+        if error.name != "sympy":
+            raise
+        raise MissingExtra("sympy", "explain") from None
 
 
-def _nearest(robot: Any, branches: "tuple[Branch, ...]", q: np.ndarray) -> int | None:
+def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | None:
     """Which branch the answer is."""
     far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
     best = int(np.argmin(far)) if far else 0

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError
-from ..robot.dh import DHRow, DHTable, dh_fk, read_dh_table
-from ..robot.library import shipped_robots
-from .blocks import Block, Table, Varies, Words
-from .closed_form.geometry import across, angle_about, read_screws
-from .formula import decimals, number
+from ...errors import IKError
+from ...robot.dh import DHRow, DHTable, dh_fk, read_dh_table
+from ...robot.library import shipped_robots
+from ..closed_form.geometry import across, angle_about, read_screws
+from .layout import Block, Sentence, Table, Variable, decimals, number
 
 SAME = 1e-7  # sine, or part of the reach, below which axes count as parallel, or as meeting
 AGREES = 1e-6  # of the reach, or rad: how far table and robot may be apart
@@ -45,14 +44,14 @@ def _agrees(table: DHTable, robot: Any) -> bool:
 def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]:
     """The table of an arm with its joints at q (n,), in millimetres and degrees; what a joint changes is marked."""
     if table is None:
-        yield Words("None: a joint that drives others has no row of its own.")
+        yield Sentence("None: a joint that drives others has no row of its own.")
         return
     rows, places = [], decimals(arm.reach)
     for row, x in zip(table.rows, q, strict=True):
         slides = row.type == "prismatic"
         theta, d = row.theta + (0.0 if slides else x), row.d + (x if slides else 0.0)
         cells = [number(theta, "rad", 0), number(d, "m", places)]
-        cells[slides] = Varies(cells[slides])
+        cells[slides] = Variable(cells[slides])
         cells += [number(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
         rows.append((row.name, *cells))
     yield Table(("joint", "theta", "d", "a", "alpha"), rows)
@@ -62,7 +61,7 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
         if not np.allclose(T, np.eye(4), atol=1e-9)
     ]
     constant = f" A constant transform stands {' and '.join(frames)}." if frames else ""
-    yield Words(
+    yield Sentence(
         f"{table.convention.capitalize()} convention; joint variables are marked, with their present values.{constant}"
     )
 

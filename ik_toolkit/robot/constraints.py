@@ -1,0 +1,329 @@
+"""What a description demands of its joints besides limits and mimic: loops, and relations that no mimic joint can express.
+
+No solver keeps them. They are evaluated at a finished q, with Pinocchio on the whole model: joints off the path are first moved
+to close the loops that the joints of q take part in, and what stays open is said. Robots without constraints pay nothing.
+"""
+
+import functools
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import ModelError
+from .mimic import mimic_limits
+from .probe import Path, limits
+
+STEPS, TRIES = 40, 5  # Gauss-Newton steps and starts for closing a loop with the joints off the path
+CLOSED = 1e-10  # residual [m or rad] at which closing ends
+SLOW = 1e-4  # share of the residual that a step must take off it for another one
+LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+
+
+class End(NamedTuple):
+    """A frame on a link: point [m] and rotation (rows, 9 numbers) in the axes of the link."""
+
+    link: str
+    point: tuple[float, ...]
+    rotation: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
+
+class Loop(NamedTuple):
+    """Two frames that coincide; weld: in rotation too."""
+
+    name: str
+    ends: tuple[End, End]
+    weld: bool
+
+
+class Length(NamedTuple):
+    """A number that depends on q: sum of joint values times factors, and of distances between points times factors.
+
+    zero: the value from which it is counted; metres: its unit (else radians); known: False for a tendon around a shape, whose
+    length is not computed here.
+    """
+
+    joints: tuple[tuple[str, float], ...]
+    lines: tuple[tuple[End, End, float], ...] = ()
+    zero: float = 0.0
+    metres: bool = True
+    known: bool = True
+
+
+class Relation(NamedTuple):
+    """low <= y - (c0 + c1 x + c2 x^2 + ...) <= high, without x: low <= y - c0 <= high; both counted from their zero."""
+
+    name: str
+    y: Length
+    x: Length | None
+    curve: tuple[float, ...]
+    low: float = 0.0
+    high: float = 0.0
+
+
+Constraint = Loop | Relation
+
+
+class Kept(NamedTuple):
+    """Whether constraints hold at a q within the tolerances, and a sentence part on each that the joints of q can break."""
+
+    holds: bool
+    text: str
+
+
+def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> Kept:
+    """What q (n,) does to the constraints of its robot; position [m], orientation [rad]: tolerances."""
+    if not robot.constraints:
+        return Kept(True, "")
+    closure = robot.memo.get("closure")
+    if closure is None:
+        closure = robot.memo["closure"] = Closure(robot)
+    return closure.at(robot._fill(robot.rest.copy(), q), position, orientation)
+
+
+def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -> tuple[int, str] | None:
+    """Number of the first row of Q (N, n) that breaks a constraint, and what it does; None if none does. NaN rows are skipped."""
+    if robot.constraints:
+        for k in np.flatnonzero(np.isfinite(Q).all(axis=1)):
+            kept = constraints_at(robot, Q[k], position, orientation)
+            if not kept.holds:
+                return int(k), kept.text
+    return None
+
+
+class Group(NamedTuple):
+    """Constraints that share joints off the path, and those joints: ids, limits (m,)."""
+
+    constraints: list[Constraint]
+    joints: list[int]
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+class Closure:
+    """The constraints of a robot that the joints of q can break."""
+
+    def __init__(self, robot: Any) -> None:
+        """Find out which joints each constraint depends on."""
+        self.robot, self.model = robot, robot.model
+        model = self.model
+        lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
+        self.ratio = {
+            j: (lead.get(j, j), *_scaling(model, j)) for j in range(1, model.njoints) if model.joints[j].nvExtended == 1
+        }
+        moving = {model.getJointId(joint) for joint in robot.joint_names}
+        locked = {model.getJointId(joint) for joint in robot.locked_joints}
+        groups: list[tuple[list[Constraint], set[int]]] = []
+        for constraint in robot.constraints:
+            ids = {self.ratio[j][0] for j in self._joints(constraint) if j in self.ratio and self.ratio[j][1] != 0.0}
+            own, depends = [constraint], ids
+            free = ids - moving - locked
+            for group in [one for one in groups if one[1] & free - moving - locked]:
+                groups.remove(group)
+                own, depends = group[0] + own, depends | group[1]
+            groups.append((own, depends))
+        self.groups = [self._group(own, sorted(ids - moving - locked)) for own, ids in groups if ids & moving]
+
+    def _group(self, constraints: list[Constraint], joints: list[int]) -> Group:
+        model = self.model
+        place = {j: i for i, j in enumerate(joints)}
+        owner = {j: place[leader] for j, (leader, ratio, _) in self.ratio.items() if leader in place and ratio != 0.0}
+        idx_q = np.array([model.joints[j].idx_q for j in joints], dtype=int)
+        circle = np.array([model.joints[j].nq == 2 for j in joints], dtype=bool)
+        path = Path([], 0, joints, len(joints), owner, idx_q, circle)
+        try:
+            lower, upper = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
+        except ModelError:  # a joint that has no legal position cannot help
+            lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
+        return Group(constraints, joints, lower, upper)
+
+    def _joints(self, constraint: Constraint) -> Iterator[int]:
+        """Ids of the joints whose motion changes a constraint."""
+        if isinstance(constraint, Loop):
+            yield from self._between(*constraint.ends)
+            return
+        for length in (constraint.y, constraint.x):
+            for name, _ in length.joints if length else ():
+                yield self.model.getJointId(name)
+            for a, b, _ in length.lines if length else ():
+                yield from self._between(a, b)
+
+    def _between(self, a: End, b: End) -> set[int]:
+        above = [set(self.model.supports[self.model.frames[self._frame(end)].parentJoint]) for end in (a, b)]
+        return (above[0] ^ above[1]) - {0}
+
+    @functools.cached_property
+    def _frames(self) -> dict[str, int]:
+        return {f.name: i for i, f in enumerate(self.model.frames) if f.type in LINKS}
+
+    def _frame(self, end: End) -> int:
+        return self._frames[end.link]
+
+    # -------------------------------------------------------------------------------------------- evaluating
+    def at(self, full: np.ndarray, position: float, orientation: float) -> Kept:
+        """See `constraints_at`; full (nq,) is changed: joints off the path go where they close the loops."""
+        holds, said = True, []
+        for group in self.groups:
+            moved = self._close(group, full, min(position, orientation))
+            for constraint in group.constraints:
+                off = self.residual(constraint, full)[0]
+                open_by = self._open(constraint, off, position, orientation)
+                holds &= not open_by
+                said.append(
+                    f"the {_kind(constraint)} '{constraint.name}' of the description {_state(constraint, open_by, moved)}"
+                )
+        return Kept(holds, "; ".join(said))
+
+    def _open(self, constraint: Constraint, off: np.ndarray, position: float, orientation: float) -> str:
+        """How far a constraint is open, in words; '' within the tolerances."""
+        if np.isnan(off).any():
+            return "unknown"
+        length = isinstance(constraint, Loop) or constraint.y.metres
+        far = float(np.linalg.norm(off[:3])) if length else 0.0
+        angle = float(np.linalg.norm(off[3:] if length else off))
+        parts = [f"{far:.3g} m" if far >= 1.0 else f"{1000 * far:.3g} mm"] if far > position else []
+        parts += [f"{np.degrees(angle):.3g} deg"] if angle > orientation else []
+        return " and ".join(parts)
+
+    def residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is left of a constraint [m, rad] at a full configuration (nq,), and its derivative with respect to v (., nv)."""
+        pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
+        return self._residual(constraint, full)
+
+    def _residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same at the configuration at which Jacobians were last computed."""
+        if isinstance(constraint, Relation):
+            return self._relation(constraint, full)
+        (p, J, R), (s, K, S) = (self._point(end) for end in constraint.ends)
+        off, slope = p - s, J[:3] - K[:3]
+        if not constraint.weld:
+            return off, slope
+        turn = pin.log3(S.T @ R)
+        return np.concatenate([off, turn]), np.vstack([slope, pin.Jlog3(S.T @ R) @ R.T @ (J[3:] - K[3:])])
+
+    def _point(self, end: End) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Place of a point, its Jacobian (6, nv), and its rotation, in the axes of the model."""
+        data, i = self.robot.arms[0].data, self._frame(end)
+        at = pin.updateFramePlacement(self.model, data, i)
+        J = pin.getFrameJacobian(self.model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1).copy()
+        arm = at.rotation @ np.array(end.point)
+        J[:3] -= pin.skew(arm) @ J[3:]
+        return at.translation + arm, J, at.rotation @ np.reshape(end.rotation, (3, 3))
+
+    def _relation(self, one: Relation, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        y, slope = self._length(one.y, full)
+        x, tilt = (0.0, 0.0 * slope) if one.x is None else self._length(one.x, full)
+        curve = np.polynomial.Polynomial(one.curve)
+        off = y - float(curve(x))
+        slope = slope - float(curve.deriv()(x)) * tilt
+        beyond = off - min(max(off, one.low), one.high)
+        if one.low < off < one.high:
+            slope = 0.0 * slope
+        return np.array([beyond]), slope[None]
+
+    def _length(self, one: Length, full: np.ndarray) -> tuple[float, np.ndarray]:
+        model, slope = self.model, np.zeros(self.model.nv)
+        total = -one.zero if one.known else np.nan
+        for name, factor in one.joints:
+            leader, ratio, offset = self.ratio[model.getJointId(name)]
+            total += factor * (ratio * self._value(leader, full) + offset)
+            slope[model.joints[leader].idx_v] += factor * ratio
+        for a, b, factor in one.lines:
+            (p, J, _), (s, K, _) = self._point(a), self._point(b)
+            far = float(np.linalg.norm(p - s))
+            total += factor * far
+            if far > 0.0:
+                slope += factor * (p - s) / far @ (J[:3] - K[:3])
+        return total, slope
+
+    def _value(self, j: int, full: np.ndarray) -> float:
+        i = self.model.joints[j].idx_q
+        return float(np.arctan2(full[i + 1], full[i])) if self.model.joints[j].nq == 2 else float(full[i])
+
+    # -------------------------------------------------------------------------------------------- closing
+    def _close(self, group: Group, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
+        """Move the joints of a group in `full` (nq,) so that its constraints are open the least: name and value of each."""
+        if not group.joints:
+            return []
+        rest = np.array([self._value(j, full) for j in group.joints]).clip(group.lower, group.upper)
+        span = np.where(np.isfinite(group.upper - group.lower), group.upper - group.lower, 2.0 * np.pi)
+        low = np.where(np.isfinite(group.lower), group.lower, rest - 0.5 * span)
+        best, least = rest, np.inf
+        for start in [rest, *(low + span * np.random.default_rng(0).random((TRIES - 1, len(rest))))]:
+            x, left = self._descend(group, full, start.clip(group.lower, group.upper))
+            if left < least:
+                best, least = x, left
+            if not least > 0.01 * tolerance:
+                break
+        self._write(group, full, best)
+        return [(self.model.names[j], float(x)) for j, x in zip(group.joints, best, strict=True)]
+
+    def _write(self, group: Group, full: np.ndarray, x: np.ndarray) -> None:
+        for j, value in zip(group.joints, x, strict=True):
+            joint = self.model.joints[j]
+            i = joint.idx_q
+            full[i : i + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else value
+
+    def _stack(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals of a group, and their derivatives with respect to its joints."""
+        self._write(group, full, x)
+        pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
+        columns = [self.model.joints[j].idx_v for j in group.joints]
+        each = [self._residual(one, full) for one in group.constraints]
+        parts = [part for part in each if not np.isnan(part[0]).any()]
+        if not parts:
+            return np.zeros(1), np.zeros((1, len(x)))
+        return np.concatenate([off for off, _ in parts]), np.vstack([slope[:, columns] for _, slope in parts])
+
+    def _descend(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
+        """Levenberg-Marquardt within the limits: where it ends (m,), and the residual's norm there."""
+        damping = 1e-6
+        off, J = self._stack(group, full, x)
+        for _ in range(STEPS):
+            slope = J.T @ off
+            free = ~((x <= group.lower) & (slope > 0.0) | (x >= group.upper) & (slope < 0.0))
+            if np.linalg.norm(off) < CLOSED or not np.abs(slope[free]).max(initial=0.0) > 0.0:
+                break
+            A = J[:, free]
+            step = np.zeros(len(x))
+            step[free] = np.linalg.solve(A.T @ A + damping * np.eye(A.shape[1]), -slope[free])
+            near = (x + step).clip(group.lower, group.upper)
+            new, K = self._stack(group, full, near)
+            gained = np.linalg.norm(off) - np.linalg.norm(new)
+            if gained > 0.0:
+                stands = gained < SLOW * np.linalg.norm(new)
+                x, off, J, damping = near, new, K, max(0.1 * damping, 1e-12)
+                if stands:
+                    break
+            else:
+                damping = 10.0 * damping
+                if damping > 1e6:
+                    break
+        return x, float(np.linalg.norm(off))
+
+
+def _scaling(model: pin.Model, j: int) -> tuple[float, float]:
+    """Ratio and offset of a joint that follows another; 1 and 0 of one that does not."""
+    if j not in list(model.mimicking_joints):
+        return 1.0, 0.0
+    joint = model.joints[j].extract()
+    return float(joint.scaling), float(joint.offset)
+
+
+def _kind(constraint: Constraint) -> str:
+    if isinstance(constraint, Loop):
+        return "loop"
+    return "equality" if constraint.low == constraint.high else "range"
+
+
+def _state(constraint: Constraint, open_by: str, moved: Sequence[tuple[str, float]]) -> str:
+    """Words on a constraint that is open by so much, or kept ('')."""
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in moved)
+    if open_by == "unknown":
+        return "may not be kept: a tendon around a shape is not computed here"
+    if open_by:
+        names = ", ".join(name for name, _ in moved)
+        off = f"opens it by {open_by}" if isinstance(constraint, Loop) else f"is {open_by} off"
+        return f"is not kept: this q {off}" + (f", with {names} moved to close it" if moved else "")
+    return f"is kept with {values}" if moved else "is kept"

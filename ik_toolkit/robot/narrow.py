@@ -1,0 +1,105 @@
+"""Limits narrower than a robot's own: what may be asked for, and the variant of the robot that has them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, JointNotFound, floats, near_match
+
+KEPT = 32  # narrowed variants that a robot keeps, so that a loop with the same limits does not make them again
+ASKED = (
+    "limits must be True, False, a dict from joint names to (lower, upper) [rad or m] (None: as it is), or a pair of arrays "
+    "(lower, upper) with one value per joint"
+)
+
+
+def narrowed(robot: Any, limits: Any) -> Any:
+    """The variant of a robot or tree with narrower limits, the same one each time; see `Joints.narrowed`."""
+    kept = robot.memo.setdefault("narrowed", {})
+    try:
+        if isinstance(limits, Mapping):
+            key: Any = tuple(limits.items())
+        else:
+            key = tuple((x.dtype, x.shape, x.tobytes()) for x in limits)
+        found = kept.get(key)
+    except (AttributeError, TypeError):  # lists among them
+        key = found = None
+    if found is None:
+        lower, upper = _ends(robot, limits)
+        found = _variant(robot, lower, upper, kept)
+        kept[key or (lower.tobytes(), upper.tobytes())] = found
+        if len(kept) > KEPT:
+            kept.pop(next(iter(kept)), None)
+    return found
+
+
+def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, Any]) -> Any:
+    """The robot within lower, upper (n,): itself, one of those it keeps, or a new one."""
+    _check(robot, lower, upper)
+    if np.array_equal(lower, robot.lower) and np.array_equal(upper, robot.upper):
+        return robot
+    for one in list(kept.values()):
+        if np.array_equal(lower, one.lower) and np.array_equal(upper, one.upper):
+            return one
+    made = robot._narrowed(dict(zip(robot.joint_names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True)))
+    made._wide = robot if robot._wide is None else robot._wide
+    return made
+
+
+def with_limits(robot: Any, limits: Any) -> tuple[Any, bool]:
+    """The robot to solve for and whether its limits count: what the option `limits` of every call stands for."""
+    if isinstance(limits, bool | np.bool_):
+        return robot, bool(limits)
+    return narrowed(robot, limits), True
+
+
+def _ends(robot: Any, limits: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper ends (n,) as asked for."""
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    if isinstance(limits, Mapping):
+        for joint, pair in limits.items():
+            if joint not in robot.joint_names:
+                raise JointNotFound(
+                    f"robot '{robot.name}' has no joint '{joint}' whose limits could be narrowed."
+                    f"{near_match(joint, robot.joint_names)}"
+                )
+            i, what = robot.joint_names.index(joint), f"limits of joint '{joint}' must be (lower, upper)"
+            if not isinstance(pair, list | tuple | np.ndarray) or len(pair) != 2:
+                raise InvalidOption(f"{what}, not {pair!r:.60}")
+            for ends, value in zip((lower, upper), pair, strict=True):
+                if value is not None:
+                    number = floats(value, f"{what}, numbers or None", InvalidOption)
+                    if number.ndim:
+                        raise InvalidOption(f"{what}, numbers or None, not {value!r:.60}")
+                    ends[i] = number
+        return lower, upper
+    if not isinstance(limits, list | tuple | np.ndarray) or len(limits) != 2:
+        raise InvalidOption(f"{ASKED}, not {limits!r:.60}")
+    for name, ends, given in zip(("lower", "upper"), (lower, upper), limits, strict=True):
+        if given is not None:
+            what = f"the {name} limits must be {robot.n} numbers, one per joint ({', '.join(robot.joint_names)})"
+            values = floats(given, what, InvalidOption)
+            if values.shape != ends.shape:
+                raise InvalidOption(f"{what}, not an array of shape {values.shape}")
+            ends[:] = values
+    return lower, upper
+
+
+def _check(robot: Any, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Raise InvalidOption for a range that is not finite where it should be, reversed, or wider than the robot's own."""
+    good = (lower >= robot.lower) & (upper <= robot.upper) & (lower <= upper) & (lower < np.inf) & (upper > -np.inf)
+    if good.all():
+        return
+    i = int(np.argmin(good))
+    joint, own, asked = robot.joint_names[i], (robot.lower[i], robot.upper[i]), (lower[i], upper[i])
+    said = "{:g} to {:g}"
+    if np.isnan(asked).any():
+        raise InvalidOption(f"limits of joint '{joint}' must be numbers, not {said.format(*asked)}")
+    if asked[0] > asked[1]:
+        raise InvalidOption(f"limits of joint '{joint}' are reversed: lower {asked[0]:g} is above upper {asked[1]:g}")
+    unit = "m" if robot.joint_kinds[i] == "prismatic" else "rad"
+    raise InvalidOption(
+        f"limits of joint '{joint}' can only be narrowed: {said.format(*asked)} {unit} reaches beyond the robot's own "
+        f"{said.format(*own)} {unit}"
+    )

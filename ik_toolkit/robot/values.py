@@ -1,0 +1,224 @@
+"""The numbers of a URDF: those that make it unusable, and those that probably mean something else than they say."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from .finding import Finding, did_you_mean, odd, wrong
+from .mimic import MOVING
+from .read import ENDLESS, NUMBERS, Item, Part, numbers, plain_origin
+
+TYPES = (*MOVING, "fixed", "floating", "planar")
+UNIT = 0.01  # a quaternion's or an axis' length may differ from 1 by this much without a remark
+DEGREES = (30.0, 360.0)  # whole numbers of this size are degrees rather than radians
+IN_DEGREES = "URDF means radians: write 3.14159 for 180 degrees"
+UNUSED = "without it the joint counts as having no such limit; other readers of URDF refuse the file"
+
+
+def joint_values(joint: Item) -> Iterator[Finding]:
+    """Errors and warnings for the type and the numbers of a joint."""
+    kind = joint.attributes.get("type")
+    if kind not in TYPES:
+        near = did_you_mean(kind or "", TYPES)
+        said = "it has no type" if kind is None else f"its type '{kind}' is unknown"
+        yield wrong(joint, said, f"use one of: {', '.join(TYPES)}.{near}", joint.line)
+        return
+    for part in _counting(joint, "origin"):
+        yield from _numbers(joint, part, wrong)
+        yield from _origin(joint, part, wrong)
+    if kind in ("floating", "planar"):
+        told = f"a {kind} joint is held still, and poses are given in the link it carries"
+        yield odd(joint, told, "give base_limits= to let it move, or make it fixed", joint.line)
+    if kind in (*MOVING, "planar"):
+        yield from _axis(joint, kind)
+    if kind in MOVING:
+        for part in _counting(joint, "mimic"):
+            yield from _numbers(joint, part, wrong)
+            offset = numbers(part.attributes.get("offset", "0")) or []
+            if kind != "prismatic" and any(map(_degrees, offset)):
+                told = f'its <mimic offset="{offset[0]:g}"> looks like degrees'
+                yield odd(joint, told, IN_DEGREES, part.line, at_load=True)
+        yield from _limit(joint, kind)
+    elif kind == "planar":
+        yield from _free_limits(joint, kind)
+
+
+def link_values(link: Item) -> Iterator[Finding]:
+    """Warnings for the numbers of a link's shapes and inertia, without which the robot moves as well."""
+    for part in link.inside:
+        if part.tag in NUMBERS and part.above[:1] in (("visual",), ("collision",), ("inertial",)):
+            yield from _numbers(link, part, odd)
+            if part.tag == "origin":
+                yield from _origin(link, part, odd)
+        for key in ("radius", "length", "size") if part.tag in ("box", "cylinder", "capsule", "sphere") else ():
+            values = numbers(part.attributes.get(key, ""))
+            if values and min(values) <= 0.0:
+                told = f"<{part.tag}> has the {key} {part.attributes[key]}"
+                yield odd(link, told, "sizes are positive", part.line)
+        scale = numbers(part.attributes.get("scale", "")) if part.tag == "mesh" else None
+        if scale and min(map(abs, scale)) == 0.0:
+            told = f"its mesh has the scale {part.attributes['scale']}"
+            yield odd(link, told, "a zero scale leaves nothing to draw", part.line)
+
+
+def still(joints: Sequence[Item]) -> Iterator[Finding]:
+    """A warning if all limits of a robot are 0 to 0, as exporters write them before anybody has filled them in."""
+    limited = [joint for joint in joints if joint.attributes.get("type") in ("revolute", "prismatic")]
+    ends = [numbers(limit.get(end, "0")) for j in limited if (limit := j.first("limit")) for end in ("lower", "upper")]
+    if limited and len(ends) == 2 * len(limited) and all(end == [0.0] for end in ends):
+        told = f"all limits ({len(limited)}) are 0 to 0, so these joints cannot move"
+        yield odd("robot", told, "write the limits of the real robot", limited[0].line, at_load=True)
+
+
+def _counting(joint: Item, tag: str) -> list[Part]:
+    return joint.own(tag)[:1]
+
+
+def _numbers(item: Item, part: Part, found: Callable[..., Finding]) -> Iterator[Finding]:
+    """Findings made by `found` (wrong or odd) for attributes that are not as many finite numbers as they should be."""
+    advice = "correct it" if found is wrong else "this part is ignored; correct it"
+    for key, count in NUMBERS[part.tag].items():
+        if key not in part.attributes:
+            continue
+        text = part.attributes[key]
+        values = numbers(text)
+        shown = f'<{part.tag} {key}="{text[:60]}">'
+        if values is None or len(values) != count:
+            told = f"{shown} is not {'a number' if count == 1 else f'{count} numbers'}"
+            yield found(item, told, advice, part.line)
+        elif not all(map(math.isfinite, values)):
+            yield found(item, f"{shown} is not finite", "write a finite number", part.line)
+
+
+def _origin(item: Item, part: Part, found: Callable[..., Finding]) -> Iterator[Finding]:
+    """Findings for the rotation of an <origin>; where its numbers are not numbers, that has been said."""
+    given = part.attributes
+    rpy = numbers(given.get("rpy", "")) or []
+    if any(map(_degrees, rpy)):
+        told = f'its <origin rpy="{given["rpy"]}"> looks like degrees'
+        yield odd(item, told, IN_DEGREES, part.line, at_load=item.tag == "joint")
+    quaternion = numbers(given.get("quat_xyzw", "")) or []
+    if len(quaternion) != 4 or not all(map(math.isfinite, quaternion)):
+        return
+    if "rpy" in given:
+        yield found(item, "its <origin> has both rpy and quat_xyzw", "keep one of them", part.line)
+    elif "quat_xyzw" in plain_origin(given):
+        told = f'its <origin quat_xyzw="{given["quat_xyzw"][:60]}"> is zero: no rotation'
+        yield found(item, told, "write a unit quaternion", part.line)
+    elif abs(math.hypot(*quaternion) - 1.0) > UNIT:
+        told = f"its <origin> has a quaternion of length {math.hypot(*quaternion):.4g}, which is scaled to 1"
+        yield odd(item, told, "write a unit quaternion", part.line, at_load=True)
+
+
+def unversioned(items: Sequence[Item]) -> Iterator[Finding]:
+    """A warning for quaternions in a file that does not declare the URDF version that has them."""
+    version = numbers(items[0].attributes.get("version", "1.0").partition(" ")[0]) or [1.0]
+    used = [
+        (item, part)
+        for item in items
+        for part in (item.own("origin")[:1] if item.tag == "joint" else item.inside)
+        if part.tag == "origin" and "quat_xyzw" in part.attributes
+    ]
+    if used and version[0] < 1.1:
+        item, part = used[0]
+        told = f'quat_xyzw is used as the rotation, but other readers ignore it without <robot version="1.2"> ({len(used)} of them)'
+        yield odd(item, told, 'write <robot version="1.2">', part.line, at_load=True)
+
+
+def _axis(joint: Item, kind: str) -> Iterator[Finding]:
+    parts = _counting(joint, "axis")
+    line = parts[0].line if parts else joint.line
+    if parts:
+        yield from _numbers(joint, parts[0], wrong)
+    if kind == "planar" and not parts:
+        told = "it has no <axis>, so its plane is that of y and z, says URDF"
+        yield odd(joint, told, 'write <axis xyz="0 0 1"/> for the plane of x and y', line, at_load=True)
+    if parts and "xyz" not in parts[0].attributes:
+        yield odd(joint, "its <axis> has no xyz: read as 1 0 0", 'write <axis xyz="0 0 1"/>', line, at_load=True)
+    axis = numbers(parts[0].attributes.get("xyz", "1 0 0")) if parts else None
+    if axis is None or len(axis) != 3 or not all(map(math.isfinite, axis)):
+        return
+    length = math.hypot(*axis)
+    if not length > 1e-6:
+        yield wrong(
+            joint, "its axis is zero, so it has no direction to move in", "write a unit axis such as 0 0 1", line
+        )
+    elif abs(length - 1.0) > UNIT:
+        yield odd(joint, f"its axis has the length {length:.4g}; only its direction counts", "write a unit axis", line)
+
+
+def _limit(joint: Item, kind: str) -> Iterator[Finding]:
+    parts = _counting(joint, "limit")
+    if not parts:
+        if kind == "revolute":
+            yield wrong(joint, "it has no <limit>", "add lower and upper [rad], or make it continuous", joint.line)
+        elif kind == "prismatic":
+            yield wrong(joint, "it has no <limit>", "add lower and upper [m]", joint.line)
+        return
+    limit, line = parts[0].attributes, parts[0].line
+    for key in ("effort", "velocity"):
+        yield from _power(joint, limit, key, line)
+    if kind == "continuous":
+        yield from _free_limits(joint, kind)
+        return
+    ends = [numbers(limit.get(end, "0")) or [] for end in ("lower", "upper")]
+    for end, values in zip(("lower", "upper"), ends, strict=True):
+        if len(values) != 1 or math.isnan(values[0]):
+            told = f'<limit {end}="{limit[end][:60]}"> is not a number'
+            yield wrong(joint, told, "write a number, or inf for none", line)
+    if all(len(values) == 1 for values in ends):
+        yield from _ends(joint, kind, limit, ends[0][0], ends[1][0], line)
+
+
+def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: float, line: int) -> Iterator[Finding]:
+    missing = [end for end in ("lower", "upper") if end not in limit]
+    if missing:
+        told = f"its <limit> has no {' and no '.join(missing)}: read as 0"
+        yield odd(joint, told, "write both limits", line, at_load=True)
+    if low >= ENDLESS or high <= -ENDLESS:
+        yield wrong(joint, f"its limits {low:g} to {high:g} leave it no position", "-inf to inf is no limit", line)
+    elif low > high:
+        told = f"its lower limit {low:g} is above its upper limit {high:g}: no tip can use it"
+        yield odd(joint, told, reversed_advice(low, high, kind == "revolute"), line)
+    if low == high:
+        yield odd(joint, f"its limits are both {low:g}: it cannot move", "widen them, or make it fixed", line)
+    whole = all(x.is_integer() for x in (low, high))
+    if kind == "revolute" and whole and (_degrees(low) or _degrees(high)):
+        told = f"its limits {low:g} to {high:g} look like degrees"
+        yield odd(joint, told, IN_DEGREES, line, at_load=True)
+
+
+def reversed_advice(low: float, high: float, turns: bool) -> str:
+    """What reversed limits may mean: both readings."""
+    swapped = f"swap them if {high:g} to {low:g} is meant"
+    if not turns:
+        return f"{swapped}, or change their signs and the axis if {-low:g} to {-high:g} is meant"
+    return f"{swapped}, or write {low:g} to {high + 2.0 * math.pi:.4g} if the range across half a turn is meant"
+
+
+def _free_limits(joint: Item, kind: str) -> Iterator[Finding]:
+    """A warning for position limits of a joint that has none by its type."""
+    for part in _counting(joint, "limit"):
+        said = [end for end in ("lower", "upper") if (numbers(part.attributes.get(end, "0")) or [1.0]) != [0.0]]
+        if said:
+            advice = "make it revolute if they are meant" if kind == "continuous" else "give them as base_limits="
+            told = f"{' and '.join(said)} of a {kind} joint are ignored"
+            yield odd(joint, told, advice, part.line, at_load=True)
+
+
+def _power(joint: Item, limit: Mapping[str, str], key: str, line: int) -> Iterator[Finding]:
+    """Warnings for an effort or velocity limit that is none."""
+    if key not in limit:
+        yield odd(joint, f"its <limit> has no {key}", UNUSED, line)
+        return
+    values = numbers(limit[key]) or []
+    if len(values) != 1 or math.isnan(values[0]):
+        yield odd(joint, f'<limit {key}="{limit[key][:60]}"> is not a number', UNUSED, line)
+    elif values[0] < 0.0:
+        yield odd(joint, f"its {key} limit is negative ({limit[key]}): taken for none", "write a positive number", line)
+    elif values[0] == 0.0 and key == "velocity":
+        told = "its velocity limit is 0: taken for none, because a joint that may not move would be fixed"
+        yield odd(joint, told, "write the speed of the real joint [rad/s or m/s]", line)
+
+
+def _degrees(angle: float) -> bool:
+    return DEGREES[0] <= abs(angle) <= DEGREES[1] and angle.is_integer()

@@ -1,0 +1,130 @@
+"""Files that a xacro file includes or loads: read only below the allowed folders, and no larger than a robot needs.
+
+It imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
+"""
+
+import os
+import re
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+from xml.dom import minidom
+from xml.parsers import expat
+
+BYTES = 20_000_000  # of all files together
+YAML_BYTES, YAML_SCALAR = 2_000_000, 2_000  # of a YAML file, characters of one value in it
+DECLARED = re.compile(rb"""(\s*<\?xml[^>]*?encoding=["'])([A-Za-z0-9._-]{1,40})""")
+KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # to expat
+NESTED = 200  # depth of XML elements
+ELEMENTS = 200_000  # of all files together
+UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.001, "foot": 0.3048, "inches": 0.0254}
+
+
+class Files:
+    """Files below the allowed folders, symbolic links followed first, and what all of them come to."""
+
+    def __init__(self, values: ModuleType, folders: list[str]) -> None:
+        """Take the module of values, for its caps and its error, and the folders."""
+        self.values = values
+        self.folders = [os.path.realpath(folder) for folder in folders]
+        self.bytes = self.elements = 0
+
+    def read(self, path: str, most: int) -> bytes:
+        """Bytes of a file. Raises Refused, and FileNotFoundError for one that could be read but is not there."""
+        path = os.path.abspath(path)
+        real = os.path.realpath(path)
+        if not any(real.startswith(os.path.join(folder, "")) for folder in self.folders):
+            raise self.values.Refused(
+                f"it reads '{path[-120:]}', which is not allowed; if it may, name its folder: "
+                f"package_dirs=['{os.path.dirname(path)[-100:]}'], in the shell --package-dir"
+            )
+        if os.path.exists(real) and not os.path.isfile(real):
+            raise self.values.Refused(f"'{path[-120:]}' is not a regular file")
+        with open(real, "rb") as file:
+            raw = file.read(most + 1)
+        self.bytes += len(raw)
+        if len(raw) > most or self.bytes > BYTES:
+            raise self.values.Refused(f"'{os.path.basename(path)[:100]}' and what is read before it are too large")
+        return raw
+
+    def xml(self, path: str) -> Any:
+        """Document of an XML file. Raises Refused."""
+        raw, depth = self.read(path, BYTES), 0
+        declared = DECLARED.match(raw)
+        if declared and declared[2].lower() not in KNOWN:
+            try:
+                raw = declared[1] + b"utf-8" + raw[declared.end(2) :].decode(declared[2].decode()).encode()
+            except (LookupError, UnicodeError):
+                raise self.values.Refused(f"it is not text of the encoding {declared[2].decode()}") from None
+
+        def start(tag: str, attributes: dict) -> None:
+            nonlocal depth
+            depth, self.elements = depth + 1, self.elements + 1
+            if depth > NESTED or self.elements > ELEMENTS:
+                raise self.values.Refused(f"its elements are nested more than {NESTED} deep, or more than {ELEMENTS:,}")
+
+        def end(tag: str) -> None:
+            nonlocal depth
+            depth -= 1
+
+        def refuse(*_: object) -> None:
+            raise self.values.Refused("it has a DOCTYPE or entity declarations; these are never expanded or fetched")
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler, parser.EndElementHandler = start, end
+        parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+        try:
+            parser.Parse(raw, True)
+        except expat.ExpatError as error:
+            reason = expat.ErrorString(error.code)
+            raise self.values.Refused(f"it is not well-formed XML: {reason} in line {error.lineno}") from None
+        return minidom.parseString(raw)  # noqa: S318 - it was checked above
+
+    def yaml(self, path: str, number: Callable[[str], float]) -> Any:
+        """Plain values of a YAML file; number: value of a text with a unit. Raises Refused."""
+        import yaml
+
+        raw = self.read(path, YAML_BYTES)
+
+        Loader: Any = type("Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
+
+        for unit, factor in UNITS.items():
+            Loader.add_constructor(f"!{unit}", lambda _, node, times=factor: number(f"({node.value})*{times}"))
+        for plain in ("timestamp", "binary"):  # a date of calibration is no quantity of a robot
+            Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
+        try:
+            weigh(yaml.parse(raw, Loader), self.values)
+            return yaml.load(raw, Loader)  # noqa: S506 - a safe loader
+        except (yaml.YAMLError, ValueError) as error:
+            said = " ".join(str(error).split())[:160]
+            raise self.values.Refused(f"'{os.path.basename(path)[:60]}' cannot be read as YAML: {said}") from None
+
+
+def weigh(events: Any, values: ModuleType) -> None:
+    """Raise Refused for YAML that is too large once its anchors are put in, or nested too deep."""
+    known: dict[str, int] = {}
+    open_: list[tuple[str | None, int]] = [(None, 0)]
+    for event in events:
+        kind, anchor, weight = type(event).__name__, getattr(event, "anchor", None), 1
+        if kind in ("MappingStartEvent", "SequenceStartEvent"):
+            open_.append((anchor, 1))
+            if len(open_) > values.DEEP:
+                raise values.Refused(f"YAML is nested more than {values.DEEP} deep")
+            continue
+        if kind in ("MappingEndEvent", "SequenceEndEvent"):
+            anchor, weight = open_.pop()
+        elif kind == "ScalarEvent":
+            weight += len(event.value)
+            if weight > YAML_SCALAR:
+                raise values.Refused(f"a value in YAML has more than {YAML_SCALAR:,} characters")
+        elif kind == "AliasEvent":
+            weight = known.get(anchor or "", 1)
+            anchor = None
+        else:
+            continue
+        if anchor:
+            known[anchor] = weight
+        above, before = open_[-1]
+        open_[-1] = above, before + weight
+        if before + weight > YAML_BYTES:
+            raise values.Refused("YAML is too large once its anchors are put in")

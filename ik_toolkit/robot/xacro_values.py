@@ -1,0 +1,399 @@
+"""The values of xacro's expressions, found by a walk over their syntax tree: nothing is ever handed to Python's `eval`.
+
+What is not listed here does not exist for a file: a value is a number, a text, a list, tuple, dict, set or range of values, None,
+or one of the functions below. Every step and every size is counted, so that a file cannot keep the process busy. This module
+imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
+"""
+
+import ast
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+STEPS = 150_000  # over a whole file; the largest xacro robot of rtb-data takes 3,000
+LONGEST = 20_000  # characters of a text with expressions
+LARGEST = 100_000  # characters and members of a value, counting shared ones as often as they appear
+BITS = 4096  # of a whole number
+DEEP = 60  # nesting of an expression, and of lists
+WIDTH = 99  # of a formatted number
+PLAIN = (bool, int, float, str, type(None))
+METHODS: dict[type, tuple[str, ...]] = {
+    str: (
+        "capitalize", "casefold", "center", "count", "endswith", "find", "index", "isalnum", "isalpha", "isdecimal", "isdigit",
+        "isidentifier", "islower", "isnumeric", "isspace", "istitle", "isupper", "join", "ljust", "lower", "lstrip", "partition",
+        "removeprefix", "removesuffix", "replace", "rfind", "rindex", "rjust", "rpartition", "rsplit", "rstrip", "split",
+        "splitlines", "startswith", "strip", "swapcase", "title", "upper", "zfill",
+    ),
+    list: ("copy", "count", "index"),
+    tuple: ("count", "index"),
+    dict: ("copy", "get", "items", "keys", "values"),
+    set: ("copy", "difference", "intersection", "isdisjoint", "issubset", "issuperset", "symmetric_difference", "union"),
+    float: ("is_integer",),
+}  # fmt: skip
+FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
+# What a refused part of an expression is called.
+WORDS = {
+    ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
+    ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",
+}  # fmt: skip
+
+
+class Refused(Exception):
+    """What a file asks for and does not get, in words."""
+
+
+class Function:
+    """A function that a file may call, and may hand to `map` and its like."""
+
+    def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None, weighed: bool = False) -> None:
+        """Take its name, what it does, the type it stands for in `isinstance`, and whether it weighs what it makes."""
+        self.name, self.does, self.kind, self.weighed = name, does, kind, weighed
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        """Its value."""
+        return self.does(*given, **named)
+
+    def __repr__(self) -> str:
+        """Its name."""
+        return self.name
+
+
+class Evaluator:
+    """Evaluates the expressions of one file and counts what they cost."""
+
+    def __init__(self) -> None:
+        """Nothing has been evaluated yet."""
+        self.left = STEPS
+
+    def spend(self, steps: int = 1) -> None:
+        """Count some steps. Raises Refused after too many."""
+        self.left -= steps
+        if self.left < 0:
+            raise Refused(f"it takes more than {STEPS:,} steps to expand")
+
+    def evaluate(self, text: str, names: Mapping[str, Any]) -> Any:
+        """Value of an expression; names: the values it may use. Raises Refused, which names the expression."""
+        try:
+            if len(text) > LONGEST:
+                raise Refused(f"an expression has more than {LONGEST:,} characters")
+            self.spend(1 + len(text) // 100)
+            value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
+            if isinstance(value, Mapping) and type(value) is not dict:  # all else was looked at when it was made
+                raise Refused(f"it makes {_called(value)}, which is not allowed")
+            return value
+        except Refused as error:
+            raise (error if len(error.args) > 1 else Refused(*error.args, text)) from None
+        except SyntaxError as error:
+            raise Refused(f"it is not an expression: {error.msg}", text) from None
+        except KeyError as error:
+            raise Refused(f"there is no key {error}", text) from None
+        except (RecursionError, MemoryError):
+            raise Refused("it is nested too deep", text) from None
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise Refused(str(error) or type(error).__name__, text) from None
+
+    def value(self, node: ast.expr, names: Mapping[str, Any], depth: int) -> Any:
+        """Value of a part of an expression."""
+        self.spend()
+        if depth > DEEP:
+            raise Refused(f"it is nested more than {DEEP} deep")
+        kind = type(node)
+        if kind in WORDS or not hasattr(self, f"of_{kind.__name__}"):
+            raise Refused(f"it uses {WORDS.get(kind, kind.__name__)}, which is not evaluated")
+        return getattr(self, f"of_{kind.__name__}")(node, names, depth + 1)
+
+    def checked(self, value: Any) -> Any:
+        """The value, if it is of a kind that a file may have and not too large. Raises Refused."""
+        weight = _weight(value, 0, 0)
+        self.spend(weight // 50)
+        return value
+
+    def of_Constant(self, node: ast.Constant, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        return self.checked(node.value)
+
+    def of_Name(self, node: ast.Name, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        if node.id.startswith("__"):
+            raise Refused(f"the name '{node.id[:60]}' is not allowed")
+        try:
+            return names[node.id]
+        except KeyError:
+            raise Refused(f"the name '{node.id[:60]}' is not defined") from None
+
+    def of_Attribute(self, node: ast.Attribute, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        owner, name = self.value(node.value, names, depth), node.attr
+        if name.startswith("_"):
+            raise Refused(f"it uses '.{name[:60]}', which is not allowed")
+        if isinstance(owner, Mapping) and type(owner) is not dict:  # a namespace
+            try:
+                return owner[name]
+            except KeyError:
+                raise Refused(f"the name '.{name[:60]}' is not defined") from None
+        kind = set if isinstance(owner, frozenset) else type(owner)
+        if name in METHODS.get(kind, ()):
+            return Function(name, lambda *given, **named: self._method(owner, name, given, named))
+        if isinstance(owner, dict):
+            if name in owner:
+                return owner[name]
+            raise Refused(f"there is no key '{name[:60]}'")
+        raise Refused(f"it uses '.{name[:60]}' of {_called(owner)}, which is not allowed")
+
+    def _method(self, owner: Any, name: str, given: tuple, named: dict) -> Any:
+        """Call a method of a value after a look at how much it makes."""
+        if isinstance(owner, str):
+            size = len(owner)
+            if name in ("center", "ljust", "rjust", "zfill") and given and isinstance(given[0], int):
+                size = given[0]
+            elif name == "replace" and len(given) > 1 and all(isinstance(text, str) for text in given[:2]):
+                size = len(owner) + owner.count(given[0]) * len(given[1])
+            elif name == "join" and len(given) == 1:
+                given = ([*self.members(given[0])],)
+                size = len(owner) * len(given[0]) + sum(len(text) for text in given[0] if isinstance(text, str))
+            small(size)
+        made = getattr(owner, name)(*given, **named)
+        return list(made) if name in ("items", "keys", "values") else made
+
+    def members(self, value: Any) -> Iterable[Any]:
+        """The members of a value, each counted as a step."""
+        if not isinstance(value, str | list | tuple | dict | set | frozenset | range):
+            raise Refused(f"{_called(value)} has no members")
+        self.spend(len(value))
+        return value
+
+    def of_Call(self, node: ast.Call, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        does = self.value(node.func, names, depth)
+        if not isinstance(does, Function):
+            raise Refused(f"{_called(does)} is not a function")
+        given: list[Any] = []
+        for argument in node.args:
+            if isinstance(argument, ast.Starred):
+                given += self.members(self.value(argument.value, names, depth))
+            else:
+                given.append(self.value(argument, names, depth))
+        named: dict[str, Any] = {}
+        for word in node.keywords:
+            value = self.value(word.value, names, depth)
+            if word.arg is None and type(value) is not dict:
+                raise Refused(f"{_called(value)} does not follow **")
+            named |= value if word.arg is None else {word.arg: value}
+        for value in (*given, *named.values()):
+            self.checked(value)
+        made = does(*given, **named)
+        return made if does.weighed else self.checked(made)
+
+    def of_BinOp(self, node: ast.BinOp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        left, right = self.value(node.left, names, depth), self.value(node.right, names, depth)
+        kind = type(node.op)
+        if kind not in BINARY:
+            raise Refused(f"it uses {WORDS.get(kind, kind.__name__)}, which is not evaluated")
+        return self.checked(BINARY[kind](left, right))
+
+    def of_UnaryOp(self, node: ast.UnaryOp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        return UNARY[type(node.op)](self.value(node.operand, names, depth))
+
+    def of_BoolOp(self, node: ast.BoolOp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        value: Any = None
+        for part in node.values:
+            value = self.value(part, names, depth)
+            if bool(value) != isinstance(node.op, ast.And):
+                break
+        return value
+
+    def of_IfExp(self, node: ast.IfExp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        return self.value(node.body if self.value(node.test, names, depth) else node.orelse, names, depth)
+
+    def of_Compare(self, node: ast.Compare, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        left, holds = self.value(node.left, names, depth), True
+        for how, part in zip(node.ops, node.comparators, strict=True):
+            right = self.value(part, names, depth)
+            if isinstance(right, str | list | tuple | range):
+                self.spend(len(right) // 20)
+            holds = COMPARE[type(how)](left, right)
+            if not holds:
+                break
+            left = right
+        return holds
+
+    def of_Subscript(self, node: ast.Subscript, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        owner = self.value(node.value, names, depth)
+        if not isinstance(owner, str | list | tuple | range) and type(owner) is not dict:
+            raise Refused(f"{_called(owner)} cannot be indexed")
+        if not isinstance(node.slice, ast.Slice):
+            return owner[self.value(node.slice, names, depth)]
+        parts = (node.slice.lower, node.slice.upper, node.slice.step)
+        made = owner[slice(*(part and self.value(part, names, depth) for part in parts))]
+        self.spend(len(made) // 20)
+        return made
+
+    def of_List(self, node: ast.List | ast.Tuple | ast.Set, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        made: list[Any] = []
+        for part in node.elts:
+            star = isinstance(part, ast.Starred)
+            value = self.value(part.value if isinstance(part, ast.Starred) else part, names, depth)
+            made += self.members(value) if star else [value]
+        self.checked(made)
+        return {ast.Tuple: tuple, ast.Set: set}.get(type(node), list)(made)
+
+    of_Tuple = of_Set = of_List
+
+    def of_Dict(self, node: ast.Dict, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        made: dict[Any, Any] = {}
+        for key, part in zip(node.keys, node.values, strict=True):
+            value = self.value(part, names, depth)
+            if key is None and type(value) is not dict:
+                raise Refused(f"{_called(value)} does not follow **")
+            made |= value if key is None else {self.value(key, names, depth): value}
+        return self.checked(made)
+
+    def of_ListComp(self, node: ast.ListComp | ast.GeneratorExp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        return self.checked(
+            [self.value(node.elt, inner, depth) for inner in self._loops(node.generators, names, depth)]
+        )
+
+    of_GeneratorExp = of_ListComp
+
+    def of_SetComp(self, node: ast.SetComp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        made = {self.value(node.elt, inner, depth) for inner in self._loops(node.generators, names, depth)}
+        return self.checked(made)
+
+    def of_DictComp(self, node: ast.DictComp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
+        loops = self._loops(node.generators, names, depth)
+        return self.checked(
+            {self.value(node.key, inner, depth): self.value(node.value, inner, depth) for inner in loops}
+        )
+
+    def _loops(
+        self, loops: Sequence[ast.comprehension], names: Mapping[str, Any], depth: int
+    ) -> Iterable[Mapping[str, Any]]:
+        """The names inside the loops of a comprehension, turn by turn."""
+        if not loops:
+            yield names
+            return
+        first, *rest = loops
+        if first.is_async:
+            raise Refused("it uses async, which is not evaluated")
+        for member in self.members(self.value(first.iter, names, depth)):
+            inner = Inner(names, _unpacked(first.target, member))
+            if all(self.value(test, inner, depth) for test in first.ifs):
+                yield from self._loops(rest, inner, depth)
+
+
+class Inner(Mapping[str, Any]):
+    """Names inside a comprehension: its own, then those outside."""
+
+    def __init__(self, outside: Mapping[str, Any], own: dict[str, Any]) -> None:
+        self.outside, self.own = outside, own
+
+    def __getitem__(self, name: str) -> Any:
+        """Value of a name."""
+        return self.own[name] if name in self.own else self.outside[name]
+
+    __iter__ = __len__ = None  # pyright: ignore[reportAssignmentType]
+
+
+def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
+    """The names that a loop gives to a value, or to its members."""
+    if isinstance(target, ast.Name):
+        return {target.id: value}
+    if isinstance(target, ast.Tuple | ast.List) and isinstance(value, list | tuple | str):
+        own: dict[str, Any] = {}
+        for part, member in zip(target.elts, value, strict=True):
+            own |= _unpacked(part, member)
+        return own
+    raise Refused(f"a loop does not take {_called(value)} apart this way")
+
+
+def _called(value: Any) -> str:
+    """What a value is called in a message."""
+    return f"the function {value}" if isinstance(value, Function) else f"a value of the kind {type(value).__name__}"
+
+
+def _weight(value: Any, so_far: int, depth: int) -> int:
+    """Characters and members of a value, added to `so_far`. Raises Refused for a kind that no file may have, or too many."""
+    if isinstance(value, str | range):
+        so_far += len(value)
+    elif isinstance(value, int):
+        whole(value.bit_length())
+        so_far += value.bit_length() // 32
+    elif isinstance(value, list | tuple | set | frozenset) or type(value) is dict:
+        if depth > DEEP:
+            raise Refused(f"a list is nested more than {DEEP} deep")
+        for member in value:
+            so_far = _weight(member, so_far + 1, depth + 1)
+        for member in value.values() if isinstance(value, dict) else ():
+            so_far = _weight(member, so_far, depth + 1)
+    elif not isinstance(value, PLAIN) and not isinstance(value, Function):
+        raise Refused(f"it makes {_called(value)}, which is not allowed")
+    small(so_far)
+    return so_far
+
+
+def small(size: int) -> None:
+    """Raise Refused for a value of so many characters or members."""
+    if size > LARGEST:
+        raise Refused(f"a value has more than {LARGEST:,} characters or members")
+
+
+def whole(bits: int) -> None:
+    """Raise Refused for a whole number of so many bits."""
+    if bits > BITS:
+        raise Refused(f"a whole number has more than {BITS:,} bits")
+
+
+def power(base: Any, exponent: Any) -> Any:
+    """A power of moderate size."""
+    if isinstance(base, int) and isinstance(exponent, int) and exponent > 0:
+        whole((base.bit_length() - 1) * exponent if abs(base) > 1 else 0)
+    return base**exponent
+
+
+def product(left: Any, right: Any) -> Any:
+    """A product; a text or list is repeated a moderate number of times."""
+    for one, times in ((left, right), (right, left)):
+        if isinstance(one, str | list | tuple) and isinstance(times, int):
+            small(len(one) * times)
+    return left * right
+
+
+def total(values: Iterable[Any], start: Any = 0) -> Any:
+    """A sum. Lists are put together in one go, because each partial sum would be copied."""
+    if type(start) is list:
+        made = [*start]
+        for value in values:
+            if type(value) is not list:
+                raise Refused(f"a list and {_called(value)} cannot be added")
+            made += value
+            small(len(made))
+        return made
+    return sum(values, start)
+
+
+def remainder(left: Any, right: Any) -> Any:
+    """A remainder, or a text with numbers and texts put in as for printf: widths up to 99, no names, no stars."""
+    if isinstance(left, str):
+        if "%" in FORMAT.sub("", left):
+            raise Refused(f"the format {left[:40]!r} is not allowed")
+        small(len(left) + 10 * _weight(right, 0, 0) + (WIDTH + 1) * left.count("%"))
+    return left % right
+
+
+def shifted(left: Any, right: Any) -> Any:
+    """A whole number moved to the left by a moderate number of bits."""
+    if isinstance(left, int) and isinstance(right, int):
+        whole(left.bit_length() + right)
+    return left << right
+
+
+BINARY: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: product, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
+    ast.Mod: remainder, ast.Pow: power, ast.LShift: shifted, ast.RShift: operator.rshift, ast.BitOr: operator.or_,
+    ast.BitAnd: operator.and_, ast.BitXor: operator.xor,
+}  # fmt: skip
+UNARY: dict[type, Callable[[Any], Any]] = {
+    ast.Not: operator.not_, ast.USub: operator.neg, ast.UAdd: operator.pos, ast.Invert: operator.invert,
+}  # fmt: skip
+COMPARE: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt,
+    ast.GtE: operator.ge, ast.Is: operator.is_, ast.IsNot: operator.is_not, ast.In: lambda a, b: a in b,
+    ast.NotIn: lambda a, b: a not in b,
+}  # fmt: skip

@@ -1,0 +1,1 @@
+"""How a solution comes about, for people: what `Result.explain()` returns."""

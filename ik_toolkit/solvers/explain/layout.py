@@ -1,0 +1,254 @@
+"""The parts of an explanation (title, sentence, equations, table) and how they are written: text, Markdown with LaTeX, HTML."""
+
+import html
+import math
+import re
+import textwrap
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
+
+from ...style import BAD, MUTED
+from .worked_solution import Step
+
+WIDTH = 80  # columns of the text
+UNITS = {"m": "mm", "rad": "deg", "": ""}  # the units in which values [m, rad or 1] are shown
+SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # from a value to the number shown
+
+
+class Title(str):
+    """A line above what follows."""
+
+
+class Sentence(str):
+    """A sentence or two."""
+
+
+class Variable(str):
+    """A cell of a D-H table that its joint changes."""
+
+
+class OutsideLimits(str):
+    """A joint value outside the joint's limits."""
+
+
+class Table(NamedTuple):
+    """Texts in columns."""
+
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+
+class Equations(NamedTuple):
+    """Steps of a calculation; before: the steps whose numbers may stand in them; places: decimals of a millimetre."""
+
+    steps: tuple[Step, ...]
+    before: tuple[Step, ...]
+    places: int
+
+
+Block = Title | Sentence | Table | Equations
+MARKS: dict[type, str] = {Variable: "*", OutsideLimits: "!"}
+
+
+# ----------------------------------------------------------------------------------------------------------------- numbers
+def decimals(reach: float) -> int:
+    """Decimals of a millimetre that show a millionth of an arm's reach [m]."""
+    return int(min(max(round(6.0 - math.log10(1000.0 * reach)), 0), 12))
+
+
+def unit_of(kind: str) -> str:
+    """Unit of the values of a joint of this kind, a key of UNITS."""
+    return "m" if kind == "prismatic" else "rad"
+
+
+def number(value: float, unit: str, places: int) -> str:
+    """Digits of a value [m, rad or 1] in millimetres (with `places` decimals), degrees or as it is."""
+    digits = {"m": places, "rad": 4}.get(unit, 6)
+    text = f"{SCALES[unit] * value:.{digits}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+# --------------------------------------------------------------------------------------------------------------- equations
+def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]]:
+    """Equations that stand together, each as its sides in a form of `expression.written`, and the first step of them.
+
+    A formula stands alone: symbol, formula, formula with numbers, value with unit. Given numbers without words join those before.
+    """
+    from .expression import quantity, with_numbers, written  # SymPy, which only explanations need
+
+    texts = {
+        step.name: number(step.value, step.unit, block.places) + " deg" * (step.unit == "rad")
+        for step in (*block.before, *block.steps)
+    }
+    group: list[list[str]] = []
+    first = block.steps[0] if block.steps else None
+    for step in block.steps:
+        sides = [written(step.symbol, form)]
+        if step.formula is not None:
+            sides.append(written(step.formula, form))
+            if with_numbers(step.formula, "text", texts) != texts[step.name]:  # which would be the same twice
+                sides.append(with_numbers(step.formula, form, texts))
+        value = quantity(texts[step.name] + " mm" * (step.unit == "m"), form)
+        value = f"<mn>{value}</mn>" if form == "mathml" else value
+        if first is not None and group and (step.words or step.formula is not None or first.formula is not None):
+            yield first, group
+            group = []
+        first = first if group else step
+        group.append([*sides, value])
+    if first is not None:
+        yield first, group
+
+
+# -------------------------------------------------------------------------------------------------------------- plain text
+def to_text(blocks: Iterable[Block]) -> str:
+    """Plain text, 80 columns wide."""
+    lines: list[str] = []
+    for block in blocks:
+        if isinstance(block, Title):
+            lines += ["", "", str(block), "-" * len(block)]
+        elif isinstance(block, Sentence):
+            lines += ["", *textwrap.wrap(str(block), WIDTH)]
+        elif isinstance(block, Table):
+            lines += ["", *_table_lines(block)]
+        else:
+            lines += ["", *_equation_lines(block)]
+    return "\n".join(lines).lstrip("\n")
+
+
+def _equation_lines(block: Equations) -> Iterator[str]:
+    opening = block.steps[:1] and block.steps[0].formula is None
+    for step, group in chains(block, "text"):
+        said = f"  ({step.words})" if step.words else ""
+        if step.formula is None:
+            yield from _wrapped(", ".join(map(" = ".join, group)) + said, "  ", 6)
+            continue
+        if opening:  # the given numbers are over
+            yield ""
+            opening = False
+        name, *sides = group[0]
+        sides[-1] += said
+        for k, side in enumerate(sides):
+            lead = f"  {'' if k else name:{len(name)}} "
+            yield from _wrapped(f"= {side}", lead, len(name) + 5)
+
+
+def _wrapped(line: str, lead: str, indent: int) -> Iterator[str]:
+    """Lines of an equation; no line ends between a number and its unit."""
+    for made in textwrap.wrap(
+        re.sub(" (deg|mm)\\b", "\xa0\\1", line),
+        WIDTH,
+        initial_indent=lead,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    ):
+        yield made.replace("\xa0", " ")
+
+
+def _table_lines(table: Table) -> list[str]:
+    """Columns that do not fit into 80 follow below, next to the first one again."""
+    lines: list[str] = []
+    shown = [0]
+    for k in range(1, len(table.head)):
+        if len(shown) > 1 and max(map(len, _aligned(table, [*shown, k]))) > WIDTH:
+            lines += [*_aligned(table, shown), ""]
+            shown = [0]
+        shown.append(k)
+    return lines + _aligned(table, shown)
+
+
+def _aligned(table: Table, shown: list[int]) -> list[str]:
+    """The first column and words to the left, numbers to the right, marks behind them."""
+    lines = [""] * (1 + len(table.rows))
+    for k in shown:
+        cells = [table.head[k], *(row[k] for row in table.rows)]
+        marks = [MARKS.get(type(cell), "") for cell in cells]
+        width = max(map(len, cells))
+        left = k == 0 or any(cell[:1].isalpha() for cell in cells[1:])
+        for i, (cell, mark) in enumerate(zip(cells, marks, strict=True)):
+            text = cell.ljust(width) if left else cell.rjust(width)
+            lines[i] += f"  {text}" + (f" {mark:1}" if any(marks) else "")
+    return [line.rstrip() for line in lines]
+
+
+# ---------------------------------------------------------------------------------------------------------------- Markdown
+def to_markdown(blocks: Iterable[Block]) -> str:
+    """Markdown with the equations in LaTeX."""
+    return "\n\n".join(part for block in blocks for part in _markdown(block))
+
+
+def _markdown(block: Block) -> Iterator[str]:
+    if isinstance(block, Title):
+        yield f"#### {_plain(block)}"
+    elif isinstance(block, Sentence):
+        yield _plain(block)
+    elif isinstance(block, Table):
+        rows = [[_plain(x) + (rf" \{MARKS[type(x)]}" if type(x) in MARKS else "") for x in row] for row in block.rows]
+        ruled = [["---"] + ["---:"] * (len(block.head) - 1)]
+        yield "\n".join(f"| {' | '.join(row)} |" for row in ([_plain(x) for x in block.head], *ruled, *rows))
+    else:
+        for step, group in chains(block, "latex"):
+            words = _plain(step.words)
+            if step.formula is None:
+                given = r",\quad ".join(map(" = ".join, group))
+                yield f"${given}$" + (f" ({words})" if words else "")
+                continue
+            name, *sides = group[0]
+            lines = r" \\ ".join(f"&= {side}" for side in sides)
+            yield rf"$$\begin{{aligned}} {name} {lines} \end{{aligned}}$$"
+            if words:
+                yield f"*{words}*"
+
+
+def _plain(text: str) -> str:
+    """Text escaped for Markdown: names of robots and joints come from the model."""
+    return re.sub(r"([\\`*_{}\[\]()<>#|~$!])", r"\\\1", text)
+
+
+# -------------------------------------------------------------------------------------------------------------------- HTML
+def to_html(blocks: Iterable[Block]) -> str:
+    """HTML with the equations in MathML, which browsers draw without a library. All text is escaped."""
+    inner = "".join(map(_html, blocks))
+    return f'<div style="padding:2px 12px 8px;font-size:13px;line-height:1.5">{inner}</div>'
+
+
+def _html(block: Block) -> str:
+    if isinstance(block, Title):
+        return f'<div style="font-weight:600;margin-top:6px">{html.escape(block)}</div>'
+    if isinstance(block, Sentence):
+        return f'<div style="margin:4px 0;color:{MUTED}">{html.escape(block)}</div>'
+    if isinstance(block, Table):
+        head = "".join(_html_cell(Title(x), k) for k, x in enumerate(block.head))
+        rows = "".join(f"<tr>{''.join(map(_html_cell, row, range(len(row))))}</tr>" for row in block.rows)
+        return f'<div style="overflow-x:auto;margin:4px 0"><table><tr>{head}</tr>{rows}</table></div>'
+    return f'<div style="overflow-x:auto">{"".join(_html_lines(*chain) for chain in chains(block, "mathml"))}</div>'
+
+
+def _html_cell(text: str, column: int) -> str:
+    """A cell: the head and what a joint changes in bold, the latter on yellow, a value outside a limit in red."""
+    style = "padding:1px 7px 1px 0;white-space:nowrap;font-variant-numeric:tabular-nums"
+    if isinstance(text, Title):
+        return f'<th style="{style};font-weight:600">{html.escape(text)}</th>'
+    style += f";color:{MUTED}" if not column else "" if text[:1].isalpha() else ";text-align:right"
+    style += ";background:#fff3c4;font-weight:600" if isinstance(text, Variable) else ""
+    style += f";color:{BAD}" if isinstance(text, OutsideLimits) else ""
+    return f'<td style="{style}">{html.escape(text)}</td>'
+
+
+def _html_lines(step: Step, group: list[list[str]]) -> str:
+    """Given numbers on one line; a formula, the same with numbers, and its value on a line each."""
+    from .expression import BREAK
+
+    def maths(written: str) -> str:
+        return "<wbr>".join(f'<math displaystyle="true">{piece}</math>' for piece in written.split(BREAK) if piece)
+
+    said = f' <span style="color:{MUTED}">({html.escape(step.words)})</span>' if step.words else ""
+    if step.formula is None:
+        return f"<div>{', '.join(maths('<mo>=</mo>'.join(sides)) for sides in group)}{said}</div>"
+    name, *sides = group[0]
+    lines = [maths(f"{name if not k else ''}<mo>=</mo>{side}") for k, side in enumerate(sides)]
+    lines[-1] += said
+    shown = "".join(
+        f'<div style="padding-left:{36 if k else 22}px;text-indent:-22px">{line}</div>' for k, line in enumerate(lines)
+    )
+    return f'<div style="margin:5px 0" data-step="{html.escape(step.name)}">{shown}</div>'

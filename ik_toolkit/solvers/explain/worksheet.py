@@ -1,0 +1,78 @@
+"""Writing down a closed form step by step: SymPy formulas with the numbers of the solver."""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sympy import Expr, Matrix, Symbol, lambdify, pi
+
+from .worked_solution import Step
+
+
+class Worksheet:
+    """Steps in the order in which they are computed. Each call adds one and returns its symbol, for the formulas that follow."""
+
+    def __init__(self, before: Sequence[Step] = ()) -> None:
+        """An empty sheet, whose formulas may use the symbols of the steps `before`."""
+        self.values: dict[Any, float] = {step.symbol: step.value for step in before}
+        self.steps: list[Step] = []
+
+    def given(self, name: str, value: float, unit: str = "", words: str = "") -> Any:
+        """Add a number [m, rad or 1] that no formula gives."""
+        return self._add(name, None, float(value), unit, words)
+
+    def formula(self, name: str, formula: Any, unit: str = "", words: str = "", value: float | None = None) -> Any:
+        """Add a formula; its value [m, rad or 1] is the solver's where it has one, or else computed from the symbols."""
+        return self._add(name, formula, self.value(formula) if value is None else float(value), unit, words)
+
+    def angle(self, name: str, formula: Any, value: float, words: str = "") -> Any:
+        """Add an angle [rad] from which the solver may have taken full turns: they are written into the formula."""
+        turns = round((self.value(formula) - value) / (2.0 * math.pi))
+        return self._add(name, formula - 2 * turns * pi, float(value), "rad", words)
+
+    def vector(self, name: str, formulas: Any, unit: str = "", words: str = "", values: Any = None) -> Any:
+        """Add components NAME_x, NAME_y (and NAME_z) and return them as a SymPy column; formulas None: values are given."""
+        axes = "xyz"[: len(values if formulas is None else formulas)]
+        made = []
+        for i, axis in enumerate(axes):
+            formula, said = None if formulas is None else formulas[i], words if not i else ""
+            value = self.value(formula) if values is None else float(values[i])
+            made.append(self._add(f"{name}_{axis}", formula, value, unit, said))
+        return Matrix(made)
+
+    def joint(self, name: str, angle: Any, place: int, sign: float, offset: Any, value: float) -> None:
+        """Add the value [rad] of the joint at a place in q where it is not simply the angle = sign q + offset.
+
+        name: the joint's; angle: symbol of the angle; offset: symbol of the angle at q = 0, or 0.
+        """
+        formula = (angle - offset) * (-1 if sign < 0.0 else 1)
+        if formula != angle or abs(value - self.values[angle]) > 1.0:
+            self.angle(f"q_{place + 1}", formula, value, name)
+
+    def value(self, formula: Any) -> float:
+        """Number [m, rad or 1] of a formula with the values so far."""
+        symbols, function = _compiled(formula)
+        return float(function(*(self.values[symbol] for symbol in symbols)))
+
+    def _add(self, name: str, formula: Any, value: float, unit: str, words: str) -> Any:
+        symbol = Symbol(name, real=True)
+        self.values[symbol] = value
+        self.steps.append(Step(symbol, formula, value, unit, words))
+        return symbol
+
+
+def zero_angles(sheet: Worksheet, offsets: dict[str, float]) -> dict[str, Any]:
+    """Give alpha_1 ..., the angles [rad] of theta_1 ... at q = 0, where they are not zero; by name of theta, symbol or 0."""
+    made = {}
+    for name, offset in offsets.items():
+        zero = abs(offset) < 1e-12  # rad, what rounding leaves
+        made[name] = 0 if zero else sheet.given(name.replace("theta", "alpha"), offset, "rad", "the angle at q = 0")
+    return made
+
+
+@functools.lru_cache(1024)
+def _compiled(formula: Expr) -> tuple[list[Any], Callable[..., float]]:
+    """Symbols of a formula and a function of their values. As in the solvers, a root of less than zero, by rounding, is zero."""
+    symbols = sorted(formula.free_symbols, key=str)
+    return symbols, lambdify(symbols, formula, [{"sqrt": lambda x: math.sqrt(max(x, 0.0))}, "math"])

@@ -1,0 +1,145 @@
+"""Ctrl-C and SIGTERM in every long command, early and late: what is finished is kept as FILE.partial, and the exit code says it."""
+
+import contextlib
+import csv
+import json
+import os
+import signal
+import threading
+import warnings
+
+import numpy as np
+import pytest
+import robots
+
+from ik_toolkit.cli import bench, main, path, targets, tune, workspace
+from ik_toolkit.cli.streams import stoppable
+from ik_toolkit.papers.report import Report
+from ik_toolkit.tracking.run import Run
+
+SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
+
+
+@pytest.fixture(autouse=True)
+def heard():
+    """A test run in the background may ignore Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def send(number):
+    os.kill(os.getpid(), number)
+
+
+def rows_of(file):
+    with file.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def at_progress(module):
+    """Send a signal from the bar of a command, when it is told the k-th time how far the command is."""
+
+    def arrange(monkeypatch, number, k):
+        count = iter(range(1, 10**9))
+
+        @contextlib.contextmanager
+        def bar(*_):
+            yield lambda *_, **__: send(number) if next(count) == k else None
+
+        monkeypatch.setattr(module, "progress", bar)
+
+    return arrange
+
+
+def in_the_report(monkeypatch, number, k):
+    count, add = iter(range(1, 10**9)), Report.text
+    monkeypatch.setattr(Report, "text", lambda *a: (add(*a), send(number) if next(count) == k else None))
+
+
+def while_it_tracks(monkeypatch, number, k):
+    count, take = iter(range(1, 10**9)), Run._record
+    monkeypatch.setattr(Run, "_record", lambda *a: (take(*a), send(number) if next(count) == 20 * k else None)[0])
+
+
+def whole(tmp_path):
+    robot = robots.load("planar_2r")
+    Q = robot.random_q(np.random.default_rng(0), 60_000)
+    np.savez(tmp_path / "in.npz", targets=robot.chain.forward(Q)[0][:, :3, 3])
+    with (tmp_path / "in.csv").open("w") as stream:
+        stream.write("x,y,z\n1.0,0.3,0\n" + "".join(f"{1.0 + 0.01 * k},{0.3 + 0.01 * k},0\n" for k in range(1, 30)))
+
+
+# Words of a command that writes OUT, when the signal comes, and how many rows are kept at most.
+COMMANDS = {
+    "bench": (["bench", "planar_2r", "-s", "planar-2r,lm", "-n", "400", "-o", "OUT.json"], at_progress(bench),
+              lambda out: sum(row["targets"] for row in json.loads(out.read_text())["rows"]), 800),
+    "bench to a table": (["bench", "planar_2r", "-s", "planar-2r", "-n", "400", "--csv", "OUT.csv"], at_progress(bench),
+                         lambda out: sum(int(row["targets"]) for row in rows_of(out)), 400),
+    "workspace": (["workspace", "planar_2r", "-s", "planar-2r", "-n", "100000", "--csv", "OUT.csv"], at_progress(workspace),
+                  lambda out: len(rows_of(out)), 100_000),
+    "solve, csv": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.csv"], at_progress(targets),
+                   lambda out: len(rows_of(out)), 60_000),
+    "solve, npz": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.npz"], at_progress(targets),
+                   lambda out: len(np.load(out)["q"]), 60_000),
+    "track": (["track", "planar_2r", "--path", "circle", "--avoid-collisions", "-o", "OUT.csv"], while_it_tracks,
+              lambda out: len(rows_of(out)), 1001),
+    "path": (["path", "planar_2r", "--poses", "in.csv", "-o", "OUT.npz"], at_progress(path),
+             lambda out: len(np.load(out)["q"]), 30),
+    "tune": (["tune", "planar_3r", "pid", "--generations", "1000", "--targets", "20", "--held-out", "1", "-o", "OUT.toml"],
+             at_progress(tune), lambda out: out.read_text().count("solver"), 100),
+    "reproduce": (["reproduce", "chinyai", "-o", "."], in_the_report,
+                  lambda out: len(json.loads(out.with_name("report.json.partial").read_text())), 100),
+}  # fmt: skip
+
+
+def cases():
+    """Every command at every moment by both signals; most of it is slow."""
+    for k, name in enumerate(COMMANDS):
+        for when in (1, 2, 4):
+            for number in SIGNALS:
+                chosen = number == [*SIGNALS][k % 2] and when == (4 if name != "tune" else 1)
+                quick = (chosen and name != "reproduce") or (name == "bench" and number == signal.SIGINT)
+                yield pytest.param(
+                    name, number, when, marks=() if quick else pytest.mark.slow, id=f"{name}-{number.name}-{when}"
+                )
+
+
+@pytest.mark.parametrize(("name", "number", "when"), [*cases()])
+def test_a_stopped_command_keeps_what_is_finished(name, number, when, tmp_path, monkeypatch, capsys):
+    words, arrange, rows, most = COMMANDS[name]
+    monkeypatch.chdir(tmp_path)
+    whole(tmp_path)
+    arrange(monkeypatch, number, when)
+    out = next((word for word in words if word.startswith("OUT")), "report.md")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert main(words) == SIGNALS[number]
+    said = capsys.readouterr().err
+    assert ("ik: terminated" if number == signal.SIGTERM else "ik: interrupted") in said and "bug" not in said
+    kept = tmp_path / f"{out}.partial"
+    assert not (tmp_path / out).exists()
+    if kept.exists():
+        assert 0 < rows(kept) <= most and "partial" in said
+    else:
+        assert when == 1 or name == "path", "nothing was kept"  # a path is soon found, and there is none before it
+    left = [file.name for file in tmp_path.iterdir() if ".part" in file.name and not file.name.endswith(".partial")]
+    assert not left
+
+
+def test_ctrl_c_that_was_dropped_comes_again():
+    """Finalizers, and functions called from C, cannot raise: what was raised there is dropped, and would be lost."""
+
+    class Last:
+        def __del__(self):
+            send(signal.SIGINT)
+            for _ in range(1000):
+                pass
+
+    came, later = [], threading.Event()
+    with pytest.raises(KeyboardInterrupt), stoppable(came):
+        last = Last()
+        del last
+        assert came == [signal.SIGINT]
+        later.wait(5.0)
+    assert came == [signal.SIGINT] * 2

@@ -1,0 +1,101 @@
+"""Arms with fewer joints than a pose has directions: their own motions are followed, and what needs a jump is still found out."""
+
+import numpy as np
+import pytest
+from robots import have_data, urdf
+
+import ik_toolkit as ik
+from ik_toolkit.kernel.task import POSE
+from ik_toolkit.paths.interpolate import interpolate
+from ik_toolkit.paths.result import PathStatus
+
+POSES = 15
+
+
+def arm(count, seed, slides=False):
+    """An arm of `count` joints at random places, with a tool beyond the last."""
+    rng = np.random.default_rng(seed)
+    joints = [
+        dict(
+            kind="prismatic" if slides and k % 2 else "revolute",
+            axis=" ".join(map(str, rng.normal(size=3))),
+            xyz=" ".join(map(str, rng.uniform(-0.3, 0.3, 3))),
+            rpy=" ".join(map(str, rng.uniform(-3.0, 3.0, 3))),
+            limits=(-2.5, 2.5),
+        )
+        for k in range(count)
+    ]
+    return ik.Robot.load(urdf(*joints, dict(kind="fixed", xyz="0.4 0 0", rpy="0.3 0.2 0.1")))
+
+
+def drawn(robot, gap, seed):
+    """A straight motion of the joints (POSES, n), the fastest of which moves by `gap` a step, and its poses."""
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=robot.n)
+    Q = rng.uniform(-0.7, 0.7, robot.n) + np.arange(POSES)[:, None] * gap * way / np.abs(way).max()
+    return Q, np.array([robot.fk(q).homogeneous for q in Q])
+
+
+@pytest.mark.parametrize("slides", [False, True])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_full_poses_that_the_arm_draws_itself_are_one_motion(count, slides):
+    robot = arm(count, 20 + count, slides)
+    for gap in (0.016, 0.1):
+        Q, T = drawn(robot, gap, count)
+        made = ik.solve_path(robot, T)
+        assert made.status is PathStatus.FOLLOWED and not made.reconfigurations and made.lower_bound == 0
+        assert np.abs(made.q - Q).max() < 1e-5  # the solutions of these arms are isolated
+        assert made.position_error.max() <= 1e-6 and made.orientation_error.max() <= 1e-6
+        step = np.abs(np.diff(made.curve, axis=0)) / np.where(robot.slides, made.max_step[1], made.max_step[0])
+        assert step.max() <= 1.0 + 1e-9
+        if gap < 0.1:
+            assert made.deviation[0] < made.path_tolerance[0] and made.deviation[1] < made.path_tolerance[1]
+
+
+def test_the_distance_from_the_interpolated_poses_is_bounded_and_told_apart():
+    """Five joints, poses 0.1 rad apart: sampled finely, no error is above its bound, nor what is left beyond what is lacking."""
+    robot = arm(5, 25)
+    _, T = drawn(robot, 0.1, 5)
+    made = ik.solve_path(robot, T)
+    proof = made.continuity
+    assert proof.lacking.max() > 0.0 and (proof.judged[0] <= made.path_tolerance[0]).all()
+    assert (proof.judged[1] <= made.path_tolerance[1]).all()
+    for k in range(len(made.curve) - 1):
+        places = made.at[k] + np.linspace(0.0, 1.0, 5) * (made.at[k + 1] - made.at[k])
+        goals = interpolate(T[:, None], places, (POSE,))[:, 0]
+        rows = np.linspace(made.curve[k], made.curve[k + 1], 5)
+        errors = np.array([robot.errors(q, goal) for q, goal in zip(rows, goals, strict=True)])
+        assert errors[:, 0].max() <= proof.deviation[k] and errors[:, 1].max() <= proof.turn[k]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_positions_that_the_arm_draws_itself_are_one_motion(count):
+    robot = arm(count, 20 + count)
+    Q, T = drawn(robot, 0.05, count)
+    made = ik.solve_path(robot, T[:, :3, 3])
+    assert made.status is PathStatus.FOLLOWED and np.abs(made.q - Q).max() < 1e-5
+
+
+@pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
+def test_a_hobby_arm_follows_its_own_motion():
+    robot = ik.Robot.load("so101")
+    Q = np.linspace(0.3 * robot.lower, 0.2 * robot.upper, 40)
+    made = ik.solve_path(robot, np.array([robot.fk(q).homogeneous for q in Q]))
+    assert made.status is PathStatus.FOLLOWED and np.abs(made.q - Q).max() < 1e-5
+
+
+def test_what_needs_a_jump_is_found_out():
+    """A pan and three parallel joints: the wrist allows the elbow up at the first poses only, and the elbow down at the last."""
+    joints = [dict(kind="revolute", axis="0 0 1"), dict(kind="revolute", axis="0 1 0", xyz="0 0 0.2")]
+    joints += [dict(kind="revolute", axis="0 1 0", xyz="0 0 0.3")] * 2
+    robot = ik.Robot.load(urdf(*joints, dict(kind="fixed", xyz="0.1 0 0.1")))
+    T = np.array([robot.fk(q).homogeneous for q in np.linspace([0.1, 0.0, 1.0, -0.5], [0.3, 0.9, 1.0, -0.9], 31)])
+    limits = {"j3": (-0.77, 0.31)}  # with the elbow up it turns from -0.5 to -0.9, with the elbow down from 0.5 to 0.1
+    assert ik.solve_path(robot, T).status is PathStatus.FOLLOWED
+    made = ik.solve_path(robot, T, limits=limits)
+    assert made.status is PathStatus.RECONFIGURES and len(made.reconfigurations) == 1
+    assert 14 <= made.reconfigurations[0].index <= 20
+    assert made.lower_bound in (None, 0, 1) and np.abs(made.reconfigurations[0].move[2]) > 1.5
+    assert not any(made.robot.outside(q) for q in made.curve)
+    none = ik.solve_path(robot, T, limits=limits, reconfigurations="none")
+    assert none.status is PathStatus.INCOMPLETE and 15 <= np.isfinite(none.q[:, 0]).sum() <= 21
