@@ -20,7 +20,10 @@ WIDER = {
 
 def judges(room: str) -> tuple[str, ...]:
     """Folders of the tests of a room."""
-    more = {"solvers": ("tests/contract/",), "robot": ("tests/cli/test_targets.py", "tests/cli/test_csv.py")}
+    more = {
+        "solvers": ("tests/contract/", "tests/study/test_tune.py"),
+        "robot": ("tests/cli/test_targets.py", "tests/cli/test_csv.py"),
+    }
     return (f"tests/{room}/", *more.get(room, ()))
 
 
