@@ -178,3 +178,21 @@ def test_joints_that_move_two_links_alike_take_nothing_from_their_clearance():
     made = ik.solve_path(robot, poses, avoid_collisions=model)
     assert made.status == PathStatus.FOLLOWED and np.ptp(made.q[:, 1:], axis=0).max() < 1e-5
     assert made.clearance == pytest.approx(model.distance(made.q[0]).distance, abs=1e-3)
+
+
+# --------------------------------------------------------------------------------------------------------------- in time
+@pytest.mark.parametrize("speed", [0.05, 0.3, 5.0])
+def test_a_straight_motion_takes_the_time_it_must(speed):
+    """One slide moves: full acceleration, full speed, full braking, or no full speed where the way is short."""
+    robot, gain = load("cartesian_pp"), 0.8
+    ends = robot.home + np.array([[-0.1, 0.0], [0.1, 0.0]])
+    points = np.array([robot.fk(q).translation for q in np.linspace(*ends, 21)])
+    made = ik.solve_path(robot, points).retime(velocity=speed, acceleration=gain)
+    way = 0.2
+    least = way / speed + speed / gain if speed**2 / gain < way else 2.0 * np.sqrt(way / gain)
+    assert made.success and least * (1.0 - 1e-6) <= made.duration <= 1.02 * least
+    assert f"all 21 poses are passed in {made.duration:.4g} s" in made.message
+    t = np.linspace(0.0, made.duration, 500)
+    q, dq, ddq = made.at(t)
+    assert np.abs(dq).max() <= speed * (1 + 1e-9) and np.abs(ddq).max() <= gain * (1 + 1e-9)
+    assert np.abs(np.gradient(q, t, axis=0) - dq)[2:-2].max() < 2e-3 * max(speed, 0.1) + gain * t[1]
