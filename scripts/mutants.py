@@ -157,10 +157,10 @@ def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
 
 
 def walk(statement: ast.AST) -> Iterator[ast.AST]:
-    """Nodes of a statement; outside the kernel without assertions, which check no input, and numbers inside texts."""
+    """Nodes of a statement; outside the kernel without what checks no input (assertions, zip's strict) and numbers inside texts."""
     if HOME == KERNEL:
         yield from ast.walk(statement)
-    elif not isinstance(statement, (ast.Assert, ast.JoinedStr)):
+    elif not (isinstance(statement, (ast.Assert, ast.JoinedStr)) or getattr(statement, "arg", "") == "strict"):
         yield statement
         for child in ast.iter_child_nodes(statement):
             yield from walk(child)

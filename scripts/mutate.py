@@ -61,7 +61,7 @@ TESTS = tuple(
 SLOW, SLOW_IN_ROOM = 0.8, 4.0  # [s] processor time of a test, uncompiled or not: slower ones are not used
 COMPILING = 120.0  # [s] longest test of a room that needs kernels that are not on disk
 OUTPUT_ROOMS = OUTPUT.with_name("mutation_rooms.json")
-ENOUGH, ENOUGH_IN_ROOM = 8.0, 5.0  # [s] most test time spent on a surviving mutant
+ENOUGH = 8.0  # [s] most test time spent on a surviving mutant
 TOO_LONG, LEAST = 10.0, 4.0  # multiple of a test's time, and [s], after which it counts as an endless loop
 DEAD = ("killed", "timeout")
 
@@ -236,7 +236,7 @@ class Run:
 
         for name in sorted(names, key=rank):
             total += self.tests[name]["seconds"]
-            if taken and total > (ENOUGH_IN_ROOM if self.given.rooms else ENOUGH):
+            if taken and total > self.given.enough:
                 break
             taken.append(name)
         return taken
@@ -258,7 +258,12 @@ class Run:
         for mutant in todo:
             names = self.chosen(mutant)
             old = known.get((self.stamps[mutant.file], mutant.name))
-            if old and old["tests"] == (self.files.get(old["by"], "gone") if old["by"] else self.together(names)):
+            less = old and not old["by"] and old.get("enough", ENOUGH) < self.given.enough
+            if (
+                old
+                and not less
+                and old["tests"] == (self.files.get(old["by"], "gone") if old["by"] else self.together(names))
+            ):
                 done[mutant.name] = old["what"]
                 self.kills[old["by"]] += 1
             elif names:
@@ -279,7 +284,7 @@ class Run:
         print(f"{len(done)} known, {len(again)} to try", flush=True)
         with log.open("a", encoding="utf-8") as out:
             for i, ((mutant, names), found) in enumerate(
-                in_forks(again, work, lambda _: 20.0 * ENOUGH, self.given.workers)
+                in_forks(again, work, lambda _: 20.0 * self.given.enough, self.given.workers)
             ):
                 if not isinstance(found, dict):
                     found = {"what": "timeout" if found else "crash", "by": ""}  # see error.txt
@@ -291,6 +296,7 @@ class Run:
                     "text": key(mutant.name),
                     "kernel": self.stamps[mutant.file],
                     "tests": tests,
+                    "enough": self.given.enough,
                 }
                 out.write(json.dumps(found) + "\n")
                 out.flush()
@@ -367,6 +373,9 @@ def main() -> None:
     parser.add_argument("--files", nargs="*", default=[])
     parser.add_argument(
         "--rooms", type=lambda text: text.split(","), default=[], help="folders to change, not the kernel"
+    )
+    parser.add_argument(
+        "--enough", type=float, default=ENOUGH, help="[s] of tests for a mutant that none of them notices"
     )
     parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()

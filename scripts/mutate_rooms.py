@@ -20,7 +20,10 @@ WIDER = {
 
 def judges(room: str) -> tuple[str, ...]:
     """Folders of the tests of a room."""
-    more = {"solvers": ("tests/contract/",), "robot": ("tests/cli/test_targets.py", "tests/cli/test_csv.py")}
+    more = {
+        "solvers": ("tests/contract/", "tests/study/test_tune.py"),
+        "robot": ("tests/cli/test_targets.py", "tests/cli/test_csv.py"),
+    }
     return (f"tests/{room}/", *more.get(room, ()))
 
 
@@ -75,7 +78,7 @@ def more_changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
         name = getattr(node.func, "id", getattr(node.func, "attr", ""))
         if name in ("any", "all") and isinstance(node.func, ast.Name):
             yield f"{name} swapped", lambda n: setattr(n.func, "id", "all" if n.func.id == "any" else "any")
-        for k, word in enumerate(node.keywords):
+        for k, word in ((k, word) for k, word in enumerate(node.keywords) if word.arg != "strict"):
             yield (
                 f"without {ast.unparse(word):.40}",
                 lambda n, k=k: setattr(n, "keywords", n.keywords[:k] + n.keywords[k + 1 :]),

@@ -40,7 +40,11 @@ def test_fewest_is_called_proven_only_where_the_bound_is_the_number():
 
 def test_nothing_is_proven_where_a_turn_between_two_poses_may_go_either_way():
     """At the end it turns by 180 degrees from one pose to the next."""
-    either = spun([*np.arange(0.0, 451.0, 2.5), 630.0])
+    degrees = [*np.arange(0.0, 451.0, 2.5), 630.0]
+    either = spun(degrees)
+    robot = ik.Robot.load(WOUND)
+    for q, x in zip(either.q, np.radians(degrees), strict=True):
+        assert max(robot.errors(q, planar_pose(1.8, 0.1, x))) < 1e-5
     assert either.status == PathStatus.RECONFIGURES and len(either.reconfigurations) == 1
     assert either.lower_bound is None and "with 1 reconfiguration (the fewest found), after pose" in either.message
 
@@ -141,3 +145,54 @@ def test_what_ends_a_path_early_is_told():
         "relax the targets (free_turn, slack, mask), or widen the limits"
     )
     assert lost.unreachable[0].proven and lost.unreachable[0].reason.startswith("beyond reach by ")
+
+
+# ------------------------------------------------------------------------------------------------- places and distances
+def balls(*radii):
+    """A planar arm of two links of 1 m, with a ball around the origin of each link."""
+    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
+    for k, radius in enumerate(radii):
+        ball = f'<link name="l{k}"><collision><geometry><sphere radius="{radius}"/></geometry></collision></link>'
+        text = text.replace(f'<link name="l{k}"/>', ball if radius else f'<link name="l{k}"/>')
+    return ik.Robot.load(text)
+
+
+def test_a_contact_between_poses_far_apart_is_placed_between_them():
+    robot = balls(0, 0, 0, 0.05)
+    Q = np.linspace([0.3, 0.8], [0.5, 1.0], 3)
+    ends = np.array([robot.fk(q).translation for q in Q[[0, 2]]])
+    model = ik.CollisionModel(robot).add_sphere(0.02, 0.5 * (ends[0] + ends[1]), name="post")
+    made = ik.solve_path(robot, ends, avoid_collisions=model)
+    assert len(made.at) > 3 and made.status == PathStatus.COLLISION
+    assert all(0.2 < touch.place < 0.8 for touch in made.continuity.contacts)
+
+
+def test_joints_that_move_two_links_alike_take_nothing_from_their_clearance():
+    ball = '<link name="{0}"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
+    text = urdf(*[dict(kind="revolute", xyz=f"{x} 0 0") for x in (0, 1, 1)], dict(kind="fixed", xyz="0.5 0 0"))
+    for link in ("l1", "l2", "l3", "l4"):
+        text = text.replace(f'<link name="{link}"/>', ball.format(link))
+    robot = ik.Robot.load(text)
+    model = ik.CollisionModel(robot)
+    poses = np.array([robot.fk([x, 1.0, 0.5]).homogeneous for x in np.linspace(0.0, 0.6, 25)])
+    made = ik.solve_path(robot, poses, avoid_collisions=model)
+    assert made.status == PathStatus.FOLLOWED and np.ptp(made.q[:, 1:], axis=0).max() < 1e-5
+    assert made.clearance == pytest.approx(model.distance(made.q[0]).distance, abs=1e-3)
+
+
+# --------------------------------------------------------------------------------------------------------------- in time
+@pytest.mark.parametrize("speed", [0.05, 0.3, 5.0])
+def test_a_straight_motion_takes_the_time_it_must(speed):
+    """One slide moves: full acceleration, full speed, full braking, or no full speed where the way is short."""
+    robot, gain = load("cartesian_pp"), 0.8
+    ends = robot.home + np.array([[-0.1, 0.0], [0.1, 0.0]])
+    points = np.array([robot.fk(q).translation for q in np.linspace(*ends, 21)])
+    made = ik.solve_path(robot, points).retime(velocity=speed, acceleration=gain)
+    way = 0.2
+    least = way / speed + speed / gain if speed**2 / gain < way else 2.0 * np.sqrt(way / gain)
+    assert made.success and least * (1.0 - 1e-6) <= made.duration <= 1.02 * least
+    assert f"all 21 poses are passed in {made.duration:.4g} s" in made.message
+    t = np.linspace(0.0, made.duration, 500)
+    q, dq, ddq = made.at(t)
+    assert np.abs(dq).max() <= speed * (1 + 1e-9) and np.abs(ddq).max() <= gain * (1 + 1e-9)
+    assert np.abs(np.gradient(q, t, axis=0) - dq)[2:-2].max() < 2e-3 * max(speed, 0.1) + gain * t[1]

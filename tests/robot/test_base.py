@@ -235,3 +235,30 @@ def test_a_helix_is_refused_by_name():
     model.addFrame(pin.Frame("nut", screw, 0, pin.SE3.Identity(), pin.FrameType.BODY))
     with pytest.raises(ModelError, match="joint 'spindle' moves along a helix"):
         ik.Robot(model, tip="nut")
+
+
+def test_ball_and_continuous_joints_of_a_given_model_keep_their_form():
+    """A configuration there and back: a free-flyer, a ball, a planar joint, a continuous joint and a revolute one."""
+    model = pin.Model()
+    parent = 0
+    kinds = (
+        pin.JointModelFreeFlyer,
+        pin.JointModelRUBZ,
+        pin.JointModelSpherical,
+        pin.JointModelRY,
+        pin.JointModelPlanar,
+    )
+    for k, kind in enumerate(kinds):
+        at = pin.SE3(pin.exp3(np.array([0.1 * k, 0.2, -0.1])), np.array([0.1, 0.0, 0.2]))
+        parent = model.addJoint(parent, kind(), at, f"j{k}")
+        model.addJointFrame(parent, -1)
+        model.addBodyFrame(f"l{k}", parent, pin.SE3.Identity(), -1)
+    model.upperPositionLimit[:] = 1.0
+    model.lowerPositionLimit[:] = -1.0
+    robot = ik.Robot(model, tip="l4", base_limits=(-1, 1))
+    data, rng = model.createData(), np.random.default_rng(2)
+    for q in robot.random_q(rng, 20):
+        full = robot.to_pinocchio(q)
+        assert full.shape == (model.nq,) and pin.isNormalized(model, full, 1e-9)
+        pin.framesForwardKinematics(model, data, full)
+        assert np.abs(data.oMf[model.getFrameId("l4")].homogeneous - robot.fk(q).homogeneous).max() < 1e-12

@@ -8,6 +8,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
 from ik_toolkit.robot.formats.mimic import followers
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.pose import AxisTarget
 
 
@@ -136,3 +137,42 @@ def test_joints_that_mimic_nothing_they_can_follow():
     assert loose["lost"] == "mimics joint 'nobody', which does not exist"
     assert loose["stiff"] == "mimics joint 'fixed', which does not move"
     assert loose["later"] == f"mimics joint 'lost', which {loose['lost']}" or loose["later"] == loose["lost"]
+
+
+def test_what_is_near_where_there_is_nothing():
+    text = robots.urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0"))
+    ball = '<link name="l2"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
+    alone = ik.CollisionModel(ik.Robot.load(text.replace('<link name="l2"/>', ball)))
+    assert alone.distance([0.1, 0.2]) is None and alone.distances([0.1, 0.2]) == [] and not alone.collides([0.1, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("element", "said"),
+    [
+        *[(f'<box size="{x}"/>', f'<box size="{x}"> is not 3 numbers') for x in ("1 1", "a 1 1", "1 1 1 1")],
+        *[(f'<cylinder radius="{x}" length="1"/>', f'<cylinder radius="{x}"> is not a number') for x in ("x", "1 2")],
+        *[(f'<cylinder radius="1" length="{x}"/>', f'<cylinder length="{x}"> is not a number') for x in ("x", "1 2")],
+        *[(f'<capsule radius="{x}" length="1"/>', f'<capsule radius="{x}"> is not a number') for x in ("x", "1 2")],
+        *[(f'<capsule radius="1" length="{x}"/>', f'<capsule length="{x}"> is not a number') for x in ("x", "1 2")],
+        *[(f'<sphere radius="{x}"/>', f'<sphere radius="{x}"> is not a number') for x in ("x", "1 2")],
+        *[(f'<mesh filename="a" scale="{x}"/>', f'<mesh scale="{x}"> is not 3 numbers') for x in ("1 1", "1 1 x")],
+    ],
+)
+def test_numbers_of_shapes(element, said):
+    text = robots.urdf(dict(kind="revolute"))
+    for where in ("collision", "visual"):
+        shape = f'<link name="l1"><{where}><geometry>{element}</geometry></{where}></link>'
+        assert any(said in str(one) for one in check_urdf(text.replace('<link name="l1"/>', shape)))
+
+
+@pytest.mark.parametrize("name", ["ixx", "ixy", "ixz", "iyy", "iyz", "izz", "mass"])
+def test_numbers_of_masses(name):
+    right = dict(ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+    for wrong in ("x", "1 2"):
+        given = right | ({} if name == "mass" else {name: wrong})
+        mass = wrong if name == "mass" else "1"
+        words = " ".join(f'{key}="{value}"' for key, value in given.items())
+        inertial = f'<inertial><mass value="{mass}"/><inertia {words}/></inertial>'
+        text = robots.urdf(dict(kind="revolute")).replace('<link name="l1"/>', f'<link name="l1">{inertial}</link>')
+        said = f'<mass value="{wrong}"> is' if name == "mass" else f'<inertia {name}="{wrong}"> is'
+        assert any(said in str(one) for one in check_urdf(text))

@@ -135,6 +135,13 @@ def test_files_of_references(tmp_path):
     assert reference_from_file(file).duration == 1.0
 
 
+def test_slack_in_a_clipped_run(flat):
+    slack = (0.01,) * 3 + (0.0,) * 3
+    with pytest.raises(InvalidOption, match="slack is kept by the constrained step, so on_limit cannot be 'clip'"):
+        ik.track(flat, line(flat), on_limit="clip", slack=slack)
+    assert ik.track(flat, line(flat), on_limit="leave", slack=slack).success
+
+
 def test_dt_and_stretch(flat):
     with pytest.raises(InvalidOption, match=r"dt = 0.5 s is longer than the reference \(0.2 s\)"):
         ik.track(flat, line(flat), dt=0.5)

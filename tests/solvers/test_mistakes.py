@@ -133,3 +133,23 @@ def test_presets(arm, tmp_path):
             from_preset(find_row("pid"), file)
     with pytest.raises(InvalidOption, match=r"pid: starts hold 6 finite values each \(azimuth_yaw, .*\), not \(1, 2\)"):
         ik.solve(arm, arm.fk(arm.home), "pid", starts=[[0.0, 0.0]])
+
+
+def test_positions_have_no_orientation_that_could_count(arm):
+    point = arm.fk(arm.home).translation
+    told = "a position leaves orientation free, so the last three weights of its mask must be 0, not "
+    with pytest.raises(InvalidOption, match=told):
+        ik.solve(arm, point, "lm", mask=(1, 1, 1, 0, 0, 1))
+    for counts in (dict(mask=(1, 1, 0, 0, 0, 0)), dict(slack=(0.01, 0.01, 0.01, 9.0, 9.0, 9.0))):
+        with pytest.raises(InvalidOption, match="a position has no axes of its own, so frame='target' needs a pose"):
+            ik.solve(arm, point, "lm", frame="target", **counts)
+        assert ik.solve(arm, point, "lm", q0=arm.home, **counts).success
+
+
+def test_what_a_tip_is_relative_to_is_a_name(tree):
+    first, second = tree.tips
+    for wrong in ({first: 3}, {3: second}, {first: None}, [first, second]):
+        with pytest.raises(
+            InvalidOption, match="relative_to must be a dict from a tip to the tip its target is relative to"
+        ):
+            ik.solve(tree, tree.fk(tree.home), relative_to=wrong)

@@ -101,3 +101,32 @@ def test_of_batches_of_solutions():
     for name in ("q", "distance", "position_error", "branches"):
         assert np.array_equal(getattr(many, name), np.concatenate([getattr(many[k], name) for k in range(3)])), name
     assert many.orientation_error is None
+
+
+def test_of_explanations():
+    pytest.importorskip("sympy", reason="the extra 'explain' is not installed")
+    robot = robots.load("planar_2r")
+    made = ik.solve(robot, robot.fk([0.3, 0.9]).translation).explain()
+    told, worked = made.to_dict(), made.worked
+    assert told["closed_form"] == made.form == "planar-2r" and told["why"] == made.why and told["chosen"] == made.chosen
+    assert len(told["branches"]) == len(worked.branches) == 2
+    for one, branch, error in zip(told["branches"], worked.branches, made.errors, strict=True):
+        assert (
+            one["label"] == branch.label != ""
+            and one["q"] == branch.q.tolist()
+            and one["outside"] == list(branch.outside)
+        )
+        assert one["steps"] == [step.to_dict() for step in branch.steps] and one["steps"]
+        assert (one["position_error"], one["orientation_error"]) == tuple(error)
+    assert told["given"] == [step.to_dict() for step in worked.steps if step.formula is None] and told["given"]
+    assert (
+        told["steps"] == [step.to_dict() for step in worked.steps if step.formula is not None] and told["free"] is None
+    )
+    table = told["dh"]["tool"]
+    assert set(table) == {"convention", "rows", "base", "tool"} and len(table["rows"]) >= 2
+    assert set(table["rows"][0]) == {"name", "type", "theta", "d", "a", "alpha"} and np.shape(table["base"]) == (4, 4)
+    assert told["iterations"] == made.iterations._asdict()
+    searched = ik.solve(robots.load("hydrolek_7w"), (1.0, 0.1, 0.2), "lm").explain()
+    told, steps = searched.to_dict(), searched.iterations
+    assert told["branches"] == [] == told["given"] == told["steps"] and told["closed_form"] is None and told["why"]
+    assert told["iterations"] == steps._asdict() and told["chosen"] is None
