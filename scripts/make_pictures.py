@@ -143,8 +143,9 @@ def find_chromium() -> str:
 
 def panel(picture: Path) -> None:
     """Write the picture of the panel after a solve, operated as a user would."""
-    from ik_toolkit.show.panel.panel.panel import Panel
     from playwright.sync_api import sync_playwright
+
+    from ik_toolkit.show.panel.panel import Panel
 
     with contextlib.closing(Panel("hydrolek_7w")) as served, sync_playwright() as play:
         page = play.chromium.launch(executable_path=find_chromium(), args=[*GRAPHICS]).new_page(

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 from mutate_rooms import more_changes
 
 PACKAGE = Path(__file__).resolve().parent.parent / "ik_toolkit"
-KERNEL = PACKAGE / "kernel"
-HOME = KERNEL  # files are named by their path below it; PACKAGE for rooms (see `in_package`)
+ROOMS_OF_KERNELS = ("kernel", "servo", "paths")  # a file there is compiled if it takes a decorator from compile/jit.py
+of_kernel = True  # whether what runs uncompiled is changed; else plain Python (see `in_package`)
 REACHED = "__reached__"
 NUMBAS = (
     "overload",
@@ -30,7 +30,7 @@ NUMBAS = (
     "infer",
     "register_model",
 )  # decorators of functions that numba calls
-LOWERING = {"parts_of", "_made", "_place", "_index", "_element"}  # functions of view.py called only by those
+LOWERING = {"parts_of", "_made", "_place", "_index", "_element"}  # functions of array_view.py called only by those
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,
     ast.RShift: ast.LShift, ast.LShift: ast.RShift, ast.BitXor: ast.BitOr, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr,
@@ -54,15 +54,15 @@ CALLS = {"min": "max", "max": "min", "sin": "cos", "cos": "sin", "ceil": "floor"
 
 
 def in_package() -> None:
-    """Name files by their path below the package, and make the changes that matter in plain Python as well."""
-    global HOME
-    HOME = PACKAGE
+    """Change the rooms' plain Python, with the changes that matter there as well."""
+    global of_kernel
+    of_kernel = False
 
 
 @functools.cache
 def text_of(file: str) -> list[str]:
     """Lines of a file."""
-    return (HOME / file).read_text(encoding="utf-8").splitlines()
+    return (PACKAGE / file).read_text(encoding="utf-8").splitlines()
 
 
 def key(name: str) -> str:
@@ -106,7 +106,7 @@ def changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
             yield "condition negated", lambda n: setattr(n, "test", ast.UnaryOp(ast.Not(), n.test))
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         yield "minus dropped", lambda n: setattr(n, "op", ast.UAdd())
-    elif isinstance(node, ast.Constant) and type(node.value) is int and HOME == PACKAGE and abs(node.value) > 9:
+    elif isinstance(node, ast.Constant) and type(node.value) is int and not of_kernel and abs(node.value) > 9:
         yield f"{node.value} -> {2 * node.value}", lambda n: setattr(n, "value", 2 * n.value)
         yield f"{node.value} -> {node.value // 2}", lambda n: setattr(n, "value", n.value // 2)
     elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
@@ -123,20 +123,20 @@ def changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
 
 def all_changes(node: ast.AST) -> list[tuple[str, Any]]:
     """The kernel's changes and, outside it, those of plain Python."""
-    return [*changes(node), *(more_changes(node) if HOME == PACKAGE else ())]
+    return [*changes(node), *(() if of_kernel else more_changes(node))]
 
 
 def is_compiled(top: ast.AST) -> bool:
     """Whether numba has a version of its own of a function or class; what a test runs is that one."""
     marks = [ast.unparse(mark) for mark in getattr(top, "decorator_list", ())]
-    if HOME == KERNEL:  # where everything runs uncompiled
+    if of_kernel:  # where everything runs uncompiled
         return any(word in mark for mark in marks for word in NUMBAS)
     return any(mark.split("(")[0].split(".")[-1] in COMPILED for mark in marks)
 
 
 def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
     """Nodes inside functions that run uncompiled, and values of constants of the module."""
-    literals = (ast.Constant, ast.BinOp, ast.Tuple, *((ast.List, ast.Set, ast.Dict) if HOME == PACKAGE else ()))
+    literals = (ast.Constant, ast.BinOp, ast.Tuple, *(() if of_kernel else (ast.List, ast.Set, ast.Dict)))
     for top in tree.body:
         if is_compiled(top):
             continue
@@ -158,7 +158,7 @@ def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
 
 def walk(statement: ast.AST) -> Iterator[ast.AST]:
     """Nodes of a statement; outside the kernel without what checks no input (assertions, zip's strict) and numbers inside texts."""
-    if HOME == KERNEL:
+    if of_kernel:
         yield from ast.walk(statement)
     elif not (isinstance(statement, (ast.Assert, ast.JoinedStr)) or getattr(statement, "arg", "") == "strict"):
         yield statement
@@ -220,8 +220,14 @@ def uses(names: str) -> set[tuple[str, int]]:
 
 @functools.cache
 def files() -> list[str]:
-    """Names of all files."""
-    return sorted(path.relative_to(HOME).as_posix() for path in HOME.rglob("*.py"))
+    """Names of all files, by their path below the package; of the kernel only those that are compiled."""
+    rooms = (
+        [path for room in ROOMS_OF_KERNELS for path in (PACKAGE / room).rglob("*.py")]
+        if of_kernel
+        else PACKAGE.rglob("*.py")
+    )
+    names = (path.relative_to(PACKAGE).as_posix() for path in rooms)
+    return sorted(name for name in names if not of_kernel or "compile.jit import" in "\n".join(text_of(name)))
 
 
 # ------------------------------------------------------------------------------------------------------------ planting
@@ -236,7 +242,7 @@ def codes(tree: ast.Module, file: str) -> dict[tuple[str, int], CodeType]:
                 found[inner.co_qualname, inner.co_firstlineno] = inner
                 visit(inner)
 
-    visit(compile(tree, str(HOME / file), "exec"))
+    visit(compile(tree, str(PACKAGE / file), "exec"))
     return found
 
 
@@ -244,8 +250,8 @@ def living() -> dict[str, list[FunctionType]]:
     """All loaded functions, by file."""
     found = defaultdict(list)
     for thing in gc.get_objects():
-        if type(thing) is FunctionType and thing.__code__.co_filename.startswith(f"{HOME}{os.sep}"):
-            found[Path(thing.__code__.co_filename).relative_to(HOME).as_posix()].append(thing)
+        if type(thing) is FunctionType and thing.__code__.co_filename.startswith(f"{PACKAGE}{os.sep}"):
+            found[Path(thing.__code__.co_filename).relative_to(PACKAGE).as_posix()].append(thing)
     return found
 
 
@@ -267,7 +273,7 @@ def plant(mutant: Mutant, functions: dict[str, list[FunctionType]]) -> None:
         exchange(functions[mutant.file], codes(tree, mutant.file))
         return
     module = sys.modules[
-        ".".join((HOME / mutant.file).relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+        ".".join((PACKAGE / mutant.file).relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
     ]
     (assignment,) = (
         top for top in tree.body if isinstance(top, ast.Assign) and top.lineno <= mutant.line <= (top.end_lineno or 0)
@@ -285,21 +291,20 @@ def plant(mutant: Mutant, functions: dict[str, list[FunctionType]]) -> None:
 @functools.cache
 def scripts() -> set[str]:
     """Files that run in processes of their own, and what these load from beside them."""
-    return {f for f in files() if f.endswith("_worker.py")} | ({"robot/packages.py"} if HOME == PACKAGE else set())
+    beside = ("robot/packages.py", *(f"robot/formats/xacro_{name}.py" for name in ("values", "files", "library")))
+    return set() if of_kernel else {*beside, *(f for f in files() if f.endswith("_worker.py"))}
 
 
 def plant_script(file: str, text: str) -> None:
     """Let processes that this one starts run a changed copy of a script."""
     folder = Path(tempfile.mkdtemp(prefix="mutant_"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    for beside in (HOME / file).parent.glob("*.py"):
-        (folder / beside.name).write_text(
-            text if beside.name == Path(file).name else beside.read_text(encoding="utf-8")
-        )
+    shutil.copytree(PACKAGE / "robot", folder / "robot", ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / file).write_text(text)
     for module in list(sys.modules.values()):
         worker = vars(module).get("WORKER") if getattr(module, "__name__", "").startswith("ik_toolkit.") else None
         if isinstance(worker, Path):
-            module.WORKER = folder / worker.name  # type: ignore[attr-defined]
+            module.WORKER = folder / worker.relative_to(PACKAGE)  # type: ignore[attr-defined]
 
 
 # ------------------------------------------------------------------------------------------------------------ reach

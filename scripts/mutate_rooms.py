@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-KERNEL = ROOT / "ik_toolkit" / "kernel"
-ROOMS = ("robot", "paths", "tracking", "solvers")
+COMPILED = tuple(str(ROOT / "ik_toolkit" / room) for room in ("compile", "kernel"))
+ROOMS = ("robot", "paths", "motion", "servo", "solvers")
 WIDER = {
     ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
 }  # fmt: skip
@@ -46,7 +46,7 @@ def caches() -> list[Any]:
     for thing in gc.get_objects():
         if isinstance(thing, functools._lru_cache_wrapper):
             home = getattr(sys.modules.get(str(thing.__module__)), "__file__", None) or ""
-            if home.startswith(str(ROOT)) and not home.startswith((str(KERNEL), str(ROOT / ".venv"))):
+            if home.startswith(str(ROOT)) and not home.startswith((*COMPILED, str(ROOT / ".venv"))):
                 found.append(thing)
     return found
 

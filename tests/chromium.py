@@ -48,7 +48,7 @@ def fresh_page(browser, **context):
 def plainly_lit(robot):
     """A panel without shadows and reflections: drawn by software, they are more than half of the work of a page."""
     pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
-    from ik_toolkit.show.panel.panel.panel import Panel
+    from ik_toolkit.show.panel.panel import Panel
 
     with contextlib.closing(Panel(robot)) as made:
         made.server.scene.configure_default_lights(cast_shadow=False)

@@ -12,7 +12,8 @@ import numpy as np
 import viser
 import websockets.sync.client
 import zstandard
-from ik_toolkit.show.panel.panel.panel import Panel
+
+from ik_toolkit.show.panel.panel import Panel
 
 STEPS = 300
 CAMERA = {"wxyz": (1, 0, 0, 0), "position": (1, 1, 1), "look_at": (0, 0, 0), "up_direction": (0, 0, 1)}

@@ -282,7 +282,7 @@ def test_an_error_in_a_worker_reaches_the_caller():
 
 
 def test_what_is_kept_of_a_batch_says_how_much():
-    from ik_toolkit.solvers.batch.solve_batch.result import BatchInterrupted
+    from ik_toolkit.solvers.batch.result import BatchInterrupted
 
     stop = pickle.loads(pickle.dumps(BatchInterrupted(batch())))
     assert str(stop) == "interrupted after 2 targets" and len(stop.result) == 2

@@ -191,8 +191,8 @@ def test_a_kernel_has_one_copy_of_each_part_and_numba_is_left_as_it_was(tmp_path
 )
 def test_with_a_numba_that_was_not_tried_parts_compile_as_it_likes(monkeypatch, release):
     """What another release calls its own interfaces tells nothing: those of 0.63 look the same, and LLVM ends the process."""
-    path = PACKAGE / "kernel" / "jit.py"
-    found = importlib.util.spec_from_file_location("ik_toolkit.kernel.jit_again", path)
+    path = PACKAGE / "compile" / "jit.py"
+    found = importlib.util.spec_from_file_location("ik_toolkit.compile.jit_again", path)
     jit = importlib.util.module_from_spec(found)
     with monkeypatch.context() as other:
         other.setattr(numba, "__version__", release)

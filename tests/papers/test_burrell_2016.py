@@ -8,7 +8,7 @@ from folders import read_data
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.papers import PAPERS
-from ik_toolkit.papers.burrell_2016.paper import paper
+from ik_toolkit.papers.burrell_2016 import paper
 
 DATA = read_data("burrell")
 SEEDS = DATA["seeds"][:2]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from folders import read_data
 
-from ik_toolkit.papers.patko_2019.paper import cases, paper
+from ik_toolkit.papers.patko_2019 import cases, paper
 from ik_toolkit.servo import stability as st
 from ik_toolkit.servo.methods import simulate
 

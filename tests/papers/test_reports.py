@@ -4,15 +4,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
-from ik_toolkit.papers.burrell_2016.paper.existence import least_distance
-from ik_toolkit.papers.burrell_2016.paper.published import PAPER_OPTIONS, TO_PAPER
-from ik_toolkit.papers.burrell_2016.paper.uncompiled import Interpreted, PlainPinv
 
 import ik_toolkit as ik
-from ik_toolkit.papers.burrell_2016.paper import gains, paper, swarm
-from ik_toolkit.papers.patko_2019.paper import dynamics
+from ik_toolkit.papers.burrell_2016 import gains, paper, swarm
+from ik_toolkit.papers.burrell_2016.existence import least_distance
+from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
+from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
+from ik_toolkit.papers.patko_2019 import dynamics
 from ik_toolkit.papers.report import Report
-from ik_toolkit.papers.shanmugasundar_2012.paper import paper as inspection
+from ik_toolkit.papers.shanmugasundar_2012 import paper as inspection
 from ik_toolkit.papers.timing import rounds, spread
 
 

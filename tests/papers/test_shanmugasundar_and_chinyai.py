@@ -11,11 +11,11 @@ from folders import read_data
 from ik_toolkit.cli import main
 from ik_toolkit.errors import MissingExtra
 from ik_toolkit.papers import PAPERS
-from ik_toolkit.papers.chinyai.paper import formulas as planar
-from ik_toolkit.papers.chinyai.paper import paper
+from ik_toolkit.papers.chinyai import formulas as planar
+from ik_toolkit.papers.chinyai import paper
 from ik_toolkit.papers.report import Report
-from ik_toolkit.papers.shanmugasundar_2012.paper import formulas as printed
-from ik_toolkit.papers.shanmugasundar_2012.paper import paper as shan
+from ik_toolkit.papers.shanmugasundar_2012 import formulas as printed
+from ik_toolkit.papers.shanmugasundar_2012 import paper as shan
 
 DATA = read_data("closed_form")["sample"]
 

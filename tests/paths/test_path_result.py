@@ -63,7 +63,7 @@ def test_saved_paths_are_read_back(tmp_path):
 
 def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
     angles = np.array([0.0, 1e-8, 0.0, np.nan, 2e-8])
-    touching = ik.paths.proof.Contact(2.5, ("arm", "wall"))
+    touching = ik.paths.certificate.Contact(2.5, ("arm", "wall"))
     proof = Continuity(np.array([1e-4, 3e-4, np.nan, np.nan, np.nan]), np.full(5, 0.01), 0.02, (touching,), (0.5,))
     result = made(
         orientation_error=angles, continuity=proof, lower_bound=1, seed=4, elapsed=0.5, max_step=(0.1, 0.02),

@@ -11,11 +11,11 @@ import pinocchio as pin
 import pytest
 import robots
 import second_fk
-from ik_toolkit.show.panel.panel.session import Session
 from second_fk import RPY_LITERALS, SecondFK, pose_errors, random_case, turn_about
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
+from ik_toolkit.show.panel.session import Session
 
 OFF = 1e-9  # of the robot's size [m], and [rad]
 

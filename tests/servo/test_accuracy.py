@@ -8,7 +8,7 @@ from folders import read_data
 from references import Q0, panda_reference
 
 import ik_toolkit as ik
-from ik_toolkit.papers.patko_2019.paper import cases
+from ik_toolkit.papers.patko_2019 import cases
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.servo.methods import simulate
 from ik_toolkit.servo.run import track

@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def panel(request):
-    from ik_toolkit.show.panel.panel.panel import Panel
+    from ik_toolkit.show.panel.panel import Panel
 
     with contextlib.closing(Panel(request.module.ROBOT)) as made:
         yield made
@@ -16,7 +16,7 @@ def panel(request):
 @pytest.fixture
 def desk(panel, request):
     """A visitor's desk on the server itself: the same controls as a browser's, without one."""
-    from ik_toolkit.show.panel.panel.page import Desk
+    from ik_toolkit.show.panel.page import Desk
 
     made = Desk(panel.server, request.module.ROBOT)
     assert made.worker.idle()

@@ -340,7 +340,8 @@ def test_the_panel_by_hand(browser, panel):
 def test_names_of_a_robot_do_nothing_in_a_page(browser, tmp_path):
     pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
     from hostile import EVIL, arm
-    from ik_toolkit.show.panel.panel.panel import Panel
+
+    from ik_toolkit.show.panel.panel import Panel
 
     file = tmp_path / "robot.urdf"
     file.write_text(arm())

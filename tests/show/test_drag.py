@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 import robots
-from ik_toolkit.show.panel.panel.drag_follower import Hand
-from ik_toolkit.show.panel.panel.session import Session
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.show.panel.drag_follower import Hand
+from ik_toolkit.show.panel.session import Session
 
 ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
 
@@ -157,7 +157,7 @@ def test_a_target_dragged_out_of_reach_is_joined_to_the_tip_by_a_line(desk):
 
 
 def test_the_page_of_view_follow_has_a_target_to_drag(panel):
-    from ik_toolkit.show.panel.panel.follower import Follower
+    from ik_toolkit.show.panel.follower import Follower
 
     made = Follower(panel.server, "hydrolek_7w")
     assert made.worker.idle()
@@ -175,9 +175,8 @@ def test_the_page_of_view_follow_has_a_target_to_drag(panel):
 
 
 def test_view_follow_serves_that_page_and_refuses_what_it_cannot_show(monkeypatch, capsys):
-    from ik_toolkit.show.panel.panel.follower import Follower
-
     from ik_toolkit.cli import main, view
+    from ik_toolkit.show.panel.follower import Follower
 
     served = []
     monkeypatch.setattr(view, "wait", lambda words, url, browse: served.append((words, url)))

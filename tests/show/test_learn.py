@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 from folders import read_data
-from ik_toolkit.papers.shanmugasundar_2012.paper.formulas import PRINTED_POSE, pose_matrix
-from ik_toolkit.show.panel.panel.learn_tab import Lesson
-from ik_toolkit.show.panel.panel.session import Session
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration
+from ik_toolkit.papers.shanmugasundar_2012.formulas import PRINTED_POSE, pose_matrix
+from ik_toolkit.show.panel.learn_tab import Lesson
+from ik_toolkit.show.panel.session import Session
 
 pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")

@@ -11,11 +11,11 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from ik_toolkit.show.panel.panel.session import Session
 from robots import CONTINUOUS, have_data
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget, RobotNotFound
+from ik_toolkit.show.panel.session import Session
 
 ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
@@ -223,7 +223,7 @@ def test_without_the_token_there_is_nothing_to_see(panel):
 
 
 def test_a_taken_port_is_refused(panel):
-    from ik_toolkit.show.panel.panel.panel import Panel
+    from ik_toolkit.show.panel.panel import Panel
 
     with pytest.raises(InvalidOption, match=f"port {panel.port} is in use"):
         Panel("hydrolek_7w", port=panel.port)
@@ -235,9 +235,8 @@ def test_a_taken_port_is_refused(panel):
 
 
 def test_other_addresses(monkeypatch, capsys):
-    from ik_toolkit.show.panel.panel.panel import Panel
-
     from ik_toolkit.cli import main
+    from ik_toolkit.show.panel.panel import Panel
 
     with contextlib.closing(Panel("planar_2r", host="127.0.0.2")) as made:
         assert asked(made)[0] == 200 and made.url.startswith("http://127.0.0.2:")
@@ -265,7 +264,7 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
 
 def test_the_camera_shows_the_robot_as_large_as_fits():
     """All corners are seen, none further out than the share that the robot may fill, and one of them that far."""
-    from ik_toolkit.show.panel.panel.viser_scene import FILL, LENS, VIEW, look
+    from ik_toolkit.show.panel.viser_scene import FILL, LENS, VIEW, look
 
     box = np.array([[-0.2, -0.5, 0.0], [0.9, 0.4, 1.3]])
     for aspect, free in ((1.1, 1.0), (2.5, 1.0), (0.5, 0.5)):
@@ -356,7 +355,7 @@ def test_robots_of_the_data_package_are_offered(desk):
 
 
 def test_desks_do_not_share_a_robot(panel, desk):
-    from ik_toolkit.show.panel.panel.page import Desk
+    from ik_toolkit.show.panel.page import Desk
 
     other = Desk(panel.server, "hydrolek_7w")
     assert other.worker.idle()
@@ -366,7 +365,7 @@ def test_desks_do_not_share_a_robot(panel, desk):
 
 
 def test_a_worker_does_the_newest_and_survives():
-    from ik_toolkit.show.panel.panel.connection import Worker
+    from ik_toolkit.show.panel.connection import Worker
 
     worker, done, gate = Worker(), [], threading.Event()
     worker.post("wait", gate.wait)

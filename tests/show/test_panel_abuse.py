@@ -16,7 +16,8 @@ pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 import msgspec  # noqa: E402  both come with viser
 import websockets.exceptions  # noqa: E402
 import websockets.sync.client  # noqa: E402
-from ik_toolkit.show.panel.panel.panel import Panel  # noqa: E402
+
+from ik_toolkit.show.panel.panel import Panel  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore:Queued a")  # viser's word on a visitor who has left
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from ik_toolkit.show.panel.panel.scene_tab import freedom, slide
-from ik_toolkit.show.panel.panel.session import Session
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.show.panel.scene_tab import freedom, slide
+from ik_toolkit.show.panel.session import Session
 
 ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
 

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from ik_toolkit.show.panel.panel.session import NONE, Session
 
 from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.show.panel.session import NONE, Session
 
 ROBOT = "brokk_hydrolek"  # of the panel, see conftest.py
 LEFT, RIGHT = "left_tip", "right_tip"

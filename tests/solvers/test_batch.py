@@ -6,14 +6,14 @@ import pickle
 
 import numpy as np
 import pytest
-from ik_toolkit.solvers.batch.solve_batch.parts import AHEAD
-from ik_toolkit.solvers.batch.solve_batch.result import BatchInterrupted
-from ik_toolkit.solvers.batch.solve_batch.solve_batch import PART, solve_parts
 from robots import load, sample
 from second_fk import SecondFK, pose_errors
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget, UnknownSolver
+from ik_toolkit.solvers.batch.parts import AHEAD
+from ik_toolkit.solvers.batch.result import BatchInterrupted
+from ik_toolkit.solvers.batch.solve_batch import PART, solve_parts
 
 
 def poses(robot, count, seed=0):

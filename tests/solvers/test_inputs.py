@@ -5,14 +5,14 @@ import math
 
 import numpy as np
 import pytest
-from ik_toolkit.solvers.batch.solve_batch.parts import AHEAD
-from ik_toolkit.solvers.batch.solve_batch.solve_batch import solve_parts
 from robots import load, sample
 from second_fk import SecondFK
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.robot.pose import AxisTarget, check_target
+from ik_toolkit.solvers.batch.parts import AHEAD
+from ik_toolkit.solvers.batch.solve_batch import solve_parts
 
 ARM = "hydrolek_7w"
 TREE = ("brokk_hydrolek", ("left_tip", "right_tip"))

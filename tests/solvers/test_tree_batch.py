@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import robots
 import trees
-from ik_toolkit.solvers.batch.solve_batch.solve_batch import solve_parts
 
 import ik_toolkit as ik
 from ik_toolkit.errors import FrameNotFound, InvalidTarget
+from ik_toolkit.solvers.batch.solve_batch import solve_parts
 
 TIPS = ["left_tip", "right_tip"]
 

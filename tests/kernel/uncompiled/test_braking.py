@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
+from ik_toolkit.kernel import clearance
 from ik_toolkit.servo import viability
 from ik_toolkit.servo.viability import ACCELERATION, POSITION, RECOVERING, VELOCITY
 
@@ -194,7 +195,7 @@ def test_how_far_a_joint_has_gone():
         for part in (1.0, 0.35):
             there = part * f
             want = np.abs(np.diff(start * there + 0.5 * change * there**2)).sum()
-            assert viability.travelled(start, change, part) == pytest.approx(want, abs=1e-7)
+            assert clearance.travelled(start, change, part) == pytest.approx(want, abs=1e-7)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.5, 0.75])
@@ -217,16 +218,16 @@ def test_the_full_brake_and_the_way_along_it(gamma):
             viability.advance(now, speed, np.zeros(4), gamma, h, late, limits, code)
         got, gone, before, walked = np.empty(4), np.empty(4), q.copy(), np.zeros(4)
         for u in np.linspace(0.0, end, 40 * end + 1):
-            viability.along(Q, R, L, gamma, h, u, got, gone)
+            clearance.along(Q, R, L, gamma, h, u, got, gone)
             walked += np.abs(got - before)
             before = got.copy()
             np.testing.assert_allclose(gone, walked, atol=2e-5)
         np.testing.assert_allclose(got, Q[end], atol=1e-13)
         for k in range(end):  # the ends and, halfway, what the rates say
-            viability.along(Q, R, L, gamma, h, float(k), got, gone)
+            clearance.along(Q, R, L, gamma, h, float(k), got, gone)
             np.testing.assert_allclose(got, Q[k], atol=1e-14)
             np.testing.assert_allclose(gone, L[k], atol=1e-14)
-            viability.along(Q, R, L, gamma, h, k + 0.5, got, gone)
+            clearance.along(Q, R, L, gamma, h, k + 0.5, got, gone)
             middle = 0.5 * (Q[k] + Q[k + 1])
             if gamma != 1.0:
                 middle = Q[k] + 0.5 * h * R[k] + 0.25 * (Q[k + 1] - Q[k] - h * R[k])

@@ -172,7 +172,7 @@ def test_nothing_comes_closer_than_it_may_where_it_is_called_free(gamma):
         worst = {}
         for u in np.linspace(0.0, last, 4 * last + 1):
             q, length = np.empty(n), np.empty(n)
-            viability.along(Q, R, L, gamma, h, u, q, length)
+            clearance.along(Q, R, L, gamma, h, u, q, length)
             closer = 0.0
             for s, moved, sign in ((0, by_a[0], 1.0), (1, by_b[0], -1.0)):
                 M = pin.SE3.Identity()
