@@ -1,7 +1,7 @@
 """Mutation testing: plants one mistake at a time, runs the tests that reach it, writes docs/data/mutation.json.
 
 Usage: python scripts/mutate.py [--sample 400] [--seed 1] [--workers 2] [--files search.py ...] [-o FILE]
-       python scripts/mutate.py --rooms robot,paths,tracking,solvers --sample 200 [...]
+       python scripts/mutate.py --rooms robot,paths,servo,solvers --sample 200 [...]
 
 A mutant is one change of the source: another operator, comparison, constant or branch. First, every test in TESTS that takes
 less than SLOW seconds runs once to record which kernel statements it reaches; then each mutant runs the tests that reach its
