@@ -147,11 +147,16 @@ def _axis(joint: Item, kind: str) -> Iterator[Finding]:
 
 
 def _limit(joint: Item, kind: str) -> Iterator[Finding]:
-    parts = _counting(joint, "limit")
+    parts, led = _counting(joint, "limit"), joint.first("mimic") is not None
+    loose = led and kind != "continuous" and not (parts and parts[0].attributes.keys() & {"lower", "upper"})
+    if loose:
+        told = "its <limit> has no lower and no upper" if parts else "it has no <limit>"
+        advice = "write them; other readers of URDF take 0 to 0, or refuse the file"
+        yield odd(joint, f"{told}: it moves as far as its leader does", advice, parts[0].line if parts else joint.line)
     if not parts:
-        if kind == "revolute":
+        if kind == "revolute" and not led:
             yield wrong(joint, "it has no <limit>", "add lower and upper [rad], or make it continuous", joint.line)
-        elif kind == "prismatic":
+        elif kind == "prismatic" and not led:
             yield wrong(joint, "it has no <limit>", "add lower and upper [m]", joint.line)
         return
     limit, line = parts[0].attributes, parts[0].line
@@ -159,6 +164,7 @@ def _limit(joint: Item, kind: str) -> Iterator[Finding]:
         yield from _power(joint, limit, key, line)
     if kind == "continuous":
         yield from _free_limits(joint, kind)
+    if kind == "continuous" or loose:
         return
     ends = [numbers(limit.get(end, "0")) or [] for end in ("lower", "upper")]
     for end, values in zip(("lower", "upper"), ends, strict=True):
@@ -180,7 +186,10 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
         told = f"its lower limit {low:g} is above its upper limit {high:g}: no tip can use it"
         yield odd(joint, told, reversed_advice(low, high, kind == "revolute"), line)
     if low == high:
-        yield odd(joint, f"its limits are both {low:g}: it cannot move", "widen them, or make it fixed", line)
+        leader = (joint.first("mimic") or {}).get("joint")
+        holds = f", and holds joint '{leader}', which it mimics" if leader else ""
+        told = f"its limits are both {low:g}: it cannot move{holds}"
+        yield odd(joint, told, "widen them, or make it fixed", line, at_load=bool(leader))
     whole = all(x.is_integer() for x in (low, high))
     if kind == "revolute" and whole and (_degrees(low) or _degrees(high)):
         told = f"its limits {low:g} to {high:g} look like degrees"
