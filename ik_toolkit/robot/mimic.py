@@ -60,9 +60,12 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
     The limits are the follower's own, ENDLESS where it has none (see `span`); Pinocchio drops them.
     """
     tied = followers(text).tied
-    return {
-        item.name: (*tied[item.name], *span(item)) for item in parse(text) if item.tag == "joint" and item.name in tied
-    }
+    found = {}
+    for item in parse(text):
+        if item.tag == "joint" and item.name in tied:
+            leader, ratio, offset = tied[item.name]
+            found[item.name] = leader, ratio, offset, *span(item)
+    return found
 
 
 def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
