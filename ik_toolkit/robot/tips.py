@@ -17,7 +17,7 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# Words for sensors and things of a scene, which are no tips while anything else moves, and for parts of a hand, legs and the like,
+# Words for sensors and things of a scene, which are no tips while an arm is there, and for parts of a hand, legs and the like,
 # on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
@@ -81,8 +81,10 @@ def guess_tip(model: pin.Model) -> Guess:
     outer = set(path_ends(model))
     ends = [f for f in moved if f.name in outer]
     most = max((joints[f.name] for f in ends), default=0)
-    plain = [f for f in ends if not other(words(f.name)) and 2 * joints[f.name] > most]
-    plain = plain or [f for f in ends if not other(words(f.name), SCENE)] or ends
+    far = [f for f in ends if 2 * joints[f.name] > most]
+    plain = next(
+        (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])), ends
+    )
     most = max((joints[f.name] for f in plain), default=0)
     longest = {
         f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most

@@ -116,10 +116,3 @@ def test_sensors_and_targets_are_no_tips_where_all_ends_have_names_of_parts():
     finger = scene(2, ("target", "prismatic"), ("lidar", "revolute")).replace("</robot>", "")
     finger += joint("tip", "fixed", "seg", "fingertip") + joint("eye", "fixed", "seg", "camera") + "</robot>"
     assert ik.Robot.load(finger).tip == "fingertip"
-    legs = '<robot name="legs"><link name="hip"/>' + joint("spine", "revolute", "hip", "torso")
-    for side in ("left", "right"):
-        for i, (above, link) in enumerate((("hip", "thigh"), ("thigh", "shin"), ("shin", "foot"))):
-            above = above if above == "hip" else f"{side}_{above}"
-            legs += joint(f"{side}_{i}", "revolute", above, f"{side}_{link}")
-        legs += joint(f"{side}_imu_joint", "fixed", f"{side}_foot", f"{side}_foot_imu")
-    assert ik.Robot.load(legs + "</robot>").tip == "torso"
