@@ -5,9 +5,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from .finding import Finding, did_you_mean, odd, wrong
 from .mimic import MOVING
-from .read import ENDLESS, NUMBERS, Item, Part, numbers, plain_origin
+from .read import ENDLESS, NUMBERS, SHAPES, Item, Part, numbers, plain_origin
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
+SHAPE = {  # attributes without which a shape is none
+    "box": ("size",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",),
+}  # fmt: skip
 UNIT = 0.01  # a quaternion's or an axis' length may differ from 1 by this much without a remark
 DEGREES = (30.0, 360.0)  # whole numbers of this size are degrees rather than radians
 IN_DEGREES = "URDF means radians: write 3.14159 for 180 degrees"
@@ -44,7 +47,19 @@ def joint_values(joint: Item) -> Iterator[Finding]:
 
 def link_values(link: Item) -> Iterator[Finding]:
     """Warnings for the numbers of a link's shapes and inertia, without which the robot moves as well."""
+    drawn = [part for part in link.inside if part.tag in SHAPES and not part.above]
+    for part, shape in zip(drawn, link.shapes, strict=True):
+        if "geometry" not in shape:
+            yield odd(
+                link, f"its <{part.tag}> has no shape", "write it in <geometry>, or remove it", part.line, at_load=True
+            )
     for part in link.inside:
+        missing = [
+            key for key in SHAPE.get(part.tag, ()) if part.above[1:] == ("geometry",) and key not in part.attributes
+        ]
+        if missing:
+            told = f"<{part.tag}> has no {' and no '.join(missing)}, so there is no shape"
+            yield odd(link, told, "write it, or remove the shape", part.line, at_load=True)
         if part.tag in NUMBERS and part.above[:1] in (("visual",), ("collision",), ("inertial",)):
             yield from _numbers(link, part, odd)
             if part.tag == "origin":

@@ -4,9 +4,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
+from robots import joint
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
+from ik_toolkit.robot.check import check_urdf
 from ik_toolkit.robot.mimic import followers
 from ik_toolkit.robot.pose import AxisTarget
 
@@ -136,3 +138,22 @@ def test_joints_that_mimic_nothing_they_can_follow():
     assert loose["lost"] == "mimics joint 'nobody', which does not exist"
     assert loose["stiff"] == "mimics joint 'fixed', which does not move"
     assert loose["later"] == f"mimics joint 'lost', which {loose['lost']}" or loose["later"] == loose["lost"]
+
+
+@pytest.mark.parametrize(
+    ("geometry", "told"),
+    [
+        ('<geometry><box sise="1 1 1"/></geometry>', "<box> has no size, so there is no shape"),
+        ('<geometry><cylinder radius="1"/></geometry>', "<cylinder> has no length, so there is no shape"),
+        ("<geometry/>", "its <collision> has no shape"),
+        ("", "its <collision> has no shape"),
+        ('<geometry><cone radius="1"/></geometry>', "<cone> is not known and is ignored"),
+    ],
+)
+def test_shapes_that_are_none_are_said(geometry, told):
+    text = f'<robot name="r">\n<link name="o">\n<collision>{geometry}</collision></link>' + joint(
+        "j", "revolute", "o", "a"
+    )
+    (found,) = check_urdf(text + "</robot>")
+    assert (found.severity, found.line, found.problem) == ("warning", 3, told)
+    assert any(told in note for note in ik.Robot.load(text + "</robot>").notes)
