@@ -99,9 +99,7 @@ class Robot(Joints):
         self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
         root = "universe" if on_base is not None else root_link(self.model)
         self.base = root if base is None else self._frame(base)
-        self.tip = (
-            self._frame(tip) if tip is not None else only_tip(model, self.name)
-        )  # a free joint is still one joint
+        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)  # a free joint is still one
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()  # shapes with their poses from the tip frame
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}

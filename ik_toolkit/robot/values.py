@@ -49,10 +49,9 @@ def link_values(link: Item) -> Iterator[Finding]:
     """Warnings for the numbers of a link's shapes and inertia, without which the robot moves as well."""
     drawn = [part for part in link.inside if part.tag in SHAPES and not part.above]
     for part, shape in zip(drawn, link.shapes, strict=True):
-        if "geometry" not in shape:
-            yield odd(
-                link, f"its <{part.tag}> has no shape", "write it in <geometry>, or remove it", part.line, at_load=True
-            )
+        if part.tag == "collision" and "geometry" not in shape:
+            told = "its <collision> has no shape"
+            yield odd(link, told, "write it in <geometry>, or remove it", part.line, at_load=True)
     for part in link.inside:
         missing = [
             key for key in SHAPE.get(part.tag, ()) if part.above[1:] == ("geometry",) and key not in part.attributes

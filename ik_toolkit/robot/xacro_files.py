@@ -34,9 +34,9 @@ class Files:
         path = os.path.abspath(path)
         real = os.path.realpath(path)
         if not any(real.startswith(os.path.join(folder, "")) for folder in self.folders):
-            link = "" if real == path else f", a link to '{real[-120:]}'"
+            link = "" if real == path else f" (it leads to '{real[-120:]}')"
             raise self.values.Refused(
-                f"it reads '{path[-120:]}'{link}, which is not allowed; if it may, name its folder: "
+                f"it reads '{path[-120:]}', which is not allowed{link}; if it may, name its folder: "
                 f"package_dirs=['{os.path.dirname(real)[-100:]}'], in the shell --package-dir"
             )
         if os.path.exists(real) and not os.path.isfile(real):
