@@ -125,7 +125,7 @@ def limits(
     narrowed: dict[int, list[str]] = {}
     for joint, (_, ratio, offset, low, high) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
-        if i is None or math.isinf(low):
+        if i is None or min(-low, high) >= NO_LIMIT:
             continue
         first, last = _leader_range(ratio, offset, low, high)
         narrowed.setdefault(i, []).append(f"'{joint}' ({low:g} to {high:g}) from {first:g} to {last:g}")

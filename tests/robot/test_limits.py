@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from robots import urdf
+from robots import joint, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, JointNotFound, ModelError, ReadOnlyAttribute
@@ -291,3 +291,21 @@ def test_arrays_of_a_robot_cannot_be_written(arm):
             with pytest.raises(ValueError, match="read-only"):
                 getattr(thing, name)[0] = 0.0
         assert isinstance(thing.joint_names, tuple) and isinstance(thing.joint_kinds, tuple)
+
+
+@pytest.mark.parametrize("place", [0, 3])
+def test_a_stroke_of_a_thousand_kilometres_does_not_make_an_arm_unsolvable(place):
+    """Some files write 999999 m for "far"; the limit stands, and the arm is solved as precisely as with a short one."""
+    text = '<robot name="far"><link name="l0"/>'
+    for i, axis in enumerate(("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")):
+        far = i == place
+        limits = (-999999.0, 999999.0) if far else (-2.8, 2.8)
+        kind, axis = ("prismatic", "1 0 0") if far else ("revolute", axis)
+        text += joint(f"j{i}", kind, f"l{i}", f"l{i + 1}", axis, limits=limits)
+    robot = ik.Robot.load(text + joint("end", "fixed", "l7", "tcp") + "</robot>")
+    assert (robot.lower[place], robot.upper[place]) == (-999999.0, 999999.0)
+    rng = np.random.default_rng(4)
+    near = np.minimum(robot.upper, 3.0)
+    results = [ik.solve(robot, robot.fk(rng.uniform(-near, near))) for _ in range(15)]
+    assert sum(result.success for result in results) >= 14  # none of them with lengths in units of the stroke
+    assert not any(robot.outside(result.q) for result in results)
