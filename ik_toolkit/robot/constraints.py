@@ -133,7 +133,7 @@ class Closure:
         circle = np.array([model.joints[j].nq == 2 for j in joints], dtype=bool)
         path = Path([], 0, joints, len(joints), owner, idx_q, circle)
         try:
-            lower, upper = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
+            lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
         except ModelError:  # a joint that has no legal position cannot help
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
         return Group(constraints, joints, lower, upper)
