@@ -251,9 +251,7 @@ class Robot(Joints):
         self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         based = np.array([joint in self._of_base for joint in self.joint_names])
         self.home = start = middle(lower, upper, ~based)
-        self._ids, data = (base_id, tip_id), model.createData()
-        pin.framesForwardKinematics(model, data, self.rest)
-        self._base_inverse = data.oMf[base_id].inverse()
+        self._ids = base_id, tip_id
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
         self.joint_kinds = kinds(self.chain)
         self._local = threading.local()
