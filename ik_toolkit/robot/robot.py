@@ -267,7 +267,9 @@ class Robot(Joints):
 
     def _compare(self) -> None:
         """Reject a robot whose chain disagrees with Pinocchio: its results would be silently wrong."""
-        off = difference(self.chain, self.slides, self._kinematics)
+        self._kinematics(self.home)
+        far = math.hypot(*self.data.oMf[self._ids[0]].translation)
+        off = difference(self.chain, self.slides, self._kinematics, far)
         if not off <= AGREE:  # NaN is refused too
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
