@@ -63,6 +63,21 @@ def test_strokes_of_all_lengths_on_arms_of_all_sizes(size):
         assert not any(robot.outside(q) for q in found.q)
 
 
+@pytest.mark.parametrize("left", [2e-17, 1e-12, 1e-9, 1e-8])
+def test_a_wrist_whose_offsets_are_rounding_is_taken_and_solved(left):
+    """Pinocchio computes far from the wrist, so its own rounding there is larger than these offsets times 1e-9."""
+    parts = "".join(
+        f'<link name="l{i}"/><joint name="j{i}" type="revolute"><parent link="l{i - 1}"/><child link="l{i}"/>'
+        f'<origin xyz="{xyz}" rpy="0.3 0.2 {0.1 * i}"/><axis xyz="{axis}"/><limit lower="-2" upper="2"/></joint>'
+        for i, (axis, xyz) in enumerate(
+            [("0 0 1", "0.4 0.3 0.2"), ("1 0 0", f"{left} 0 0"), ("0 1 0", f"0 {left} 0"), ("0 0 1", f"0 0 {left}")], 1
+        )
+    )
+    robot = ik.Robot.load(f'<robot name="r"><link name="l0"/>{parts}</robot>', base="l1", tip="l4")
+    for q in robot.random_q(np.random.default_rng(0), 10):
+        assert ik.solve(robot, robot.fk(q)).success
+
+
 def test_only_what_means_none_is_no_limit(caplog):
     def slide(low, high, kind="prismatic"):
         return ik.Robot.load(
