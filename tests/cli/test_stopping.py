@@ -87,7 +87,7 @@ COMMANDS = {
               lambda out: len(rows_of(out)), 1001),
     "path": (["path", "planar_2r", "--poses", "in.csv", "-o", "OUT.npz"], at_progress(path),
              lambda out: len(np.load(out)["q"]), 30),
-    "tune": (["tune", "planar_3r", "pid", "--generations", "1000", "--targets", "20", "--held-out", "1", "-o", "OUT.toml"],
+    "tune": (["tune", "planar_3r", "pid", "--generations", "1000", "--targets", "4", "--held-out", "1", "-o", "OUT.toml"],
              at_progress(tune), lambda out: out.read_text().count("solver"), 100),
     "reproduce": (["reproduce", "chinyai", "-o", "."], in_the_report,
                   lambda out: len(json.loads(out.with_name("report.json.partial").read_text())), 100),
