@@ -177,6 +177,7 @@ class CollisionModel(Surroundings):
         geometry.setCollisionPairs(tested)
         pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
         margins = np.array([self._closer.get(pair, self.margin) for pair in pairs])
+        margins.setflags(write=False)  # they are handed out
         self._names = [*self._links, *self._placed]
         self._state = geometry, margins
         self._local = threading.local()

@@ -298,6 +298,15 @@ def test_public_attributes_cannot_be_assigned(arm):
             with pytest.raises(AttributeError) as refused:
                 setattr(thing, key, None)
             assert isinstance(refused.value, ik.IKError) and key in str(refused.value)
+            if key in getattr(thing, "__dict__", {}):
+                with pytest.raises(ReadOnlyAttribute, match=f"{key} of a .* cannot be deleted"):
+                    delattr(thing, key)
+
+
+def test_margins_of_a_model_cannot_be_written():
+    model = ik.CollisionModel(ik.Robot.load("planar_2r"), margin=0.01).add_sphere(0.1, (1.2, 0.9, 0.0))
+    with pytest.raises(ValueError, match="read-only"):
+        model.margins[:] = 0.0
 
 
 def test_arrays_of_a_robot_cannot_be_written(arm):
