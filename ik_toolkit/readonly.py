@@ -34,3 +34,9 @@ class ReadOnly:
             instead = self._INSTEAD.get(name, self._INSTEAD.get("", ""))
             raise ReadOnlyAttribute(f"{name} of a {kind} cannot be assigned; {instead}")
         object.__setattr__(self, name, value)
+
+    def __delattr__(self, name: str) -> None:
+        """Delete an attribute; raises ReadOnlyAttribute for a public one of a sealed object."""
+        if name[0] != "_" and self._sealed and name not in self._LOOSE:
+            raise ReadOnlyAttribute(f"{name} of a {type(self).__name__} cannot be deleted")
+        object.__delattr__(self, name)

@@ -273,7 +273,7 @@ def assignments(pairs: Sequence[str] | None, option: str, mark: str = "=") -> di
     split = {}
     for pair in pairs or ():
         key, equals, value = pair.partition(mark)
-        if not (key and equals and value):
+        if not (key and equals and (value or mark == ":=")):  # xacro's prefixes and suffixes are often empty
             raise InvalidOption(f"{option} takes NAME{mark}VALUE, not '{pair}'")
         split[key.strip()] = value.strip()
     return split

@@ -95,6 +95,9 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
     if folder is None:
         notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
         return code
+    from ..kernel.cache import folder as common
+
+    folder = common() or folder  # the log is there, whichever function was missing: closed forms are kept elsewhere
     if why := died(folder):
         notice(f"solved without compiled code: {why}")
         return code

@@ -4,11 +4,14 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 RAISED_AGAIN = 0.05  # [s] after which Ctrl-C that was dropped is raised again
+IMPORTING = 20.0  # [s] for which Ctrl-C waits for the end of an import
 
 
 def open_standard_streams() -> None:
@@ -30,23 +33,32 @@ def open_standard_streams() -> None:
 def stoppable(came: list[int]) -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, and note in `came` which of the two came.
 
-    Where the exception is dropped, as in code that C calls (numba's compiler, finalizers), it is raised again soon after.
+    Where the exception is dropped, as in code that C calls (numba's compiler, finalizers), it is raised again soon after. It is
+    not raised in the middle of an import: libraries that try whether another one is there take any exception for "no".
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    process, show_dropped = os.getpid(), sys.unraisablehook
+    process, show_dropped, waiting = os.getpid(), sys.unraisablehook, list[float]()
 
-    def stop(number: int, *_: Any) -> None:
+    def again(number: int) -> None:
+        main = threading.main_thread().ident  # which may be waiting
+        threading.Timer(RAISED_AGAIN, signal.pthread_kill, [main, number]).start()
+
+    def stop(number: int, frame: FrameType | None) -> None:
         if os.getpid() != process:  # a worker forked from here
             os._exit(128 + number)
+        if _importing(frame):
+            waiting.append(time.monotonic())
+            if waiting[-1] < waiting[0] + IMPORTING:
+                again(number)
+                return
         came.append(number)
         raise KeyboardInterrupt
 
     def dropped(what: Any) -> None:
         if came and issubclass(what.exc_type, KeyboardInterrupt):
-            main = threading.main_thread().ident  # which may be waiting
-            threading.Timer(RAISED_AGAIN, signal.pthread_kill, [main, came[-1]]).start()
+            again(came[-1])
         else:
             show_dropped(what)
 
@@ -63,6 +75,15 @@ def stoppable(came: list[int]) -> Iterator[None]:
         sys.unraisablehook = show_dropped
         for number, handler in before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether a module is being imported there."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextmanager

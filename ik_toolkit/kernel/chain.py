@@ -19,6 +19,8 @@ from .starts import FEATURES, PAD, ROTATION_WEIGHT, SEEDS
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
 TURNING = 1e4  # rad; the limits of a joint with a wider range are nominal
+LONGEST_UNIT = 1e4  # m; the unit of lengths is longer only for offsets that are
+LEAST_REACH = 1e-10  # m; offsets below are what a CAD program left of 0, and a target is rounded as coarsely
 
 
 @cached
@@ -231,15 +233,17 @@ def pack(
     own = followers == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
     turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
-    # Reach: offsets along the path plus finite strokes; one metre where that gives no bound.
+    # Reach: offsets along the path plus finite strokes; one metre where that gives no bound, or nothing but rounding.
     lengths = segments(rows, lower, upper)
     finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
     reach = float(finite[1:].sum() + np.linalg.norm(tip[9:]))
     if rows[0, 6] != 0.0 and np.isfinite(lengths[0]):
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
-    if not 0.0 < reach < np.inf:
+    if not LEAST_REACH < reach < np.inf:
         reach = 1.0
-    scale = float(2.0 ** np.clip(np.round(np.log2(reach)), -1000, 1000))
+    # Beside a unit as long as a stroke of 1000 km, which some files write for "far", a tolerance of 1e-6 m would be rounding.
+    bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
+    scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
     rows[:, [2, 3, 7]] /= scale
     for i, k in enumerate(owner):
         if not slides[k] and not rows[i, 9]:  # a slide that follows a turning leader: its ratio is a length

@@ -108,6 +108,7 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
+        rows[~new] = curve  # also those before a row of NaN
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate(T, places[new], kinds))
         # Give up on a segment with an unsolved row.
         given_up[np.unique(places[new][~good].astype(int))] = True

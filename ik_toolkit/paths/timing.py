@@ -177,9 +177,9 @@ def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):  # turning points: the roots of 3 a x^2 + 2 b x + c
         root = np.sqrt(b * b - 3.0 * a * c)
         turning = np.nan_to_num([(-b - root) / (3.0 * a), (-b + root) / (3.0 * a), -0.5 * c / b])
-    x = np.clip(turning, 0.0, np.diff(knots)[:, None])
+    x = np.where((turning > 0.0) & (turning < np.diff(knots)[:, None]), turning, 0.0)
     swing = ((a * x + b) * x + c) * x + d
-    beyond = ((swing > robot.upper + LEAST) | (swing < robot.lower - LEAST)).any(axis=(0, 1))
+    beyond = ((swing > robot.upper) | (swing < robot.lower)).any(axis=(0, 1))
     if beyond.any():
         cubics = np.where(beyond, PchipInterpolator(knots, curve).c, cubics)
     return cubics

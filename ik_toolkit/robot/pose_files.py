@@ -10,18 +10,19 @@ data is free.
 """
 
 import csv
+import io
 import json
 import math
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import count, islice
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
-from ..errors import IKError, InvalidTarget, floats, near_match
+from ..errors import IKError, InvalidTarget, near_match
 from ..files import without_mark
 from .pose import rpy_matrix
 
@@ -32,7 +33,8 @@ ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x,
 UNPACKED, EXPANSION = 2**26, 20
 NAMES = 2**18  # bytes of an array of names
 NUMBERS, TEXTS = "fiu", "U"  # kinds of dtype that are read as numbers, and as names
-JSON_BYTES = 100_000_000  # lists take up to 20 times as much
+HEADER = 2**16  # bytes of an array's header, which numpy takes into memory before it looks at it
+JSON_BYTES = 20_000_000  # lists take up to 20 times as much, and a second for 5 MB
 LONGEST_LINE = 2**20  # characters
 
 
@@ -86,12 +88,7 @@ def _short(text: str) -> str:
 def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
     """Arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
     if path.suffix.lower() == ".json":
-        if path.stat().st_size > JSON_BYTES:
-            raise InvalidTarget(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ")
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except RecursionError:
-            raise InvalidTarget(f"'{path.name}': its lists are nested too deep") from None
+        content = read_json(path, InvalidTarget)
         content = content if isinstance(content, dict) else {"targets": content}
         yield {name: _array(path, name, content[name]) if name in names else None for name in content}
         return
@@ -102,13 +99,26 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
         yield file
 
 
+def read_json(path: Path, error: type[IKError]) -> Any:
+    """Content of a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
+    if path.stat().st_size > JSON_BYTES:
+        raise error(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ or CSV")
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise error(f"'{path.name}': its lists are nested too deep") from None
+
+
 def _array(path: Path, name: str, value: Any) -> np.ndarray:
     """Numbers (or names) from JSON."""
     if name == "tips":
         if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < NAMES // 4 for one in value):
             raise InvalidTarget(f"'{path.name}': tips must be a list of names")
         return np.array(value, dtype=object)
-    return floats(value, f"'{path.name}': {name} must be lists of numbers", InvalidTarget)
+    with suppress(TypeError, ValueError, OverflowError):  # `floats` would look for masked entries in millions of lists
+        if (array := np.array(value)).dtype.kind in NUMBERS:
+            return array.astype(float)
+    raise InvalidTarget(f"'{path.name}': {name} must be lists of numbers, not {' '.join(repr(value).split())[:120]}")
 
 
 def _read_arrays(path: Path, times: bool) -> Block:
@@ -180,9 +190,10 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
         for member in members:
             name = member.filename.removesuffix(".npy")
             with archive.open(member) as stream:
-                version = np.lib.format.read_magic(stream)
+                start = io.BytesIO(stream.read(HEADER))
+                version = np.lib.format.read_magic(start)
                 read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                shape, _, dtype = read(stream)
+                shape, _, dtype = read(start)
             what, kinds = ("names", TEXTS) if name in texts else ("real numbers", NUMBERS)
             if dtype.kind not in kinds:
                 raise error(f"'{path.name}': the array {name} holds values of the type {dtype}, not {what}")

@@ -19,6 +19,7 @@ from .formats.urdf_values import reversed_advice
 from .pose import turn_onto
 
 SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
+FAR = 1e-5  # of the distance from the model's origin: lengths below AGREE times this are lost in Pinocchio's own rounding there
 AGREE = 1e-9  # largest difference allowed there [rad, or fraction of the robot's size]: a thousandth of the default tolerance
 HELD = 2.5e-16  # relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed
 # Limits of this size [m, rad or per s] are not limits: files write 1e16 or 1e308 for "none", and so does our own code (ENDLESS).
@@ -125,7 +126,7 @@ def limits(
     narrowed: dict[int, list[str]] = {}
     for joint, (_, ratio, offset, low, high) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
-        if i is None or math.isinf(low):
+        if i is None or min(-low, high) >= NO_LIMIT:
             continue
         first, last = _leader_range(ratio, offset, low, high)
         narrowed.setdefault(i, []).append(f"'{joint}' ({low:g} to {high:g}) from {first:g} to {last:g}")
@@ -294,18 +295,19 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
     return Q
 
 
-def difference(chain: Chain, slides: np.ndarray, kinematics: Callable) -> float:
+def difference(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
     """Largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q), see `configurations`.
 
-    Lengths are divided by the robot's size, the larger of its reach and its largest offset; a Jacobian column by the ratio of
-    its joints. The result is at least the compiled kernel's rounding error at the largest angle, HELD times that angle.
+    Lengths are divided by the robot's size, the largest of its reach, its largest offset and FAR times the distance `far` [m] of
+    its base from the model's origin (a wrist's offsets may be rounding); a Jacobian column by the ratio of its joints. The result
+    is at least the compiled kernel's rounding error at the largest angle, HELD times that angle.
     """
     Q = configurations(chain, slides)
     poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)
     T, J = np.array([pose.homogeneous for pose in poses]), np.array(jacobians)
     rows, ends, scale = chain.rows, chain.ends, chain.scale
     offsets = [ends[9:12], ends[21:24], *rows[:, [2, 3, 7]]]
-    size = max(chain.reach, scale * max(math.hypot(*offset) for offset in offsets))
+    size = max(chain.reach, scale * max(math.hypot(*offset) for offset in offsets), FAR * far)
     mine, columns = evaluate(rows, ends, Q, chain.unit, jacobian=True)
     ratios = np.bincount(rows[:, 8].astype(int), np.abs(rows[:, 4] + rows[:, 6]), chain.n)
     off_T, off_J = mine - T, (columns - J) * chain.unit / np.maximum(1.0, ratios)

@@ -251,9 +251,7 @@ class Robot(Joints):
         self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         based = np.array([joint in self._of_base for joint in self.joint_names])
         self.home = start = middle(lower, upper, ~based)
-        self._ids, data = (base_id, tip_id), model.createData()
-        pin.framesForwardKinematics(model, data, self.rest)
-        self._base_inverse = data.oMf[base_id].inverse()
+        self._ids = base_id, tip_id
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
         self.joint_kinds = kinds(self.chain)
         self._local = threading.local()
@@ -269,7 +267,9 @@ class Robot(Joints):
 
     def _compare(self) -> None:
         """Reject a robot whose chain disagrees with Pinocchio: its results would be silently wrong."""
-        off = difference(self.chain, self.slides, self._kinematics)
+        self._kinematics(self.home)
+        far = math.hypot(*self.data.oMf[self._ids[0]].translation)
+        off = difference(self.chain, self.slides, self._kinematics, far)
         if not off <= AGREE:  # NaN is refused too
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "

@@ -17,12 +17,14 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# Words for parts of a hand, sensors, legs and things of a scene: no tool is mounted there.
-OTHERS = frozenset(
-    "lidar sonar radar gps gnss sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
-    "target goal marker object box "
-    "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor "
-    "ft force torque imu camera optical depth rgb sensor skin accelerometer range laser head neck "
+# Words for sensors and things of a scene, which are no tips while an arm is there, and for parts of a hand, legs and the like,
+# on which no tool is mounted.
+SCENE = frozenset(
+    "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
+    "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()
+)
+OTHERS = SCENE | frozenset(
+    "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor skin head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover collision shape visual dummy".split()
 )
 SHOWN = 3  # candidates listed in a message
@@ -46,9 +48,9 @@ def fits(convention: Sequence[str], said: set[str]) -> bool:
     return set(convention) <= said and not other(said) and on_arm == ("arm" in convention)
 
 
-def other(said: Iterable[str]) -> bool:
+def other(said: Iterable[str], names: frozenset[str] = OTHERS) -> bool:
     """Whether words name something else than a tool: 'camera', 'camera2'."""
-    return any(word.rstrip("0123456789") in OTHERS for word in said)
+    return any(word.rstrip("0123456789") in names for word in said)
 
 
 def path_ends(model: pin.Model) -> tuple[str, ...]:
@@ -79,7 +81,10 @@ def guess_tip(model: pin.Model) -> Guess:
     outer = set(path_ends(model))
     ends = [f for f in moved if f.name in outer]
     most = max((joints[f.name] for f in ends), default=0)
-    plain = [f for f in ends if not other(words(f.name)) and 2 * joints[f.name] > most] or ends
+    far = [f for f in ends if 2 * joints[f.name] > most]
+    plain = next(
+        (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])), ends
+    )
     most = max((joints[f.name] for f in plain), default=0)
     longest = {
         f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..kernel.clearance import along
 from ..robot.geometry.distance import Clearance
-from .viability import brake
+from .viability import bending
 
 ROWS = 12  # half-planes per step: more than meet at an edge of a polyhedron, and few for the QP
 KEEP = 0.005  # [m] distance the rows keep: above what a controller's lag makes of a slow motion
@@ -24,18 +24,32 @@ NEAREST = 1e-4  # [m] a motion that leads nearer than this is rejected without c
 # Places where distances are measured to prove one step free, 0.05 ms each; a step that takes more is not taken.
 LOOKS = 12
 PARTS = (1 / 4, 1 / 16, 1 / 64)  # parts of a step that are tried from rest where the whole step is not allowed
-PIECES = 20_000  # of braking that is followed, some milliseconds; braking that takes longer is not tried
 
 
 class Path(NamedTuple):
-    """A step and its brake: joint values, rates and lengths gone (K + 1, n) between K pieces, of h [s] each of the brake."""
+    """A step and its brake: joint values, rates and lengths gone (K + 1, n) between K pieces, the first one of h [s].
+
+    even: share [1/s] of its rate that the brake takes off all joints alike, see `Guard._follow`; the last row of rate is what it
+    begins with. alone (n,): joints that brake by themselves, which takes them `aside` (n,) far.
+    """
 
     q: np.ndarray
     rate: np.ndarray
     length: np.ndarray
     h: float
-    even: float = 0.0  # share [1/s] of its rate that the brake takes off all joints alike, see `Guard._line`
-    aside: np.ndarray | None = None  # (n,) how far joints get that brake by themselves meanwhile
+    even: float
+    alone: np.ndarray
+    aside: np.ndarray
+
+
+def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
+    """Longest ways (n,) to rest from rates v >= 0, slowing by `a`, in steps of any lengths up to `late`: see servo/viability.py."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = np.asarray(v * v / (2.0 * a))
+        if gamma == 1.0:
+            return np.where(v == 0.0, 0.0, way)
+        short = v <= 0.5 * a * late
+        return np.where(short, 0.5 * v * late, way + 0.125 * a * late * late) + max(0.5 - gamma, 0.0) * v * late
 
 
 class Guard:
@@ -104,7 +118,7 @@ class Guard:
         self._known = False  # whether the motion of everything there is known
         self._stop = np.zeros(len(self._low))  # how much closer each pair can come on a step and brake like the last
         self._path: Path | None = None
-        self._done = 0.0  # pieces of the path that are done
+        self._left = 1.0  # share of the rates that a brake begins with that is left
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
@@ -169,54 +183,26 @@ class Guard:
     def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates (n,) after h [s] of braking from (q, rate), instead of a step that was not allowed.
 
-        It brakes as was proven free with the last step. Where that holds for steps of one length, and this one has another, it
-        brakes anew if that is free as well.
+        It brakes as was proven free with the last step.
         """
         blocked, path = self.blocked, self._path
-        if self.gamma == 1.0:
-            if path is None:  # no step of ours led here
-                self._take(q[None], rate[None], h, anyway=True)
-            self.blocked = blocked
-            return self._slow_down(q, rate, h)
-        if self._at_once:  # a part of the way that was proven with the last step, whatever this one's length
-            Q, R, lengths = np.empty((3, 2, len(q)))
-            Q[0], R[0] = q, rate
-            brake(0, self.gamma, h, max(self.late, h), self.limits, Q, R, lengths)
-            self._take(Q, R, h, anyway=True)
-            self.blocked = blocked
-            return Q[1], R[1]
-        if path is None or path.h != h:
-            self._take(q[None], rate[None], h, anyway=path is None)  # without a path no step of ours led here
-        self.blocked = blocked
-        if self._path is None:
+        if path is None:  # no step of ours led here
+            self._take(q[None], rate[None], h, anyway=True)
+            self.blocked, path = blocked, self._path
+        if path is None:
             return q.copy(), np.zeros_like(q)
-        return self._go_on(self._path, h)
+        left, self._left = self._left, max(self._left - path.even * h, 0.0)
+        own = np.sign(rate) * np.maximum(np.abs(rate) - self._most * h, 0.0)
+        rate1 = np.where(path.alone, own, self._left * path.rate[-1])
+        before = np.where(path.alone, rate, left * path.rate[-1])
+        move = h * ((1.0 - self.gamma) * before + self.gamma * rate1)
+        self._moved(np.abs(move))
+        return q + move, rate1
 
     @property
-    def _at_once(self) -> bool:
-        """Whether all joints may come to rest in one step, evenly: along one line, the further the longer the step is."""
-        return self.gamma < 1.0 and bool(np.isinf(self.limits[3]).all())
-
-    def _go_on(self, path: Path, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values and rates h [s] further along the path, which is where the robot is then."""
-        q, q1, way, way1 = (np.empty(self.robot.n) for _ in range(4))
-        u = min(self._done + h / path.h, len(path.q) - 1.0)
-        along(path.q, path.rate, path.length, self.gamma, path.h, self._done, q, way)
-        along(path.q, path.rate, path.length, self.gamma, path.h, u, q1, way1)
-        self._moved(way1 - way)
-        self._done = u
-        k = min(int(u), len(path.q) - 2)
-        return q1, path.rate[k] + (u - k) * (path.rate[k + 1] - path.rate[k])
-
-    def _slow_down(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values and rates h [s] later, of a brake proven by `_line`."""
-        path = self._path
-        assert path is not None
-        self._left = max(self._left - path.even * h, 0.0)
-        own = np.sign(rate) * np.maximum(np.abs(rate) - self.limits[3] * h, 0.0)
-        rate1 = np.where(path.q[-1] == path.q[-2], own, self._left * path.rate[-1])
-        self._moved(h * np.abs(rate1))
-        return q + h * rate1, rate1
+    def _most(self) -> np.ndarray:
+        """By how much (n,) the rates of joints may change [per s]."""
+        return self.limits[3] / bending(self.gamma)
 
     def _moved(self, way: np.ndarray) -> None:
         """How far the joints have gone (n,) along the path."""
@@ -248,61 +234,55 @@ class Guard:
                 return False
         else:
             self.blocked = None
-        self._path, self._levers, self._done, self._left = path, levers, len(Q) - 1.0, 1.0
+        self._path, self._levers, self._left = path, levers, 1.0
         if len(Q) > 1:
             self._moved(path.length[1])
         return self.blocked is None
 
     def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
-        """States Q, R (1 or 2, n) and the brake after them; None when it does not come to rest."""
-        if self.gamma == 1.0:
-            return self._line(Q, R, h)
-        moving = R[-1] != 0.0
-        with np.errstate(divide="ignore"):
-            steps = max(2.0 * self.gamma, 1.0) * np.max(np.abs(R[-1] / (self.limits[3] * h)), where=moving, initial=0.0)
-        if not steps < PIECES:
-            return None
-        back = (
-            (Q[-1] < self.limits[0]) | (Q[-1] > self.limits[1])
-        ).any()  # it first comes inside, however long that takes
-        size, first, late = PIECES if back else int(steps) + 6, len(Q) - 1, max(self.late, h)
-        piece = late if self._at_once else h
-        all_q, rates, lengths = np.empty((3, size, self.robot.n))
-        all_q[: first + 1], rates[: first + 1] = Q, R
-        rates[:first] *= h / piece  # the step itself is shorter
-        end = brake(first, self.gamma, piece, late, self.limits, all_q, rates, lengths) + 1
-        return Path(all_q[:end], rates[:end], lengths[:end], piece) if end else None
+        """States Q, R (1 or 2, n) and a brake after them that steps of any lengths up to `late` keep to; None if there is none.
 
-    def _line(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
-        """States Q, R (1 or 2, n) and a brake after them that steps of any lengths keep to, where a step has one rate throughout.
-
-        The acceleration limit allows a short step next to no other rate than that of the long one before it, so the shorter steps
-        are, the further the arm gets. All joints lose the same share of their rates in a time: whatever the steps, the arm stays
-        on one line, and gets at most to the end it has for steps without length. A joint whose limit is nearer brakes by itself.
+        The acceleration limit allows a short step next to no other rate than that of the long one before it. All joints lose
+        the same share of their rates in a time: whatever the steps, the arm stays on one line, and gets at most to the end it
+        has for the worst steps. A joint whose limit is nearer brakes by itself.
         """
         q, rate = Q[-1], R[-1]
-        lower, upper, _, most = self.limits
-        speed = np.abs(rate)
+        lower, upper = self.limits[:2]
+        speed, most, late = np.abs(rate), self._most, max(self.late, h)
         with np.errstate(divide="ignore", invalid="ignore"):
             even = np.where(speed > 0.0, most / speed, np.inf).min()
+            if even <= 0.0:
+                return None
             room = np.where(rate > 0.0, upper - q, q - lower)
-            alone = (speed > 0.0) & (0.5 * speed > even * room)
-            aside = np.where(alone, 0.5 * speed * speed / most, 0.0)
-            end = q + np.where(alone, 0.0, 0.5 * rate / even)
-        if even <= 0.0:
-            return None
-        all_q = np.concatenate([Q, end[None]])
-        length = np.zeros_like(all_q)
-        np.cumsum(np.abs(np.diff(all_q, axis=0)), axis=0, out=length[1:])
+            time = stopping(1.0, self.gamma, even, late)
+            alone = (speed > 0.0) & (speed * time > room)
+            aside = np.where(alone, stopping(speed, self.gamma, most, late), 0.0)
+            move = np.where(alone, 0.0, rate * time)
+        all_q, rates, length = np.zeros((3, len(Q) + 1, len(q)))
+        all_q[:-1], all_q[-1] = Q, q + move
+        rates[:-2], rates[-2], rates[-1] = R[:-1], move / h, rate  # so that the last piece is a straight one
+        length[-1] = np.abs(move)
+        if len(Q) > 1:
+            length[1] = self._gone(Q, R[0], h)
+            length[2] += length[1]
         length[-1] += aside
-        return Path(all_q, np.concatenate([R, rate[None]]), length, h, even, aside)
+        return Path(all_q, rates, length, h, float(even), alone, aside)
+
+    def _gone(self, Q: np.ndarray, rate: np.ndarray, h: float) -> np.ndarray:
+        """How far (n,) the joints go on a step between Q (2, n), where they may turn back on the way."""
+        move = Q[1] - Q[0]
+        start = move if self.gamma == 1.0 else h * rate
+        end = 2.0 * move - start
+        turns = start * end < 0.0
+        far = 0.5 * start * start / np.where(turns, start - end, 1.0)
+        return np.where(turns, np.abs(far) + np.abs(move - far), np.abs(move))
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
         """None when the pairs ks, measured at the start, touch nowhere on a path; otherwise the names of an unproven one."""
         space, u, end = self._space, 0.0, len(path.q) - 1.0
         way = path.q, path.rate, path.length, self.gamma, path.h
         q, gone = np.empty(self.robot.n), np.empty(self.robot.n)
-        aside = np.zeros(len(ks)) if path.aside is None else levers[ks] @ path.aside[space.coordinates]
+        aside = levers[ks] @ path.aside[space.coordinates]
         distances = self._low[ks] - aside
         nearest = np.clip(0.5 * distances, CONTACT, NEAREST)
         for _ in range(LOOKS):

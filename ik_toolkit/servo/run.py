@@ -118,11 +118,9 @@ def track(
         robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,
         on_limit="clip" if mode == CLIP else "leave", **options,
     )  # fmt: skip
-    outside = robot.outside(tracker.q) if limits else []
+    outside = ", ".join(robot.outside(tracker.q)) if limits else ""
     if outside:
-        raise InvalidConfiguration(
-            f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False"
-        )
+        raise InvalidConfiguration(f"q0 is outside the limits of {outside}; move it inside or use limits=False")
     engine = tracker.engine
     check = engine.check(dt)
     if check is not None and check.verdict == "unstable":

@@ -146,7 +146,7 @@ KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 class Stream(Blocks):
     """The last target and the next, `samples`; whether that stands, `stand`; kinds, one a tip.
 
-    pace: the longest of the last times between them [s].
+    pace: the longest of the last times between them [s]; unseen [s]: since a step to them was last looked at, by the tracker.
     """
 
     VIEWS = ("_poses",)
@@ -162,6 +162,7 @@ class Stream(Blocks):
             one.T[:], one.caps[0], one.caps[1] = np.eye(4), 1.0, -1.0
         self.stand = np.zeros(len(STAND) + 16 * self.tips)  # see `arrival.Stand`
         self._cut()
+        self.unseen = 0.0
         self._posed = 0  # bit f: tip f has an orientation
         self._moved = 0
         self.pace, self._second, self._count = 0.0, 0.0, 0  # [s], the longest since that one, targets since it
@@ -179,6 +180,7 @@ class Stream(Blocks):
         """Where the target stands is not known: when it does, it counts as having leapt there."""
         self.stand[:] = 0.0
         self.stand[STAND.leapt] = 1.0
+        self.unseen = 0.0
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
         """Write a target into sample 0 (now) or 1 (end of step); False when it is not finite (the last one is kept)."""

@@ -165,7 +165,7 @@ class Tracker(Blocks, ReadOnly):
         for way in self._ways:
             way.begin()
         self.stream.look_anew()
-        self._unseen, self._behind = 0.0, False  # [s] since a step was last looked at; whether it left an error
+        self._behind = False  # whether the step last looked at left an error
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
         self._touching = self._guard.restart(q) if self._guard else None
 
@@ -218,17 +218,16 @@ class Tracker(Blocks, ReadOnly):
             found = self.robot.check_q(q, "q")
             self._settings.measured[:] = found / self.robot.chain.unit
             lag = float(np.abs(self._settings.measured - self._q).max()) / self.resync
-            resynced = lag > 1.0
-            if resynced:
+            if resynced := lag > 1.0:
                 self._begin(found, np.zeros(self.robot.n))
-        self._late = self._late or LATE * dt
-        parts = parts_of(dt, self._late)
-        h = dt / parts
+        if not self._late:  # assignments to a sealed object take half a microsecond
+            self._late = LATE * dt
+        h = dt / (parts := parts_of(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
             self._step(part, h, not finite, q is not None)
         code, lost = self._code.copy(), self._out.S[0, 3]
         if self._postures and finite and not self._goes:
-            self._unseen += dt
+            stream.unseen += dt
             left = self._postures.size(self._error)
             behind = left >= REACHED
             # Of most steps nothing need be looked at: they end at their target, or joints are free to follow one that moves.
@@ -246,12 +245,13 @@ class Tracker(Blocks, ReadOnly):
 
     def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
         """Take one step: to a target that leapt or another posture, or as usual."""
-        self._goes = None if brake else next((way for way in self._ways if way.goal is not None), None)
-        if self._goes:
-            self._go(self._goes, samples, h, brake=brake, measured=measured)
+        goes = None if brake else next((way for way in self._ways if way.goal is not None), None)
+        if goes is not self._goes:
+            self._goes = goes
+        if goes:
+            self._go(goes, samples, h, brake=brake, measured=measured)
         else:
-            step = self.run if self._guard is None else self.take
-            step(samples, h, self._out, brake=brake, measured=measured)
+            (self.take if self._guard else self.run)(samples, h, self._out, brake=brake, measured=measured)
 
     def _go(self, way: Leap | Reconfiguration, samples: Samples, h: float, **how: bool) -> None:
         """Take a step through the joints, or as usual where something is in the way."""
@@ -277,7 +277,7 @@ class Tracker(Blocks, ReadOnly):
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
         """Let a step taken be looked at: whether the joints are to be led elsewhere."""
-        out, unseen, self._unseen = self._out, self._unseen, 0.0
+        out, unseen, self.stream.unseen = self._out, self.stream.unseen, 0.0
         taken = Taken(
             self._code, out.S[0, 3] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
             self._limits, self._settings.law, lambda q: self.error_at(q, self.stream.last_of(samples), h),

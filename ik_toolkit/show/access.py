@@ -51,8 +51,9 @@ def refusal(headers: Any, host: str) -> str:
         return f"this request has more than one header {' and '.join(twice)}"
     asked = headers.get("Host", "")
     name = ""
-    with contextlib.suppress(ValueError):
-        name = urlsplit(f"//{asked}").hostname or ""
+    with contextlib.suppress(ValueError):  # also two hosts in one header: no port is a number then
+        split = urlsplit(f"//{asked}")
+        name = (split.hostname or "") if split.port is None or split.port else ""
     if is_loopback(host) and name not in LOOPBACK and name != host:
         return f"this page is served at {host} only, not as '{name}'"
     origin = headers.get("Origin")

@@ -1,7 +1,6 @@
 """A path or a trajectory in the scene: the robot moves along it, the tip path is coloured by a value."""
 
 import csv
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +9,7 @@ import numpy as np
 from ..errors import InvalidConfiguration
 from ..files import without_mark
 from ..robot.joints import Joints
-from ..robot.pose_files import check_arrays
+from ..robot.pose_files import check_arrays, read_json
 from .body import Shape, need_trimesh, smooth
 
 OBSTACLE = (0.55, 0.58, 0.62)
@@ -204,7 +203,7 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
                 raise ValueError("it has neither 'curve', as ik path writes it, nor 't' and 'q', as ik track does")
             return names, arrays["q"], arrays["t"]
     if suffix == ".json":
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path, InvalidConfiguration)
         if "points" not in content:
             return content["joint_names"], np.array(content["curve"], dtype=float), None
         stamps = [point["time_from_start"] for point in content["points"]]

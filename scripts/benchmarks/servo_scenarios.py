@@ -208,7 +208,8 @@ def outwards(robot, q0: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     arm = robot.arms[0]
     data = arm.data
     pin.forwardKinematics(arm.model, data, arm._fill(arm.rest.copy(), q0[robot.places[0]]))
-    first = (arm._base_inverse * data.oMi[arm.model.getJointId(arm.joint_names[0])]).translation
+    base = pin.updateFramePlacement(arm.model, data, arm.model.getFrameId(arm.base))
+    first = base.actInv(data.oMi[arm.model.getJointId(arm.joint_names[0])]).translation
     direction = T0[0, :3, 3] - first
     direction /= np.linalg.norm(direction)
     Q, way, q = [q0], 0.0, q0

@@ -28,6 +28,7 @@ from random_trees import TreeCase, random_tree
 from second_fk import Case, SecondFK, pose_errors, random_case
 
 WRONG = 1e-9  # error that counts as wrong, over the robot's size or [rad]
+MOST = 1e6  # [rad or m] limits beyond are brought down to this, with a note
 TURNS = 31.0  # five turns of a continuous joint [rad]
 
 
@@ -73,7 +74,7 @@ def scales(J: np.ndarray, size: float) -> np.ndarray:
 def limits_differ(robot: ik.Robot, judge: SecondFK, Q: np.ndarray) -> bool:
     """Whether the limits differ from those in the text (up to rounding for followers), or a legal q violates one."""
     near = dict(rtol=1e-12, atol=1e-12 * robot.reach)
-    given = judge.limits(robot.joint_names)
+    given = [np.where(np.isinf(x), x, x.clip(-MOST, MOST)) for x in judge.limits(robot.joint_names)]
     same = np.allclose(robot.lower, given[0], **near) and np.allclose(robot.upper, given[1], **near)
     return not same or bool(judge.outside(Q, robot.joint_names).any())
 

@@ -106,6 +106,21 @@ def test_check_expands_xacro(run, tmp_path):
     assert run("check", file, "--xacro-arg", "parent:=a")[0] == 0
 
 
+def test_a_xacro_argument_may_be_empty(run, tmp_path):
+    """Prefixes and suffixes of names often are."""
+    pytest.importorskip("xacro")
+    file = tmp_path / "arm.urdf.xacro"
+    file.write_text(
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="prefix" default="left_"/>'
+        '<link name="a"/><link name="$(arg prefix)b"/>'
+        '<joint name="$(arg prefix)j" type="continuous"><parent link="a"/><child link="$(arg prefix)b"/></joint></robot>'
+    )
+    assert "left_j" in run("info", file)[1]
+    code, out, _ = run("info", file, "--xacro-arg", "prefix:=")
+    assert code == 0 and "left_j" not in out
+    assert run("info", file, "--xacro-arg", "prefix")[0] == 2
+
+
 def test_check_says_what_an_mjcf_loses(run, tmp_path):
     pytest.importorskip("mujoco")
     file = tmp_path / "arm.xml"

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import importlib
 import json
 import os
 import signal
@@ -86,7 +87,7 @@ COMMANDS = {
               lambda out: len(rows_of(out)), 1001),
     "path": (["path", "planar_2r", "--poses", "in.csv", "-o", "OUT.npz"], at_progress(path),
              lambda out: len(np.load(out)["q"]), 30),
-    "tune": (["tune", "planar_3r", "pid", "--generations", "1000", "--targets", "20", "--held-out", "1", "-o", "OUT.toml"],
+    "tune": (["tune", "planar_3r", "pid", "--generations", "1000", "--targets", "4", "--held-out", "1", "-o", "OUT.toml"],
              at_progress(tune), lambda out: out.read_text().count("solver"), 100),
     "reproduce": (["reproduce", "chinyai", "-o", "."], in_the_report,
                   lambda out: len(json.loads(out.with_name("report.json.partial").read_text())), 100),
@@ -143,3 +144,18 @@ def test_ctrl_c_that_was_dropped_comes_again():
         assert came == [signal.SIGINT]
         later.wait(5.0)
     assert came == [signal.SIGINT] * 2
+
+
+def test_ctrl_c_in_an_import_is_not_taken_for_a_missing_library(tmp_path, monkeypatch):
+    """As of trimesh, which `ik view` imports: it tries whether others are there, and catches everything."""
+    (tmp_path / "tries_another.py").write_text(
+        "import os, signal\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    found = sum(range(9))\n"
+        "except BaseException:\n    found = None\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    came, later = [], threading.Event()
+    with pytest.raises(KeyboardInterrupt), stoppable(came):
+        found = importlib.import_module("tries_another").found
+        assert found is not None and not came
+        later.wait(5.0)
+    assert came == [signal.SIGINT]

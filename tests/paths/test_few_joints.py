@@ -76,6 +76,16 @@ def test_positions_that_the_arm_draws_itself_are_one_motion(count):
     assert made.status is PathStatus.FOLLOWED and np.abs(made.q - Q).max() < 1e-5
 
 
+def test_a_pose_before_one_that_is_not_reached_stays_in_the_motion():
+    robot = arm(2, 22)
+    T = drawn(robot, 0.2, 2)[1][:9]  # rows are inserted between them
+    T[4, :3, 3] += 9.0
+    made = ik.solve_path(robot, T)
+    at_poses = made.curve[made.at == np.round(made.at)]
+    assert np.isnan(made.q[:, 0]).sum() == 1 and np.array_equal(at_poses, made.q, equal_nan=True)
+    assert [made.at[piece][[0, -1]].tolist() for piece in made.pieces] == [[0.0, 3.0], [5.0, 8.0]]
+
+
 @pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
 def test_a_hobby_arm_follows_its_own_motion():
     robot = ik.Robot.load("so101")

@@ -201,3 +201,11 @@ def test_a_motion_that_stays_where_it_is_takes_no_time_and_has_no_rates():
         assert made.success and made.duration == 0.0
         for values in (made.dq, made.ddq, *made.at([-1.0, 0.0, 1.0])[1:]):
             assert (values == 0.0).all()
+
+
+def test_not_even_a_hair_beyond_a_limit():
+    """Between two rows at the limit the smooth spline swings out by 5e-11 rad."""
+    robot = ik.Robot.load("planar_2r")
+    Q = np.column_stack([np.linspace(0.1, 0.4, 4), robot.upper[1] - np.array([4e-10, 0.0, 0.0, 4e-10])])
+    made = motions.as_result(robot, Q).retime(acceleration=2.0)
+    assert (made.at(np.linspace(0.0, made.duration, 500))[0] <= robot.upper).all()

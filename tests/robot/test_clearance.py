@@ -322,6 +322,25 @@ def test_a_convex_hull_is_one():
     for f in (0.1, 0.5, 0.9):  # in front of the mouth, which only the hull closes
         one = ik.CollisionModel(robot, geometry=geometry)
         ball = data.oMi[joint].act(tips[0] + f * out + 0.1 * away)
-        one.add_sphere(0.01, robot.arms[0]._base_inverse.act(ball), "ball")
+        base = pin.updateFramePlacement(robot.model, data, robot.model.getFrameId(robot.base))
+        one.add_sphere(0.01, base.actInv(ball), "ball")
         (near,) = one.distances(robot.home)
         assert near.distance == pytest.approx(0.09, abs=1e-6)
+
+
+def test_obstacles_move_with_a_base_that_follows_a_joint_of_the_arm():
+    shape = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
+    parts = "".join(
+        f'<link name="{child}">{shape}</link><joint name="j_{child}" type="revolute"><parent link="{parent}"/>'
+        f'<child link="{child}"/><origin xyz="{xyz}"/><axis xyz="0 0 1"/><limit lower="-2" upper="2"/>{more}</joint>'
+        for parent, child, xyz, more in (
+            ("root", "b", "0 1 0.5", '<mimic joint="j_c"/>'), ("root", "c", "1 0 0", ""), ("c", "d", "1 0 0", ""),
+        )
+    )  # fmt: skip
+    robot = ik.Robot.load(f'<robot name="r"><link name="root">{shape}</link>{parts}</robot>', base="b", tip="d")
+    model = ik.CollisionModel(robot).add_sphere(0.01, (0, 0, 0), "ball")
+    for q in robot.random_q(np.random.default_rng(0), 5):
+        model.move("ball", robot.fk(q))
+        assert ("d", "ball") in model.collisions(q) and model.distance(q).distance < -0.05
+    model.move("ball", (0, 0, 0))
+    assert ("b", "ball") not in model.pairs and ("root", "ball") in model.pairs

@@ -46,17 +46,23 @@ def check(robot, text, allowed=1e-12):
 @pytest.mark.parametrize(
     ("ties", "left"),
     [
-        ([joint_tie("pip", "mcp", "0 1.1 0 0 0"), joint_tie("dip", "pip", "0.05 0.7 0 0 0")], ("mcp",)),
+        pytest.param(
+            [joint_tie("pip", "mcp", "0 1.1 0 0 0"), joint_tie("dip", "pip", "0.05 0.7 0 0 0")],
+            ("mcp",),
+            marks=pytest.mark.slow,
+        ),
         ([joint_tie("dip", "pip", "0.05 0.7 0 0 0"), joint_tie("pip", "mcp", "0 1.1 0 0 0")], ("mcp",)),
         ([joint_tie("dip", "", "0.3 0 0 0 0")], ("mcp", "pip")),
         ([joint_tie("dip", "mcp", "0.3 0 0 0 0")], ("mcp", "pip")),
-        (['<tendon tendon1="t"/>'], ("mcp", "dip")),
-        (['<tendon tendon1="u" polycoef="0.1 0 0 0 0"/>'], ("mcp", "pip")),
+        pytest.param(['<tendon tendon1="t"/>'], ("mcp", "dip"), marks=pytest.mark.slow),
+        pytest.param(['<tendon tendon1="u" polycoef="0.1 0 0 0 0"/>'], ("mcp", "pip"), marks=pytest.mark.slow),
         (
             ['<tendon tendon1="t" tendon2="u" polycoef="0.02 1.5 0 0 0"/>', joint_tie("dip", "mcp", "0.1 1 0 0 0")],
             ("mcp",),
         ),
-        (['<tendon tendon1="three"/>', joint_tie("dip", "mcp", "0.1 0.5 0 0 0")], ("mcp",)),
+        pytest.param(
+            ['<tendon tendon1="three"/>', joint_tie("dip", "mcp", "0.1 0.5 0 0 0")], ("mcp",), marks=pytest.mark.slow
+        ),
         (['<tendon tendon1="three"/>', '<tendon tendon1="t"/>', joint_tie("dip", "", "0.5 0 0 0 0")], ()),
         ([joint_tie("dip", "mcp", "0 3 0 0 0").replace("/>", ' active="false"/>')], ("mcp", "pip", "dip")),
     ],
@@ -71,9 +77,10 @@ def test_what_is_linear_becomes_mimic(ties, left):
     check(robot, FINGER.format("".join(ties)))
 
 
-def test_random_models_keep_what_mujoco_says():
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 12), marks=pytest.mark.slow)])
+def test_random_models_keep_what_mujoco_says(seeds):
     """The same models as scripts/break/robots.py --kind mjcf tries by the hundred."""
-    for seed in range(4):
+    for seed in seeds:
         text = random_mjcf(rng := np.random.default_rng([7, seed]))
         robot, judge = ik.Robot.load(text, tip="tip"), Judge(text)
         for q in robot.random_q(rng, 3):

@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from robots import urdf
+from robots import joint, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, JointNotFound, ModelError, ReadOnlyAttribute
@@ -61,6 +61,21 @@ def test_strokes_of_all_lengths_on_arms_of_all_sizes(size):
         found = ik.solve_batch(robot, np.array([robot.fk(q).homogeneous for q in Q]))
         assert found.success.mean() > 0.9
         assert not any(robot.outside(q) for q in found.q)
+
+
+@pytest.mark.parametrize("left", [2e-17, 1e-12, 1e-9, 1e-8])
+def test_a_wrist_whose_offsets_are_rounding_is_taken_and_solved(left):
+    """Pinocchio computes far from the wrist, so its own rounding there is larger than these offsets times 1e-9."""
+    parts = "".join(
+        f'<link name="l{i}"/><joint name="j{i}" type="revolute"><parent link="l{i - 1}"/><child link="l{i}"/>'
+        f'<origin xyz="{xyz}" rpy="0.3 0.2 {0.1 * i}"/><axis xyz="{axis}"/><limit lower="-2" upper="2"/></joint>'
+        for i, (axis, xyz) in enumerate(
+            [("0 0 1", "0.4 0.3 0.2"), ("1 0 0", f"{left} 0 0"), ("0 1 0", f"0 {left} 0"), ("0 0 1", f"0 0 {left}")], 1
+        )
+    )
+    robot = ik.Robot.load(f'<robot name="r"><link name="l0"/>{parts}</robot>', base="l1", tip="l4")
+    for q in robot.random_q(np.random.default_rng(0), 10):
+        assert ik.solve(robot, robot.fk(q)).success
 
 
 def test_only_what_means_none_is_no_limit(caplog):
@@ -283,6 +298,15 @@ def test_public_attributes_cannot_be_assigned(arm):
             with pytest.raises(AttributeError) as refused:
                 setattr(thing, key, None)
             assert isinstance(refused.value, ik.IKError) and key in str(refused.value)
+            if key in getattr(thing, "__dict__", {}):
+                with pytest.raises(ReadOnlyAttribute, match=f"{key} of a .* cannot be deleted"):
+                    delattr(thing, key)
+
+
+def test_margins_of_a_model_cannot_be_written():
+    model = ik.CollisionModel(ik.Robot.load("planar_2r"), margin=0.01).add_sphere(0.1, (1.2, 0.9, 0.0))
+    with pytest.raises(ValueError, match="read-only"):
+        model.margins[:] = 0.0
 
 
 def test_arrays_of_a_robot_cannot_be_written(arm):
@@ -291,3 +315,21 @@ def test_arrays_of_a_robot_cannot_be_written(arm):
             with pytest.raises(ValueError, match="read-only"):
                 getattr(thing, name)[0] = 0.0
         assert isinstance(thing.joint_names, tuple) and isinstance(thing.joint_kinds, tuple)
+
+
+@pytest.mark.parametrize("place", [0, 3])
+def test_a_stroke_of_a_thousand_kilometres_does_not_make_an_arm_unsolvable(place):
+    """Some files write 999999 m for "far"; the limit stands, and the arm is solved as precisely as with a short one."""
+    text = '<robot name="far"><link name="l0"/>'
+    for i, axis in enumerate(("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")):
+        far = i == place
+        limits = (-999999.0, 999999.0) if far else (-2.8, 2.8)
+        kind, axis = ("prismatic", "1 0 0") if far else ("revolute", axis)
+        text += joint(f"j{i}", kind, f"l{i}", f"l{i + 1}", axis, limits=limits)
+    robot = ik.Robot.load(text + joint("end", "fixed", "l7", "tcp") + "</robot>")
+    assert (robot.lower[place], robot.upper[place]) == (-999999.0, 999999.0)
+    rng = np.random.default_rng(4)
+    near = np.minimum(robot.upper, 3.0)
+    results = [ik.solve(robot, robot.fk(rng.uniform(-near, near))) for _ in range(15)]
+    assert sum(result.success for result in results) >= 14  # none of them with lengths in units of the stroke
+    assert not any(robot.outside(result.q) for result in results)

@@ -169,3 +169,27 @@ def test_a_mesh_scale_that_is_none_and_a_missing_name_do_not_stop_a_robot():
     text = HAND.replace('<link name="index"/>', f'<link name="index">{shape}</link>').replace(' name="hand"', "")
     check_fk(text, "nail")
     assert any('scale="1 1"' in str(f) for f in check_urdf(text))
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize("limit", ["", "<limit/>", '<limit effort="1" velocity="0"/>', '<limit velocity="fast"/>'])
+def test_a_follower_without_limits_of_its_own_leaves_its_leader_its_range(kind, limit):
+    """On the path or off it: fingers of grippers are often written so."""
+    text = '<robot name="r"><link name="o"/>' + joint("lead", "revolute", "o", "a", limits=(-1.0, 1.5))
+    mimic = '<mimic joint="lead" multiplier="-1"/>' + limit
+    text += joint("finger", "continuous", "a", "b", mimic=mimic).replace('"continuous"', f'"{kind}"') + "</robot>"
+    for tip in ("a", "b"):
+        robot = ik.Robot.load(text, tip=tip)
+        assert (robot.lower[0], robot.upper[0], robot.velocity_limits[0]) == (-1.0, 1.5, 2.0)
+    (told,) = (finding for finding in check_urdf(text) if "moves as far as its leader does" in finding.problem)
+    assert told.severity == "warning" and told.element == "joint 'finger'"
+
+
+def test_a_follower_that_holds_its_leader_is_said_when_the_robot_is_loaded():
+    text = (
+        '<robot name="r"><link name="o"/>' + joint("lead", "revolute", "o", "a") + joint("next", "revolute", "a", "b")
+    )
+    text += joint("finger", "revolute", "a", "c", limits=(0.0, 0.0), mimic='<mimic joint="lead"/>') + "</robot>"
+    robot = ik.Robot.load(text, tip="b")
+    assert robot.lower[0] == robot.upper[0] == 0.0
+    assert any("holds joint 'lead', which it mimics" in note for note in robot.notes)

@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
+from robots import joint
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
@@ -176,3 +177,22 @@ def test_numbers_of_masses(name):
         text = robots.urdf(dict(kind="revolute")).replace('<link name="l1"/>', f'<link name="l1">{inertial}</link>')
         said = f'<mass value="{wrong}"> is' if name == "mass" else f'<inertia {name}="{wrong}"> is'
         assert any(said in str(one) for one in check_urdf(text))
+
+
+@pytest.mark.parametrize(
+    ("geometry", "told"),
+    [
+        ('<geometry><box sise="1 1 1"/></geometry>', "<box> has no size, so there is no shape"),
+        ('<geometry><cylinder radius="1"/></geometry>', "<cylinder> has no length, so there is no shape"),
+        ("<geometry/>", "its <collision> has no shape"),
+        ("", "its <collision> has no shape"),
+        ('<geometry><cone radius="1"/></geometry>', "<cone> is not known and is ignored"),
+    ],
+)
+def test_shapes_that_are_none_are_said(geometry, told):
+    text = f'<robot name="r">\n<link name="o">\n<collision>{geometry}</collision></link>' + joint(
+        "j", "revolute", "o", "a"
+    )
+    (found,) = check_urdf(text + "</robot>")
+    assert (found.severity, found.line, found.problem) == ("warning", 3, told)
+    assert any(told in note for note in ik.Robot.load(text + "</robot>").notes)

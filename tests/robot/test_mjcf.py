@@ -171,6 +171,7 @@ DEFAULTS = "".join(
             BARE.format('<replicate count="500"><replicate count="500"><geom size=".1"/></replicate></replicate>'),
             "its <replicate> comes to 250,00",
         ),
+        (BARE.format('<geom size=".1"/>' * 20_001), "it has more than 20,000 elements <geom>; it is not read"),
         (
             BARE.format("").replace("</worldbody>", "</worldbody><default>" + DEFAULTS + "</default>"),
             "cannot read 'arm.xml': it crashed MuJoCo, or took too much time or memory",

@@ -1,6 +1,8 @@
 """CSV files of poses as spreadsheets write them: what cannot be read is refused with its line, and names run nothing."""
 
 import csv
+import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
-from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.errors import InvalidConfiguration, InvalidTarget
 from ik_toolkit.files import inert, without_mark, write_table
 from ik_toolkit.robot.pose_files import read_poses
 from ik_toolkit.show.animation import read_motion
@@ -108,3 +110,30 @@ def test_a_motion_of_ragged_rows_is_refused(tmp_path):
     (tmp_path / "m.csv").write_text("joint_1,joint_2\n0,1,0,2\n0,1,0,3\n")
     with pytest.raises(ik.IKError, match="line 2 has 4 columns, and the header 2"):
         read_motion(robots.load("planar_2r"), tmp_path / "m.csv")
+
+
+def test_a_header_of_gigabytes_is_not_taken_into_memory(tmp_path):
+    """numpy takes the whole header of an array before it looks at its size: 0.3 MB of file would be 0.3 GB of memory."""
+    file = tmp_path / "header.npz"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("xyz.npy", "w") as stream:
+        stream.write(b"\x93NUMPY\x02\x00" + (200 * 2**20).to_bytes(4, "little"))
+        for _ in range(200):
+            stream.write(bytes(2**20))
+    tracemalloc.start()
+    with pytest.raises(InvalidTarget, match=r"header\.npz"):
+        read_poses(file, "targets")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 2**24
+
+
+def test_large_and_deep_json_is_refused_before_it_takes_memory(tmp_path):
+    robot, file = ik.Robot.load("planar_2r"), tmp_path / "large.json"
+    file.write_bytes(b" " * 20_000_001)
+    with pytest.raises(InvalidTarget, match=r"large\.json.* larger than 20 MB; save it as NPZ or CSV"):
+        read_poses(file, "targets")
+    with pytest.raises(InvalidConfiguration, match=r"large\.json.* larger than 20 MB"):
+        read_motion(robot, file)
+    file.write_text("[" * 100_000)
+    with pytest.raises(InvalidTarget, match="nested too deep"):
+        read_poses(file, "targets")

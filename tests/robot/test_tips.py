@@ -109,3 +109,10 @@ def test_joints_are_tips_too():
 def test_words():
     assert words("l_gripperTool0-Frame") == ["l", "gripper", "tool0", "frame"]
     assert words("panda_hand_TCP") == ["panda", "hand", "tcp"]
+
+
+def test_sensors_and_targets_are_no_tips_where_all_ends_have_names_of_parts():
+    """Parts of a hand come before things of a scene: neither has the name of a tool."""
+    finger = scene(2, ("target", "prismatic"), ("lidar", "revolute")).replace("</robot>", "")
+    finger += joint("tip", "fixed", "seg", "fingertip") + joint("eye", "fixed", "seg", "camera") + "</robot>"
+    assert ik.Robot.load(finger).tip == "fingertip"

@@ -386,6 +386,7 @@ def test_refusals_by_header():
     assert is_loopback("127.0.0.1") and is_loopback("localhost") and is_loopback("::1") and not is_loopback("0.0.0.0")
     assert refusal({"Host": "localhost:1"}, "127.0.0.1") == ""
     assert "only" in refusal({"Host": "evil.example:1"}, "127.0.0.1")
+    assert "only" in refusal({"Host": "localhost:1, evil.example:1"}, "127.0.0.1")
     assert refusal({"Host": "arm.example:1", "Origin": "http://arm.example:1"}, "0.0.0.0") == ""
     assert "other sites" in refusal({"Host": "arm.example:1", "Origin": "http://evil.example"}, "0.0.0.0")
     host, origin = ("Host", "localhost:1"), ("Origin", "http://localhost:1")

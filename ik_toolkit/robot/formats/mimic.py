@@ -6,7 +6,6 @@ first (a follower that carries its leader), the roles are swapped: the same line
 """
 
 import functools
-import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -58,17 +57,14 @@ def followers(text: str) -> Followers:
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
     """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q = multiplier q_leader + offset.
 
-    The limits are the follower's own (infinite if it has none); Pinocchio drops them.
+    The limits are the follower's own, ENDLESS where it has none (see `span`); Pinocchio drops them.
     """
     tied = followers(text).tied
     found = {}
     for item in parse(text):
-        if item.tag != "joint" or item.name not in tied:
-            continue
-        limit, lower, upper = item.first("limit"), -math.inf, math.inf
-        if limit is not None and item.attributes.get("type") != "continuous":
-            lower, upper = span(limit)
-        found[item.name] = (*tied[item.name], lower, upper)
+        if item.tag == "joint" and item.name in tied:
+            leader, ratio, offset = tied[item.name]
+            found[item.name] = leader, ratio, offset, *span(item)
     return found
 
 
@@ -81,7 +77,7 @@ def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
     found = {}
     for item in parse(text):
         limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
-        speed = float(limit.get("velocity", 0.0)) if limit is not None else 0.0
+        speed = (numbers((limit or {}).get("velocity", "")) or [0.0])[0]
         if speed > 0.0 and tied[item.name].ratio != 0.0:
             found[item.name] = (tied[item.name].ratio, speed)
     return found

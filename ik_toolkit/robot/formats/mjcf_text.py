@@ -123,6 +123,9 @@ def _check_copies(root: ET.Element) -> None:
     """Raise ModelError for more elements than any robot has once <replicate> has copied them."""
     if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
         raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
+    for tag in ("body", "joint", "geom", "site"):  # MuJoCo takes seconds for so many, which are refused afterwards
+        if sum(1 for world in root.iter("worldbody") for _ in world.iter(tag)) > MAX_COPIES:
+            raise ModelError(f"it has more than {MAX_COPIES:,} elements <{tag}>; it is not read")
 
 
 def _copies(element: ET.Element) -> int:

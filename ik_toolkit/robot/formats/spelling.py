@@ -73,7 +73,9 @@ def _part(item: Item, part: Part, seen: set[str]) -> Iterator[Finding]:
     near = _near(part.tag, known, seen)
     if near:
         yield _unknown(item, f"<{part.tag}>", f"<{near}>", part.line)
-    elif ":" not in part.tag and item.tag == "joint" and any(key in KINEMATIC for key in part.attributes):
+    elif ":" not in part.tag and (
+        inside == "geometry" or (item.tag == "joint" and any(key in KINEMATIC for key in part.attributes))
+    ):
         yield _unknown(item, f"<{part.tag}>", "", part.line)
 
 

@@ -269,10 +269,16 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}
 
 
-def span(limit: Mapping[str, str] | None) -> tuple[float, float]:
-    """Lower and upper limit [rad or m] of a <limit>: 0 where it has none, as URDF says, and ENDLESS at most, either way."""
-    ends = (float((limit or {}).get(end, "0")) for end in ("lower", "upper"))
-    low, high = (min(max(x, -ENDLESS), ENDLESS) for x in ends)
+def span(joint: Item) -> tuple[float, float]:
+    """Lower and upper limit [rad or m] of a joint: 0 where its <limit> has none, as URDF says, and ENDLESS at most, either way.
+
+    A follower whose <limit> is missing, or has neither, is held by its leader's limits alone.
+    """
+    limit = joint.first("limit") or {}
+    led = joint.first("mimic") is not None and not limit.keys() & {"lower", "upper"}
+    if led or joint.attributes.get("type") == "continuous":
+        return -ENDLESS, ENDLESS
+    low, high = (min(max(float(limit.get(end, "0")), -ENDLESS), ENDLESS) for end in ("lower", "upper"))
     return low, high
 
 

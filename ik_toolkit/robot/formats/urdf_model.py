@@ -68,7 +68,7 @@ def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -
     if kind in MOVING:
         yield f'<axis xyz="{_text(axis_of(joint))}"/>'
         limit = joint.first("limit")
-        low, high = (-ENDLESS, ENDLESS) if kind == "continuous" else span(limit)
+        low, high = span(joint)
         effort, velocity = (_most(limit, key) for key in ("effort", "velocity"))
         if shown != "continuous" or limit is not None:
             yield f'<limit lower="{low!r}" upper="{high!r}" effort="{effort!r}" velocity="{velocity!r}"/>'

@@ -5,9 +5,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from .finding import Finding, did_you_mean, odd, wrong
 from .mimic import MOVING
-from .urdf import ENDLESS, NUMBERS, Item, Part, numbers, plain_origin
+from .urdf import ENDLESS, NUMBERS, SHAPES, Item, Part, numbers, plain_origin
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
+SHAPE = {  # attributes without which a shape is none
+    "box": ("size",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",),
+}  # fmt: skip
 UNIT = 0.01  # a quaternion's or an axis' length may differ from 1 by this much without a remark
 DEGREES = (30.0, 360.0)  # whole numbers of this size are degrees rather than radians
 IN_DEGREES = "URDF means radians: write 3.14159 for 180 degrees"
@@ -44,7 +47,18 @@ def joint_values(joint: Item) -> Iterator[Finding]:
 
 def link_values(link: Item) -> Iterator[Finding]:
     """Warnings for the numbers of a link's shapes and inertia, without which the robot moves as well."""
+    drawn = [part for part in link.inside if part.tag in SHAPES and not part.above]
+    for part, shape in zip(drawn, link.shapes, strict=True):
+        if part.tag == "collision" and "geometry" not in shape:
+            told = "its <collision> has no shape"
+            yield odd(link, told, "write it in <geometry>, or remove it", part.line, at_load=True)
     for part in link.inside:
+        missing = [
+            key for key in SHAPE.get(part.tag, ()) if part.above[1:] == ("geometry",) and key not in part.attributes
+        ]
+        if missing:
+            told = f"<{part.tag}> has no {' and no '.join(missing)}, so there is no shape"
+            yield odd(link, told, "write it, or remove the shape", part.line, at_load=True)
         if part.tag in NUMBERS and part.above[:1] in (("visual",), ("collision",), ("inertial",)):
             yield from _numbers(link, part, odd)
             if part.tag == "origin":
@@ -147,11 +161,16 @@ def _axis(joint: Item, kind: str) -> Iterator[Finding]:
 
 
 def _limit(joint: Item, kind: str) -> Iterator[Finding]:
-    parts = _counting(joint, "limit")
+    parts, led = _counting(joint, "limit"), joint.first("mimic") is not None
+    loose = led and kind != "continuous" and not (parts and parts[0].attributes.keys() & {"lower", "upper"})
+    if loose:
+        told = "its <limit> has no lower and no upper" if parts else "it has no <limit>"
+        advice = "write them; other readers of URDF take 0 to 0, or refuse the file"
+        yield odd(joint, f"{told}: it moves as far as its leader does", advice, parts[0].line if parts else joint.line)
     if not parts:
-        if kind == "revolute":
+        if kind == "revolute" and not led:
             yield wrong(joint, "it has no <limit>", "add lower and upper [rad], or make it continuous", joint.line)
-        elif kind == "prismatic":
+        elif kind == "prismatic" and not led:
             yield wrong(joint, "it has no <limit>", "add lower and upper [m]", joint.line)
         return
     limit, line = parts[0].attributes, parts[0].line
@@ -159,6 +178,7 @@ def _limit(joint: Item, kind: str) -> Iterator[Finding]:
         yield from _power(joint, limit, key, line)
     if kind == "continuous":
         yield from _free_limits(joint, kind)
+    if kind == "continuous" or loose:
         return
     ends = [numbers(limit.get(end, "0")) or [] for end in ("lower", "upper")]
     for end, values in zip(("lower", "upper"), ends, strict=True):
@@ -180,7 +200,10 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
         told = f"its lower limit {low:g} is above its upper limit {high:g}: no tip can use it"
         yield odd(joint, told, reversed_advice(low, high, kind == "revolute"), line)
     if low == high:
-        yield odd(joint, f"its limits are both {low:g}: it cannot move", "widen them, or make it fixed", line)
+        leader = (joint.first("mimic") or {}).get("joint")
+        holds = f", and holds joint '{leader}', which it mimics" if leader else ""
+        told = f"its limits are both {low:g}: it cannot move{holds}"
+        yield odd(joint, told, "widen them, or make it fixed", line, at_load=bool(leader))
     whole = all(x.is_integer() for x in (low, high))
     if kind == "revolute" and whole and (_degrees(low) or _degrees(high)):
         told = f"its limits {low:g} to {high:g} look like degrees"

@@ -34,9 +34,10 @@ class Files:
         path = os.path.abspath(path)
         real = os.path.realpath(path)
         if not any(real.startswith(os.path.join(folder, "")) for folder in self.folders):
+            link = "" if real == path else f" (it leads to '{real[-120:]}')"
             raise self.values.Refused(
-                f"it reads '{path[-120:]}', which is not allowed; if it may, name its folder: "
-                f"package_dirs=['{os.path.dirname(path)[-100:]}'], in the shell --package-dir"
+                f"it reads '{path[-120:]}', which is not allowed{link}; if it may, name its folder: "
+                f"package_dirs=['{os.path.dirname(real)[-100:]}'], in the shell --package-dir"
             )
         if os.path.exists(real) and not os.path.isfile(real):
             raise self.values.Refused(f"'{path[-120:]}' is not a regular file")

@@ -107,7 +107,8 @@ class CollisionModel(Surroundings):
         robot, model = self.robot, self.robot.model
         owners = [o.parentJoint for o in self._own.geometryObjects]
         hands = [model.frames[arm._ids[1]].parentJoint for arm in robot.arms]
-        placements = self._sample([0, *owners, *hands])
+        base = model.frames[robot.arms[0]._ids[0]].parentJoint
+        placements = self._sample([base, *owners, *hands])
         joints = list(placements)
         apart = np.zeros((len(joints), len(joints)), dtype=bool)  # whether two joints move relative to each other
         for b, jb in enumerate(joints):
@@ -123,9 +124,9 @@ class CollisionModel(Surroundings):
         links = np.arange(len(owners)) < self._tools
         self._tested = np.triu(apart[of_shape[:, None], of_shape], 1)
         self._tested &= ~(joined[of_shape[:, None], of_shape] & links & links[:, None])
-        self._moving = apart[0][of_shape]
+        self._moving = apart[joints.index(base)][of_shape]
         self._in_hand = [apart[joints.index(hand)][of_shape] for hand in hands]
-        self._hand_moves = [bool(apart[0, joints.index(hand)]) for hand in hands]
+        self._hand_moves = [bool(apart[joints.index(base), joints.index(hand)]) for hand in hands]
         self._between_hands = [[bool(apart[joints.index(a), joints.index(b)]) for b in hands] for a in hands]
         places = {name: [k for k, other in enumerate(self._links) if other == name] for name in self.links}
 
@@ -176,6 +177,7 @@ class CollisionModel(Surroundings):
         geometry.setCollisionPairs(tested)
         pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
         margins = np.array([self._closer.get(pair, self.margin) for pair in pairs])
+        margins.setflags(write=False)  # they are handed out
         self._names = [*self._links, *self._placed]
         self._state = geometry, margins
         self._local = threading.local()

@@ -50,13 +50,12 @@ class Surroundings(ReadOnly):
 
     def _object(self, name: str, one: Placed) -> pin.GeometryObject:
         """Pinocchio geometry object of an added shape."""
-        if one.arm is None:
-            base = self.robot.arms[0]._base_inverse.inverse()
-            return pin.GeometryObject(name, 0, base * pin.SE3(one.T), one.form)
-        arm = self.robot.arms[one.arm]
-        frame = self.robot.model.frames[arm._ids[1]]
-        place = frame.placement * arm.tool * pin.SE3(one.T)
-        return pin.GeometryObject(name, frame.parentJoint, arm._ids[1], place, one.form)
+        arm = self.robot.arms[one.arm or 0]
+        held = one.arm is not None
+        at = arm._ids[1] if held else arm._ids[0]  # the base moves when a follower's leader lies above it
+        frame = self.robot.model.frames[at]
+        place = frame.placement * (arm.tool if held else pin.SE3.Identity()) * pin.SE3(one.T)
+        return pin.GeometryObject(name, frame.parentJoint, at, place, one.form)
 
     @property
     def obstacles(self) -> tuple[str, ...]:
