@@ -95,7 +95,7 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
     if folder is None:
         notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
         return code
-    from ..kernel.cache import folder as common
+    from ..compile.cache import folder as common
 
     folder = common() or folder  # the log is there, whichever function was missing: closed forms are kept elsewhere
     if why := died(folder):

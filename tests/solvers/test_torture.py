@@ -187,7 +187,7 @@ def test_absurd_lengths(length):
         position, orientation = robot.errors(result.q, T)
         assert result.success == (position <= 1e-6 * length * (1 + 1e-9) and orientation <= 1e-6)
         solved += result.success
-    if 1e-100 < length < 1e100:
+    if 1e-9 < length < 1e100:  # offsets that add up to less count as what a CAD program left of 0 (see kernel/chain.py)
         assert solved >= 9
 
 
