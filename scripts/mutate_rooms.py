@@ -12,7 +12,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 COMPILED = tuple(str(ROOT / "ik_toolkit" / room) for room in ("compile", "kernel"))
-ROOMS = ("robot", "paths", "motion", "servo", "solvers")
+ROOMS = ("robot", "paths", "servo", "solvers")
 WIDER = {
     ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
 }  # fmt: skip

@@ -139,5 +139,5 @@ def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
     )
     both = distinct_rows(both, plan)
     added = sum(name != plan.row.name for name in both.found_by)
-    both.message = f"{first.message}; {added} more by {other.solver}: {other.message}"
+    both._put(message=f"{first.message}; {added} more by {other.solver}: {other.message}")
     return both.keep(np.argsort(both.distance, kind="stable"))
