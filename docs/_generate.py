@@ -10,10 +10,10 @@ from pathlib import Path
 
 ROOMS = {  # how the public names are grouped in the API page, by the module they live in
     "Robots and targets": ("robot.",),
-    "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch.solve_batch", "solvers.result", "solvers.status"),
+    "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch.", "solvers.result", "solvers.status"),
     "Solvers and their parameters": ("solvers.protocol", "solvers.rules.", "solvers.closed_form."),
-    "Tracking": ("tracking.",),
-    "Paths": ("paths.",),
+    "Tracking": ("servo.", "motion.reference", "motion.shapes", "motion.waypoints"),
+    "Paths": ("paths.", "motion.trajectory"),
     "Studies": ("study.", "papers."),
     "Pictures": ("show.",),
     "Errors": ("errors",),
