@@ -1,6 +1,6 @@
-"""Inverse kinematics for any robot description: solve, follow paths, track, tune, compare, view.
+"""Inverse kinematics for any robot description: solve targets, follow paths, track, tune and compare solvers, view robots.
 
-Public names load on first use, so that importing the package costs almost nothing.
+A public name is imported when it is first used, so that importing the package takes almost no time.
 """
 
 import importlib
@@ -71,5 +71,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Names for completion."""
+    """Return the public names, for completion in an editor or a shell."""
     return __all__

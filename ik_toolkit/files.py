@@ -1,4 +1,4 @@
-"""Files are written whole or not at all: under a temporary name, then renamed.
+"""Writing of files whole or not at all: a file is written under a temporary name, and renamed when it is complete.
 
 An interruption, a full disk or a late error never destroys the existing file.
 """
@@ -15,27 +15,27 @@ from typing import Any, BinaryIO
 
 from .errors import InvalidOption
 
-PARTIAL = ".partial"  # suffix for an incomplete result
-FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginnings of what a spreadsheet runs, also marked as text
+PARTIAL = ".partial"  # suffix of an incomplete result
+FORMULA = re.compile(r"'*[=+\-@\t\r]")  # how a formula begins, which a spreadsheet would run, also with quotes in front
 
 
 def as_path(value: Any, what: str = "it") -> Path:
-    """Path of a file. Raises InvalidOption, "WHAT must be the path of a file, not VALUE"."""
+    """Return a value as a path. Raises InvalidOption, "WHAT must be the path of a file, not VALUE"."""
     if not isinstance(value, str | os.PathLike):
         raise InvalidOption(f"{what} must be the path of a file, not {value!r:.60}")
     return Path(value)
 
 
 class WholeFile:
-    """A file that gets its name only at `finish`.
+    """A file that gets its name when `finish` is called.
 
-    If the work ends early it can be kept under another name, cut off after the last `mark`.
+    If the work ends early, the file can be kept under another name, cut off after the last `mark`.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open a temporary file next to `path`. A device or a pipe is written to directly. Raises OSError."""
+        """Open a temporary file beside `path`, or the device or pipe itself. Raises OSError."""
         self.path = Path(path)
-        place = Path(os.path.realpath(path))  # a symbolic link stays one
+        place = Path(os.path.realpath(path))  # the file behind a symbolic link is replaced, not the link
         self._place = place if place.is_file() or not place.exists() else None
         self.part = place if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
         self._good = 0
@@ -43,20 +43,20 @@ class WholeFile:
             self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")
 
     def write(self, data: str | bytes) -> None:
-        """Write text (as UTF-8) or bytes as one unit: it counts only once it is written completely."""
+        """Write text (as UTF-8) or bytes, and mark them when they are written completely."""
         with self.named():
             self.stream.write(data.encode() if isinstance(data, str) else data)
         self.mark()
 
     def mark(self) -> None:
-        """Mark everything written to the stream so far as worth keeping."""
+        """Mark everything written so far as worth keeping if the work ends early."""
         with self.named():
             self.stream.flush()
         if self._place is not None:
             self._good = self.stream.tell()
 
     def finish(self) -> None:
-        """Flush the file to disk and give it its name. If that fails, the marked part is kept as NAME.partial."""
+        """Flush the file to disk and give it its name; if that fails, keep the marked part as NAME.partial."""
         try:
             with self.named():
                 self.stream.flush()
@@ -72,13 +72,13 @@ class WholeFile:
             raise
 
     def keep(self, suffix: str) -> Path | None:
-        """Keep the marked part as NAME`suffix` and return that name; None, and nothing is kept, if that is impossible."""
+        """Keep the marked part under the name with a suffix. Returns that path, or None if nothing could be kept."""
         if self._place is None or not self._good:
             self.drop()
             return None
         kept = self.path.with_name(self.path.name + suffix)
         try:
-            self.stream.close()  # on a full disk this fails again, on the part that is cut off below
+            self.stream.close()  # on a full disk this fails again, but only for the part that is cut off below
         except OSError:
             pass
         try:
@@ -90,7 +90,7 @@ class WholeFile:
         return kept
 
     def drop(self) -> None:
-        """Remove the temporary file."""
+        """Close and remove the temporary file."""
         try:
             self.stream.close()
         except OSError:
@@ -100,7 +100,7 @@ class WholeFile:
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """Make errors name the requested file."""
+        """Make errors of the block name the requested file instead of the temporary one."""
         try:
             yield
         except OSError as error:
@@ -109,7 +109,7 @@ class WholeFile:
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[BinaryIO]:
-    """Binary stream of a file that gets its name if the block succeeds and is removed if it fails."""
+    """Open a binary stream to a file that gets its name if the block succeeds, and is removed if it fails."""
     file = WholeFile(path)
     try:
         with file.named():
@@ -121,27 +121,27 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def write_whole(path: str | Path, data: str | bytes) -> None:
-    """Write a file whole, text as UTF-8."""
+    """Write a file whole or not at all; text is written as UTF-8."""
     with whole_file(path) as stream:
         stream.write(data.encode() if isinstance(data, str) else data)
 
 
 def inert(text: str) -> str:
-    """Text for a cell of a CSV file that a spreadsheet shows, and does not run as a formula: a quote in front marks it as text."""
+    """Return text for a cell of a CSV file, with a quote in front if a spreadsheet would run it as a formula."""
     try:
-        float(text)  # -0.5 is a number
+        float(text)  # a number such as -0.5 is no formula
     except ValueError:
         return f"'{text}" if FORMULA.match(text) else text
     return text
 
 
 def without_mark(text: str) -> str:
-    """Text of a cell as `inert` was given it."""
+    """Return the text that `inert` made a cell of."""
     return text[1:] if text.startswith("'") and FORMULA.match(text) else text
 
 
 def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float | str]]) -> None:
-    """Write a CSV file of numbers in full precision and text; NaN is left empty."""
+    """Write a CSV file of text and of numbers in full precision; the cell of a NaN is empty."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(map(inert, head))

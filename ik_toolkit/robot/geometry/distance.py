@@ -12,7 +12,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from ...kernel.clearance import free_until, levers, rows
+from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlanes, Separation, free_until, levers, rows
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using
@@ -199,6 +199,8 @@ class Clearance:
         pin.computeJointJacobians(self.robot.model, self._data)
         self._V = np.ascontiguousarray(self._data.J.T[self._columns])
         self._locate()
+        moved = self.a, self.b, self.by_a, self.by_b
+        self._parts = Bodies(self._V, self.coordinates, self._at, self._radius, *moved)
 
     def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How much closer (P, E) each pair can come per unit of each moving joint, while joint i moves at most way (n,).
@@ -206,8 +208,7 @@ class Clearance:
         Also returns the sum (P,) [m] over all joints moving that far.
         """
         out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
-        joints = self._V, self.coordinates, self._at, self._radius
-        levers(*joints, self.a, self.b, self.by_a, self.by_b, way, out, spread)
+        levers(self._parts, way, out, spread)
         return out, spread
 
     def forget(self) -> None:
@@ -250,16 +251,21 @@ class Clearance:
         )
 
     def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Half-planes of pairs ks (K,) as in `kernel.clearance.rows`."""
-        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, points, gap, rate, *rest)
+        """Write the half-planes of pairs ks (K,), see `kernel.clearance.rows`; rest: deceleration, `Approach`, `HalfPlanes`."""
+        deceleration, *rules = rest[:5]
+        facing, planes = Facing(ks, points, gap), HalfPlanes(*rest[5:])
+        return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
 
-    def free_until(self, ks: np.ndarray, distances: np.ndarray, *rest: Any) -> np.ndarray:
-        """How far (K,) pairs ks are certainly free, as in `kernel.clearance.free_until`, from their last measurement."""
+    def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
+        """Return how far (K,) pairs ks are free from their last measurement on, see `kernel.clearance.free_until`.
+
+        path: the fields of `BrakingPath`, and where it is looked at from [pieces].
+        """
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
         normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
         normals[self._on_surface[ks]] = 0.0  # non-convex shapes have no separating plane
         out = np.empty(len(ks))
-        parts = self._at, self._radius, self.a, self.b, self.by_a, self.by_b
-        free_until(self._V, self.coordinates, *parts, ks, normals, distances, *rest, out)
+        pairs = Separation(ks, normals, distances)
+        free_until(self._parts, pairs, levers, BrakingPath(*path[:-1]), path[-1], out)
         return out
