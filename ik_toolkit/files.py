@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 from .errors import InvalidOption
 
-PARTIAL = ".partial"  # suffix of an incomplete result
+PARTIAL = ".partial"  # suffix added to the name of a file when its work was cut short
 FORMULA = re.compile(r"'*[=+\-@\t\r]")  # how a formula begins, which a spreadsheet would run, also with quotes in front
 
 
@@ -78,7 +78,7 @@ class WholeFile:
             return None
         kept = self.path.with_name(self.path.name + suffix)
         try:
-            self.stream.close()  # on a full disk this fails again, but only for the part that is cut off below
+            self.stream.close()  # a full disk makes closing fail, too, which only loses what is cut off below
         except OSError:
             pass
         try:

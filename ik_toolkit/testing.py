@@ -311,7 +311,7 @@ def records_every_evaluation(case: Case) -> None:
 def holds_joints(case: Case) -> None:
     """A joint with weight 0 keeps its value from q0, or the solver rejects weights with a message."""
     robot = case.robot
-    if robot.n == 1:  # with its only joint held, a robot has nothing to solve
+    if robot.n == 1:  # a robot whose only joint is held cannot solve anything
         return
     weights = np.ones(robot.n)
     weights[-1] = 0.0

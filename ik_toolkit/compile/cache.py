@@ -28,7 +28,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-# Folders on all of whose files every kernel depends.
+# Folders whose Python files every kernel depends on.
 STAMPED = Path(__file__).parent, Path(__file__).parent.parent / "kernel"
 HEAD = b"ik_toolkit kernel 1\n"  # beginning of every file, before 32 bytes of SHA-256 over the rest
 PREFIX, SUFFIX = "ik-", ".nbc"
@@ -103,7 +103,7 @@ class DiskCache(FunctionCache):
             not_kept(str(self._cache_path), error.strerror or str(error))
 
 
-@functools.cache  # warns once in a process for each folder and reason
+@functools.cache  # the warning comes once in a process for each folder and reason
 def not_kept(folder: str, why: str) -> None:
     """Warn that no kernels can be kept in a folder."""
     LOG.warning(
@@ -192,7 +192,7 @@ def write(path: Path, body: bytes) -> None:
     _remove_old(path.parent)
 
 
-@functools.cache  # removes once in a process
+@functools.cache  # old files are removed once in a process
 def _remove_old(folder: Path) -> None:
     for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         if f".{stamp_of(*STAMPED)[:12]}." not in path.name:

@@ -15,8 +15,8 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-# pipeline.py and typing_cache.py use private interfaces of numba and were tried with these releases; scripts/try_numba.py tries
-# another. In a release that was not tried LLVM might end the process, so such a release compiles in numba's own, slower way.
+# Releases of numba with which pipeline.py and typing_cache.py work; any other release compiles in numba's own, slower way.
+# They use private interfaces of numba, and in another release LLVM might end the process; scripts/try_numba.py tries one.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 PARTS: dict[str, Any] = {}
@@ -30,13 +30,12 @@ if OWN_WAY:
 
 # The flags nnan and ninf are left out, because a NaN must fail every test and must not be assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-# For functions that Python calls, too; they are compiled into their callers and never cached alone.
+# `jit` is for functions that Python calls, too; they are compiled into their callers and never cached alone.
 jit = njit(**OPTIONS)
-# All that follows is for functions that kernels alone call (see pipeline.py); a call from Python would crash. Only functions that
-# make arrays count references (`build`). All others borrow them, so a record of arrays costs nothing to pass; they must not return
-# an array, or a record of arrays, to a function that counts.
-# Functions that make arrays are compiled by plain numba, because as a part they would count every reference, 5 us a call.
+# The options that follow are for functions that only kernels call (see pipeline.py); a call from Python would crash.
+# Functions that make arrays count references, as plain numba does; compiled as a part they would count 5 us longer a call.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+# All other functions borrow references; they must not return an array, or a record of arrays, to a function that counts them.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 # numba passes a request to inline on to all functions that are called, so a part that is not inlined refuses it.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)

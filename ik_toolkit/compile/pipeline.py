@@ -14,8 +14,7 @@ from numba.core.compiler import Compiler, Flags
 
 from .typing_cache import Passes, remembering, size_of
 
-# LLVM's level of optimisation. The third level makes kernels no faster (scripts/benchmarks/against.py), but takes three times as
-# long: 16 s instead of 5 to 7 s for a tracker.
+# LLVM's level of optimisation; the third takes three times as long and makes kernels no faster (scripts/benchmarks/against.py).
 LEVEL = 1
 
 
@@ -33,7 +32,7 @@ class PartLibrary(JITCodeLibrary):
         self._optimize_functions(made)
         if any(not function.is_declaration for function in self._final_module.functions):
             self._final_module.link_in(made)
-        else:  # this module is the first, and mostly the only one
+        else:  # the first module need not be linked, and mostly it is the only one
             self._final_module = made
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -128,8 +127,7 @@ class Quick(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# Passes that a part does not need, as it has no `with`, no comprehension, no function in a function, no exception, no inlining by
-# numba and no expression of arrays. Each would visit the whole function.
+# Passes that a part does not need: for `with`, comprehensions, closures, exceptions, inlining by numba, expressions of arrays.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",

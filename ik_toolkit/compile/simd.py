@@ -20,8 +20,7 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from .array_view import parts_of
 
-# Numbers of a vector, which fill two registers of AVX2 or one of AVX-512. With four the chain of dependent operations would be as
-# long for half the work.
+# Length of a vector: two registers of AVX2 or one of AVX-512. Four would take almost as long, as operations wait for each other.
 WIDTH = 8
 _DATA = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)

@@ -15,7 +15,7 @@ FINEST = 1.0 / 64.0
 class Bodies(NamedTuple):
     """The shapes of a scene (S), its pairs of shapes (P) and the moving joints (E), at one configuration, in the root's axes."""
 
-    # (E, 6) velocity per unit of each joint: of the point at the root's origin (3), and the angular one (3).
+    # (E, 6) velocity per unit of each joint: of the point that is at the root's origin (3), and angular velocity (3)
     V: np.ndarray
     coordinates: np.ndarray  # (E,) index in q of each joint, from the root outwards
     middle: np.ndarray  # (S, 3) centres [m] of the spheres around the shapes
@@ -46,8 +46,8 @@ class Approach(NamedTuple):
 class HalfPlanes(NamedTuple):
     """Room for the half-planes A x <= b that limit the joint rates x, the one that leaves least room first."""
 
-    A: np.ndarray  # (R, n)
-    b: np.ndarray  # (R,) [m/s]
+    A: np.ndarray  # (R, n) speed of approach per unit of each joint rate
+    b: np.ndarray  # (R,) highest speed of approach [m/s]
     order: np.ndarray  # (R,) row of `Facing` that each half-plane is for
 
 

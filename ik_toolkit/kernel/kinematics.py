@@ -13,8 +13,7 @@ import math
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotation_left, sincos
 
-# The ten numbers of a row are cos b, sin b, tx, ty, turn, a0, slide, d0, index of the coordinate, and 1 for a turning or 0 for a
-# sliding joint. Row 0 has no Rx: its cosine is 1 and never read by `fk`.
+# A row has the numbers cos b, sin b, tx, ty, turn, a0, slide, d0, index of the coordinate, and 1 for a turning joint, else 0.
 ROW = 10
 # A joint whose ratio to its coordinate differs from 1 by less is no mimic joint: the difference is rounding of a unit axis.
 RATIO = 1e-12
@@ -59,7 +58,7 @@ def fk(rows, q, joints, trig):
     p = V3(zero, zero, at(q, int(rows[0, 8])) * rows[0, 6] + rows[0, 7])
     put3(joints, 0, z)
     put3(joints, 3, p)
-    for i in range(1, rows.shape[0]):
+    for i in range(1, rows.shape[0]):  # row 0 has no Rx
         cb, sb = rows[i, 0], rows[i, 1]
         v = y * cb + z * sb  # Rx
         z = z * cb - y * sb

@@ -39,7 +39,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
             turning = turning or (int(rows[r, 8]) == i and rows[r, 9] > 0.0)
         a = q0[i] / ends.unit(i)
         width = follow if turning else slide / ends.unit(i)
-        # It is a few units in the last place less, so that the difference a caller computes is not larger by rounding.
+        # The width is lowered by a few units in the last place, so that the distance a caller computes is not larger by rounding.
         width -= 1e-15 * (abs(a) + width)
         free = ends.turns(i) > 1.5 or not limits
         low = a - width if free else max(a - width, ends.lower(i))
@@ -86,7 +86,7 @@ def integrate(q, dq, limits, ends):
         if limits and (a < lower or a > upper) and dq[i] != 0.0:
             if ends.turns(i) > 0.0:
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
-            a = min(max(a, lower), upper)  # also after a turn, which rounding may leave just outside
+            a = min(max(a, lower), upper)  # a full turn may end just outside by rounding
         moved = max(moved, abs(a - q[i]))
         far = far if abs(a) <= far or far != far else abs(a)  # once a joint is NaN, so is the result
         q[i] = a

@@ -27,10 +27,10 @@ def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.nda
 class Parts(NamedTuple):
     """The parts of a packed array, for L joints, F tips, n coordinates and N known configurations."""
 
-    rows: Array  # (L, 10)
-    ends: Array  # (F * numbers of a tip,)
-    seeds: Array  # (N, n)
-    features: Array  # (F * FEATURES, N + PAD), float32
+    rows: Array  # (L, 10) geometry of the joints
+    ends: Array  # (F * K,) the K numbers of `records.Ends` of each tip
+    seeds: Array  # (N, n) configurations to start from
+    features: Array  # (F * FEATURES, N + PAD) single-precision numbers that choose among them
 
 
 @inline

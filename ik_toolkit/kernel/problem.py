@@ -37,8 +37,7 @@ from .counted_error import FREE, PART, POSE, POSITION, count_column, count_goal_
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
 
-# Length of a goal: the pose that is aimed at (12), then the target's own point (3), which differs from the pose's point where
-# the target is out of reach and the search aims at the edge of the reach instead.
+# A goal is the pose that is aimed at (12) and the target's own point (3), which is beyond the pose if it is out of reach.
 GOAL = 15
 # Indices of kept errors: those of the best attempt, those of the solution nearest q0, and those of the present evaluation.
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2
@@ -91,7 +90,7 @@ def take(T, ends, task, goal, orders):
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
-    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # at the edge the error, and with it the damping, can vanish
+    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # the edge can be reached, so the search converges fast
         edge(goal, ends, excess)
     return excess
 

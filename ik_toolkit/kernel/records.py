@@ -71,7 +71,7 @@ class Answer(NamedTuple):
     """Result of a solve. In an array of results q (n) follows, then for several tips the `Miss` of each."""
 
     status: float  # one of the codes of `checks`
-    iterations: float  # in all attempts together
+    iterations: float  # number of iterations of all attempts
     restarts: float  # attempts after the first one
     position: float  # position error [m], the largest of all tips
     rotation: float  # rotation error [rad], the largest of all tips
@@ -174,7 +174,7 @@ def _read(cls, array, start=0):
     return lambda cls, array, start=0: make(*numbers(array, start, size))
 
 
-@overload(read, jit_options=BUILD)  # it returns an array, so it and its callers must count references
+@overload(read, jit_options=BUILD)  # a function that returns an array must count references
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):

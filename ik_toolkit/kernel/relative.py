@@ -6,10 +6,10 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-# A link is LINK numbers that tie a target to another tip. From TURN on stands the rotation from that tip's axes to the target's
-# (9), from POINT on the target's point in that tip's axes (3), from FRAME on the pose of that chain's first joint in the frame of
-# this chain's first joint (12).
-TURN, POINT, FRAME, LINK = 0, 9, 12, 24
+TURN = 0  # index in a link of the rotation (9) from the other tip's axes to the target's
+POINT = 9  # index in a link of the target's point (3) in the other tip's axes
+FRAME = 12  # index in a link of the pose (12) of the other chain's first joint in the frame of this chain's first joint
+LINK = 24  # length of a link, the array that ties a target to another tip
 
 
 @inline

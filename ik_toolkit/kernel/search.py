@@ -47,16 +47,18 @@ GOING, STILL = -1, -2
 
 
 class Endings(NamedTuple):
-    """Numbers that decide when an attempt or a whole search is given up."""
+    """Numbers that decide when an attempt or a whole search is given up.
 
-    # Near a singular pose convergence is too slow for the give-up of the first attempts, so later ("patient") attempts get twice
-    # the iterations and a slower decay of the ceiling: hard targets are solved, and easy ones cost no more.
+    Near a singular pose the first attempts are given up too early. Later ones are patient: they get more iterations and a slower
+    decay of the ceiling, so that hard targets are solved and easy ones cost no more.
+    """
+
     patient_iterations: float = 2.0  # factor on the iterations of a patient attempt
     patient_decay: float = 0.6  # factor per iteration on the squared error above which a patient attempt is given up
-    unreachable_attempts: int = 3  # enough for a pose near a target that is proven out of reach
+    unreachable_attempts: int = 3  # number of attempts, enough for a pose near a target that is proven out of reach
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
-    overflow: float = 1e300  # squared error above which its numbers cannot be trusted
-    far_off: float = 1e6  # coordinate [rad or kernel units] above which its numbers cannot be trusted
+    overflow: float = 1e300  # squared error above which an attempt has diverged
+    far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
 
 
 END = Endings()
@@ -123,16 +125,16 @@ class Patience(NamedTuple):
 
 @compiled
 class Spent(NamedTuple):
-    """What a search has used so far."""
+    """Counts of what a search has done so far."""
 
-    evaluations: int
-    steps: int
+    evaluations: int  # evaluations of the errors
+    steps: int  # steps of the rule
     noted: int  # rows written to `history`
 
 
 @compiled
 class Attempts(NamedTuple):
-    """How the attempts at one target ended."""
+    """What is known of the attempts at one target when the last one has ended."""
 
     status: int  # CONVERGED when any attempt did, else the status of the last one
     tries: int
@@ -274,7 +276,7 @@ def conclude(p, job, made, spent, excess):
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
-        if status == CONVERGED and not e.good:  # rounding of the turn exceeded a tolerance that was just met
+        if status == CONVERGED and not e.good:  # the full turn's rounding exceeded a tolerance that was just met
             copy(answer, q)
         else:
             p.keep(e, made.slot)
@@ -334,7 +336,6 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
     width = ANSWER + n + (MISS * tips if len(T.shape) == 4 else 0)
     history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (2 + n), 2 + n)
     first = HEAD + TASK * tips
-    weights = orders[first : first + n]
     rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
     block[0] = 0.0
@@ -343,11 +344,10 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, by_tip(near_ends, T, tips), orders[HEAD:first], n, o)
-    # What belongs to the coordinates is the same for every tip and is stored with the first, so one tip's ends will do.
-    box, near = Ends(ends, n), Ends(near_ends, n)
+    box, near = Ends(ends, n), Ends(near_ends, n)  # limits are stored with the first tip
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
-    job = SearchInput(o, near, box, weights, table, best, closest, history)
+    job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)
     start = p.desk.start
     from_q0 = o.given > 0.0 or o.closest > 0.0
     for t in range(N):

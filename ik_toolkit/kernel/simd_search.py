@@ -119,7 +119,7 @@ def move(rows, s, ends, turning, point, linear, angular, damping):
         if ends.turns(i) > 0.0:
             back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
             q = choose((q < low) | (q > high), back, q)
-        q = choose(q < low, full(low), q)  # also after a turn, which rounding may leave just outside
+        q = choose(q < low, full(low), q)  # a full turn may end just outside by rounding
         q = choose(q > high, full(high), q)
         put(s.Q, i, q)
 
@@ -180,7 +180,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
         # The target is in reach, so it is aimed at itself, not at the edge of the reach.
         put3(p.goal, 12, at3(p.goal, 9))
         e = p.evaluate(q)
-        if not e.good:  # rounding of the turn exceeded a tolerance that was just met: the search decides
+        if not e.good:  # the full turn's rounding exceeded a tolerance that was just met
             return
         p.keep(e, BEST_OF_ALL)
         position, rotation = p.left(BEST_OF_ALL)

@@ -52,15 +52,15 @@ class Tree(NamedTuple):
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
     ends: Array  # (F, ...) an `Ends` for each tip
-    tasks: Array  # (F, TASK)
+    tasks: Array  # (F, TASK) what counts at each tip, see `records.Task`
     cut: Array  # (F + 1,) the rows of chain f are rows[cut[f] : cut[f + 1]]
     moves: Array  # (F, n) 1 where a coordinate moves an error of the tip that counts, else 0
     choosers: Array  # (2, n) the tip whose start a coordinate takes (-1 if there is none), and how many tips it moves
-    goals: Array  # (F, GOAL)
+    goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see relative.py
-    kept: Array  # (F, KEPT)
+    kept: Array  # (F, KEPT) what `counted_error.shape` leaves for `count_column`
     poses: Array  # (F, GOAL) pose of each tip at the last `stand`: axes of the last joint by rows, then the tip
-    joints: Array  # (6 L,)
+    joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints of one chain at a time
     tips: Array  # (F, 2) by how much each target is out of reach, and its squared error at the last evaluation
     orders: Orders
@@ -201,7 +201,7 @@ class Tree(NamedTuple):
         for f in range(self.tasks.shape[0]):
             ends = Ends(self.ends[f], self.desk.q.shape[0])
             other = int(self.tasks[f, WHAT.other])
-            if other >= 0:  # its motion is given in the axes of the other tip
+            if other >= 0:  # the motion of a target relative to another tip is given in that tip's axes
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
                 u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
@@ -241,7 +241,7 @@ class Tree(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            # Its goal is where the search starts, so it must not have an error.
+            # A tip without a target has the start as its goal, and no error.
             free = int(self.tasks[f, WHAT.kind]) == FREE
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
@@ -266,7 +266,7 @@ def aim_tips(p, T, orders):
     worst = 0.0
     for f in range(p.tasks.shape[0]):
         other = int(p.tasks[f, WHAT.other])
-        if other >= 0:  # this target moves with another tip, so it cannot be proven out of reach
+        if other >= 0:  # a target that moves with another tip cannot be proven out of reach
             if not rigid(T[f], ORTHONORMAL):
                 return -1.0
             link_to(

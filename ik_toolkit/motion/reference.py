@@ -15,7 +15,7 @@ from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import check_target
 from ..validate import number, one_of, positive, switch
 
-Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values with their first and second derivatives
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # poses, twists and accelerations at several times
 MAX_STEPS = 1e7  # most samples of a run, which already take over a GB of memory
 
 
@@ -178,7 +178,7 @@ def exp(w: np.ndarray) -> np.ndarray:
     K = np.zeros((len(w), 3, 3))
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
     K -= np.swapaxes(K, 1, 2)
-    half = np.sinc(angle / (2 * np.pi))  # this is sin(angle/2) / (angle/2)
+    half = np.sinc(angle / (2 * np.pi))  # sin(angle/2) / (angle/2)
     return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * half * half * (K @ K)
 
 

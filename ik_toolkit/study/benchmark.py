@@ -79,7 +79,7 @@ class BenchmarkRow:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Result of `benchmark`.
+    """What a benchmark found for all robots and solvers.
 
     Attributes:
         rows: A row for each robot and solver, robot by robot.

@@ -100,7 +100,7 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 
 @dataclass
 class TuneResult:
-    """Result of `tune`.
+    """What tuning found.
 
     Three rules are compared on held-out targets: the tuned one, the one that the search started from, and the solver's default.
     The default cannot be kept if maps= or initial= asked for another structure.

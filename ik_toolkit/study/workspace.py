@@ -33,7 +33,7 @@ FAILURES = 1000  # number of failures kept in memory for each solver
 class Outcome:
     """Counts of one solver over the workspace."""
 
-    solver: str  # its name
+    solver: str  # name of the solver
     targets: int = 0  # number of targets
     solved: int = 0  # number of targets it solved
     iterations: int = 0  # sum of the iterations of the solved targets
@@ -62,7 +62,7 @@ class Outcome:
 
 @dataclass
 class Workspace:
-    """Result of `workspace`."""
+    """What a workspace study found: the reach of the tip, and where solvers succeed."""
 
     robot: str  # name of the robot
     low: np.ndarray  # (3,) lower corner of the box around the reach [m], base frame
@@ -71,10 +71,10 @@ class Workspace:
     cell: float  # width of a cell of the map [m]; the first cell begins at `low`
     tip: str  # the tip whose reach is studied
     outcomes: dict[str, Outcome]  # counts by solver
-    map: dict[str, np.ndarray]  # by solver (2, nx, ny, nz): targets in each cell, and how many of them were solved
-    failures: dict[str, np.ndarray]  # by solver (M, 4): x, y, z of the first failures and their position error [m]
+    map: dict[str, np.ndarray]  # targets and solved targets in each cell (2, nx, ny, nz), by solver
+    failures: dict[str, np.ndarray]  # x, y, z and position error [m] of the first failures (M, 4), by solver
     points: np.ndarray  # (N, 3) positions of the first targets [m], for plots
-    solved: dict[str, np.ndarray]  # by solver (N,): whether these were solved
+    solved: dict[str, np.ndarray]  # whether each of these targets was solved (N,), by solver
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, strings and lists, without the map and the points."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-# From axes of base_link to those of the paper.
+# Rotation from the axes of base_link to those of the paper.
 TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}  # chosen by us, as the paper gives neither
 # Tables I and III as printed: offset of theta, d, a, alpha, lower and upper limit (mm, degrees; the planar arm in its own units).
@@ -29,8 +29,8 @@ TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)  # m, tolerances of Table II
 PLANAR_B = (
     [[2, -2], [-1, 0], [1, -2]],
     [[0, -2], [-1, -1], [-2, -1]],
-)  # matrices of whole numbers found by a search, as that of the paper is unpublished
-MISPRINTS = (  # for each: where it is, what is wrong, and how it is read here
+)  # B of the planar arm, found by a search over whole numbers, as the paper does not print it
+MISPRINTS = (  # place, problem and the reading used here
     ("eq. (2), element (2,4)", "+sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit", "minus"),
     (
         "eq. (2), Table I",

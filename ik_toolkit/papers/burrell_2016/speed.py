@@ -28,7 +28,7 @@ SAME_AS = {
     "DLS, limits held": "DLS",
 }  # the row of Table II that each of our rows is compared with
 
-Times = dict[str, list[np.ndarray]]  # by method: the times [s] of all rounds for each tolerance
+Times = dict[str, list[np.ndarray]]  # times [s] of all rounds for each tolerance, by method
 
 
 def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:

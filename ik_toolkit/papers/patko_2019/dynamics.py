@@ -12,7 +12,7 @@ MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03  # kg, m, m of our slender links, as the p
 GRAVITY = (0.0, -9.81, 0.0)  # m/s^2, in the plane of the arm so that it has an effect
 SHIFT = np.array([0.1, -0.05])  # rad, initial error
 STEP, STEPS = 1e-3, 4000  # time step [s], and number of steps of a run
-HEAVIER = 1.2  # in the second run the true masses are those of the controller times this
+HEAVIER = 1.2  # ratio of the true masses to those of the controller in the second run
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 

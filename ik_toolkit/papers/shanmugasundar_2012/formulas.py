@@ -11,7 +11,7 @@ PRINTED_POSE = {
     "a_x": "0.02", "a_y": "-0.99", "a_z": "-0.12", "p_x": "461.54", "p_y": "87.12", "p_z": "935.16",
 }  # fmt: skip
 D1, D2, A4, A6, A7 = 530.0, 220.0, 290.0, 180.0, 45.0  # mm, from Table 2
-# Alpha, a, d of each joint.
+# The D-H parameters alpha, a and d of each joint.
 TABLE_2 = ((0, 0, 530), (90, 0, 220), (90, 0, 0), (0, 290, 0), (-90, 0, 0), (0, 180, 0), (0, 45, 0))
 ORIGIN = (
     20.0,
@@ -23,8 +23,8 @@ ORIGIN = (
     20.0,
 )  # our values (deg, mm, deg ...), as the paper does not say at which ones the pose was computed
 ANGLES = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
-MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # from Table 3
-SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # from Table 4 and Fig 8
+MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # joint values of Table 3
+SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # joint values of Table 4 and Fig 8
 # Intermediate values of the calculation by hand in section 4.2.
 THETA_45, S3, THETA_67, S6, S4 = 21.721, 0.324, 23.22, 0.043, 0.018
 PI_22_7 = 22.0 / 7.0
