@@ -20,13 +20,17 @@ MAX_STEPS = 1e7  # most samples of a run, which already take over a GB of memory
 
 
 class Reference(Holds):
-    """A moving target for one tip.
+    """A moving target for one tip. Its attributes are the arguments that it was made from.
 
-    Attributes:
-        function: The function of time it was made from.
+    Args:
+        function: Takes times t (N,) [s]; returns T_base_tip (N, 4, 4) [m], twists (N, 6) [m/s, rad/s] and accelerations (N, 6)
+            [m/s^2, rad/s^2]: first that of the tip point, then the angular one, in base axes.
         duration: How long a run lasts [s].
-        position_only: Whether the orientation is free.
+        position_only: Leave the orientation free. The rotation of T is then ignored, and the angular parts should be zero.
         name: A short name for messages.
+
+    Raises:
+        InvalidOption: function cannot be called, duration is not a positive number, or position_only not True or False.
     """
 
     FUNCTION = "function"
@@ -39,18 +43,7 @@ class Reference(Holds):
         position_only: bool = False,
         name: str = "custom",
     ) -> None:
-        """Wrap a function of time.
-
-        Args:
-            function: Takes times t (N,) [s]; returns T_base_tip (N, 4, 4) [m], twists (N, 6) [m/s, rad/s] and accelerations
-                (N, 6) [m/s^2, rad/s^2]: first that of the tip point, then the angular one, in base axes.
-            duration: How long a run lasts [s].
-            position_only: Leave the orientation free. The rotation of T is then ignored, and the angular parts should be zero.
-            name: A short name for messages.
-
-        Raises:
-            InvalidOption: function cannot be called, duration is not a positive number, or position_only not True or False.
-        """
+        """Wrap a function of time; the arguments stand in the docstring of the class."""
         if not callable(function):
             raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
         self.duration = positive(duration, "duration [s]")
