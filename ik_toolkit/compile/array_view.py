@@ -8,7 +8,7 @@ A[i:k] are rows. Without compilation a view is the array itself.
 
 # pyright: reportOptionalCall=false
 
-# numba itself gives an intrinsic its first argument, which type checkers cannot know.
+# The type checker must ignore that numba itself passes the first argument of an intrinsic.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import math

@@ -184,7 +184,7 @@ def write(path: Path, body: bytes) -> None:
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:
         part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
-        part.chmod(0o644)  # even if the user's settings let a group write to new files
+        part.chmod(0o644)  # nobody but the user may write to the file, even if new files are open to a group
         os.replace(part, path)
     except BaseException:
         part.unlink(missing_ok=True)
@@ -244,7 +244,7 @@ def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
         found = inspect.getclosurevars(function)
         values = [*found.globals.values(), *found.nonlocals.values()]
         modules = [value for value in values if isinstance(value, types.ModuleType)]
-        values += [vars(module).get(name) for module in modules for name in found.unbound]  # called as module.name()
+        values += [vars(module).get(name) for module in modules for name in found.unbound]  # for calls of module.name()
         for value in values:
             if isinstance(value, Dispatcher) or (isinstance(value, type) and hasattr(value, "_fields")):
                 yield from _sources(value, seen)

@@ -1,6 +1,6 @@
 """How kernels are compiled: the options of numba, records whose methods compile, and a cache on disk (see cache.py)."""
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import gc
@@ -33,7 +33,7 @@ OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reass
 # `jit` is for functions that Python calls, too; they are compiled into their callers and never cached alone.
 jit = njit(**OPTIONS)
 # The options that follow are for functions that only kernels call (see pipeline.py); a call from Python would crash.
-# Functions that make arrays count references, as plain numba does; compiled as a part they would count 5 us longer a call.
+# Functions that make arrays count references, as plain numba does; compiled as parts they would take 5 us longer a call.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 # All other functions borrow references; they must not return an array, or a record of arrays, to a function that counts them.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
@@ -50,7 +50,7 @@ shared = register_jitable(**INLINE)  # inlined in kernels, and run by Python as 
 def dual(function: Callable) -> Any:
     """Decorator: compile a function that makes no arrays twice, as `jit` for Python and as a part for kernels."""
     dispatcher = jit(function)
-    if hasattr(dispatcher, "get_overload"):  # with NUMBA_DISABLE_JIT=1 it is the Python function
+    if hasattr(dispatcher, "get_overload"):  # NUMBA_DISABLE_JIT=1 leaves the Python function as it is
         part = njit(**BARE)(function)
         dispatcher.get_call_template, dispatcher.get_overload = part.get_call_template, part.get_overload
     return dispatcher
@@ -106,7 +106,7 @@ def cached(function: Callable, *parts: Any) -> Any:
     that are compiled into it but that its global names do not lead to, such as a rule.
     """
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **KERNEL)(function)
-    if hasattr(dispatcher, "_cache"):  # with NUMBA_DISABLE_JIT=1 it is the Python function
+    if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT=1 leaves the Python function as it is
         dispatcher._cache = make_cache(function, parts)
         dispatcher._compile_for_args = without_collector(dispatcher._compile_for_args)
     return dispatcher

@@ -32,7 +32,7 @@ class PartLibrary(JITCodeLibrary):
         self._optimize_functions(made)
         if any(not function.is_declaration for function in self._final_module.functions):
             self._final_module.link_in(made)
-        else:  # the first module need not be linked, and mostly it is the only one
+        else:  # the first module is taken as it is; mostly it is the only one
             self._final_module = made
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -118,7 +118,7 @@ class Quick(Flags):
         return self._values
 
     def __hash__(self) -> int:
-        return hash(Quick)  # one hash for all, as the types of a call already tell most calls apart
+        return hash(Quick)  # all options share one hash, because numba looks up the types of a call first
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, Quick) and self._shared() == other._shared()
@@ -139,7 +139,7 @@ class PartPipeline(Compiler):
     """numba's pipeline, which compiles into a PartLibrary."""
 
     library = PartLibrary
-    passes: ClassVar[list] = []  # made once and used for every part
+    passes: ClassVar[list] = []  # numba's passes for a part, made once
 
     def define_pipelines(self) -> list:
         """Return numba's passes without those that a part does not need."""

@@ -4,7 +4,7 @@ Operators, `abs`, `math.sqrt` and `np.rint` work as on numbers. `full`, `load` a
 masks for `choose` and `bits`.
 """
 
-# numba itself gives an intrinsic its first argument, which type checkers cannot know.
+# The type checker must ignore that numba itself passes the first argument of an intrinsic.
 # pyright: reportCallIssue=false, reportOptionalCall=false
 import math
 import operator

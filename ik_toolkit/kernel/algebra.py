@@ -4,7 +4,7 @@ The formulas are written once and serve twice: a component is a float in the sea
 floats (`vector`) in the batch search. After inlining nothing of these records is left in the machine code.
 """
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import Any, NamedTuple
@@ -288,6 +288,6 @@ def rotation_left(now, goal):
 @inline
 def chord(angle):
     """Return |2 sin(angle/2)|^2 for the angle [rad] that a tolerance allows."""
-    # 3 allows any rotation: their chords are 2 at most.
+    # A length of 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
     length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
     return length * length

@@ -12,7 +12,7 @@ from .records import WHAT
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 # The target or the start is invalid: Python examines it and raises, so users never see these.
 BAD_TARGET, BAD_START = 8, 9
-TOO_FAR = 11  # 10 is COLLISION, which is found outside the kernel
+TOO_FAR = 11  # the code 10 is COLLISION, which is found outside the kernel
 ORTHONORMAL = 1e-6  # a pose may have axes whose products differ from 0 and 1 by less
 LAST_ROW = 1e-9  # a pose may have a last row that differs from 0 0 0 1 by less
 FAR = 1e100  # a pose with coordinates [m] beyond this is refused, because their squares would overflow

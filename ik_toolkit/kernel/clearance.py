@@ -56,7 +56,7 @@ class Separation(NamedTuple):
 
     ks: np.ndarray  # (K,) indices of the pairs
     normals: np.ndarray  # (K, 3) unit vectors from the first to the second shape, zero where a shape is not convex
-    distances: np.ndarray  # (K,) [m]
+    distances: np.ndarray  # (K,) distances of the pairs [m]
 
 
 class BrakingPath(NamedTuple):
@@ -74,7 +74,7 @@ def travelled(start, change, f):
     """Return how far a joint has gone a fraction f into a piece: its speed grows evenly from `start` by `change` [per piece]."""
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
-    if 0.0 < turn < f:  # the joint reverses on the way
+    if 0.0 < turn < f:  # the joint's motion reverses on the way
         far = 0.5 * start * turn
         return abs(far) + abs(there - far)
     return abs(there)

@@ -32,16 +32,16 @@ class KeptIndices(NamedTuple):
     L (u + v x arm_goal), B v.
     """
 
-    L: int = 0  # three rows by three numbers
-    A: int = 9
-    B: int = 18
-    arm: int = 27
-    arm_goal: int = 30
-    error: int = 33  # six errors that count
+    L: int = 0  # index of the matrix L (9), by rows
+    A: int = 9  # index of the matrix A (9), by rows
+    B: int = 18  # index of the matrix B (9), by rows
+    arm: int = 27  # index of the vector arm (3)
+    arm_goal: int = 30  # index of the vector arm_goal (3)
+    error: int = 33  # index of the six errors that count
 
 
 IN = KeptIndices()
-KEPT = 39  # length of the array
+KEPT = 39  # length of the array that `shape` fills
 STRAIGHT = 1e-9  # two directions are parallel if the sine of their angle is below this: their cross product is rounding
 
 
@@ -59,7 +59,7 @@ def allowance(task, first, tolerance):
 def log_curvature(rr):
     """Return c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r that turns at w, with rr = |r|^2."""
     if rr < 1e-4:
-        return 1.0 / 12.0 + rr / 720.0  # the next term is rr^2 / 30240
+        return 1.0 / 12.0 + rr / 720.0  # the series of the formula below, whose next term is rr^2 / 30240
     half = 0.5 * math.sqrt(rr)
     return (1.0 - half * math.cos(half) / math.sin(half)) / rr
 
@@ -88,7 +88,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if sine > STRAIGHT:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
-        elif cosine < 0.0:  # half a turn about any axis normal to a, from the longer of two products
+        elif cosine < 0.0:  # half a turn, for which any axis normal to a will do
             r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
             r = r * (math.pi / math.sqrt(r.square()))
     else:
@@ -100,7 +100,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != BASE:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # `own` is G' times the axis, which is a row of G
+        if turns:  # a row of G is the axis times G
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -117,7 +117,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, IN.A + 3 * i, own * w)
-        others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5  # G times the axis, a row of G'
+        others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5  # a row of G' is the axis times G'
         put3(kept, IN.B + 3 * i, (others - across if frame == TARGET else others) * w)
     put3(kept, IN.arm, linear if frame == TIP else none)
     put3(kept, IN.arm_goal, -linear if frame == TARGET else none)

@@ -58,16 +58,16 @@ def fk(rows, q, joints, trig):
     p = V3(zero, zero, at(q, int(rows[0, 8])) * rows[0, 6] + rows[0, 7])
     put3(joints, 0, z)
     put3(joints, 3, p)
-    for i in range(1, rows.shape[0]):  # row 0 has no Rx
+    for i in range(1, rows.shape[0]):  # row 0 has no turn by b
         cb, sb = rows[i, 0], rows[i, 1]
-        v = y * cb + z * sb  # Rx
+        v = y * cb + z * sb  # y and z turn by the angle b about x
         z = z * cb - y * sb
         d = at(q, int(rows[i, 8])) * rows[i, 6] + rows[i, 7]
-        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # T
+        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # the point moves along the new axes
         put3(joints, 6 * i, z)
         put3(joints, 6 * i + 3, p)
         s, c = at(trig, size + i), at(trig, 2 * size + i)
-        y = v * c - x * s  # Rz
+        y = v * c - x * s  # x and y turn by the joint's angle about z
         x = x * c + v * s
     return Pose(M3(x, y, z), p)
 

@@ -88,7 +88,7 @@ def integrate(q, dq, limits, ends):
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
             a = min(max(a, lower), upper)  # a full turn may end just outside by rounding
         moved = max(moved, abs(a - q[i]))
-        far = far if abs(a) <= far or far != far else abs(a)  # once a joint is NaN, so is the result
+        far = far if abs(a) <= far or far != far else abs(a)  # the result is NaN if any coordinate is
         q[i] = a
     return moved, far
 
@@ -120,7 +120,7 @@ def face(q, wanted, ends):
             k = turn(wanted[i] - q[i], q[i], ends, i)
             if k != 0.0:
                 q[i] += k * TAU
-                if ends.turns(i) < 1.5:  # rounding of the turn may leave it just outside its limits
+                if ends.turns(i) < 1.5:  # a full turn may end just outside by rounding
                     q[i] = min(max(q[i], ends.lower(i)), ends.upper(i))
                 turned = True
     return turned

@@ -16,7 +16,7 @@ from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 from .search import problem_on
 
-MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # the objectives, see `refine`
+MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
 DAMPING = 1e-10  # damping of projections and corrections: below the square of any singular value worth a step
 
 

@@ -90,7 +90,7 @@ def take(T, ends, task, goal, orders):
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
-    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # the edge can be reached, so the search converges fast
+    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # the search converges fast at a point that can be reached
         edge(goal, ends, excess)
     return excess
 

@@ -5,7 +5,7 @@ the kernel makes the same records from the same arrays. Flat arrays are used bec
 record of arrays twice that).
 """
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 from typing import Any, NamedTuple
 

@@ -8,7 +8,7 @@ Every iteration evaluates the errors, keeps the best configuration so far, tests
 asks the rule for a step, and applies it inside the joint limits. The reported q was evaluated itself, or full turns away.
 """
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
@@ -344,7 +344,7 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, by_tip(near_ends, T, tips), orders[HEAD:first], n, o)
-    box, near = Ends(ends, n), Ends(near_ends, n)  # limits are stored with the first tip
+    box, near = Ends(ends, n), Ends(near_ends, n)  # several tips have the same limits
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
     job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)

@@ -204,7 +204,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # sines are also taken of the padding
+    for i in range(angles):  # the padding must hold valid angles, too
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(

@@ -6,7 +6,7 @@ redone. A lane that is done takes the next target. Lanes never exchange data, so
 that take too long or need care (unreachable, half a turn away, refused) are left to the search.
 """
 
-# numba itself gives an intrinsic its first argument, which type checkers cannot know.
+# The type checker must ignore that numba itself passes the first argument of an intrinsic.
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 import functools
 import math
@@ -263,7 +263,7 @@ def lanes() -> Callable:
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders):
         L, N = rows.shape[0], seeds.shape[0]
-        lanes_take = WIDTH * (10 * L + 64)  # see make_lanes
+        lanes_take = WIDTH * (10 * L + 64)  # numbers that make_lanes cuts from the block
         block = np.empty(space(seeds.shape[1], 6, L, N) + lanes_take)
         run(
             view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)

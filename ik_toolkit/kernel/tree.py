@@ -241,7 +241,7 @@ class Tree(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            # A tip without a target has the start as its goal, and no error.
+            # The goal of a tip without a target is only where it starts, so its distance from there is no error.
             free = int(self.tasks[f, WHAT.kind]) == FREE
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
@@ -321,7 +321,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # sines are also taken of the padding
+    for i in range(angles):  # the padding must hold valid angles, too
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0

@@ -21,7 +21,7 @@ class Piece(NamedTuple):
     """A curve of the joints over a path coordinate s, and its time law from rest to rest."""
 
     knots: np.ndarray  # (M,) values of s between which the curve is a cubic polynomial
-    coefficients: np.ndarray  # (4, M-1, n) of these polynomials in s from the last knot on, highest power first
+    coefficients: np.ndarray  # (4, M-1, n) of the polynomials in s - knot, highest power first
     s: np.ndarray  # (G,) path coordinate at the grid points of the time law
     speed: np.ndarray  # (G,) ds/dt [1/s] at the grid points; it changes evenly between them
     t: np.ndarray  # (G,) time [s] at the grid points

@@ -19,7 +19,7 @@ from ..solvers.status import Status, count_statuses
 from ..validate import one_of, solver_list
 from .statistics import wilson
 
-BLOCKS = 10  # blocks of targets on which the solvers alternate, so that background load affects all alike
+BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
 NEAR = 0.1  # rad or m, distance in each joint up to which a near start lies from a solution
 RESTARTS = 99  # restarts of every solver, so that each has 100 attempts
 STARTS = ("none", "home", "random", "near")
@@ -262,7 +262,7 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        table = run_block(*job[1:]) if futures is None else futures[k].result()  # Ctrl-C may come here
+        table = run_block(*job[1:]) if futures is None else futures[k].result()  # Ctrl-C mostly comes here, and leaves whole blocks
         parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)
 

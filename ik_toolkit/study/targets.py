@@ -12,8 +12,8 @@ from ..solvers.solve import require_robot
 from ..validate import one_of, switch
 
 HOW = ("joints", "volume")
-CELLS = 40  # voxels along the reach, among which targets uniform in the volume are spread
-POOL = 200_000  # random configurations from which the voxels are filled
+CELLS = 40  # number of voxels along the reach, of which targets uniform in the volume pick one at random
+POOL = 200_000  # number of random configurations whose tips fill the voxels
 
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:

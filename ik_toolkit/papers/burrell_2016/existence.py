@@ -88,7 +88,7 @@ def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int 
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
     best = np.argsort(far)[:starts]
     Q, far = Q[best], far[best]
-    for width in np.geomspace(0.3, 1e-6, 60):  # largest moves, in rad or m
+    for width in np.geomspace(0.3, 1e-6, 60):  # the largest move of a joint, in rad or m
         tries = np.clip(Q[:, None] + width * rng.standard_normal((starts, 64, robot.n)), robot.lower, robot.upper)
         away = np.linalg.norm(robot.chain.forward(tries.reshape(-1, robot.n))[0][:, :3, 3] - point, axis=1)
         away = away.reshape(starts, -1)

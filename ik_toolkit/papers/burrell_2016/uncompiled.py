@@ -18,7 +18,7 @@ from ...solvers.protocol import Asked, rule
 from ...solvers.rules.state_space import StateSpace
 
 LIMIT = 1000  # highest number of iterations
-# Least det(JJ') over (trace / 3)^3: below it the condition number of J is about 1e4, and the inverse inaccurate.
+# Least det(JJ') over (trace / 3)^3: below it the condition number of J is above about 1e4, and the inverse inaccurate.
 NEAR_SINGULAR = 1e-8
 
 
@@ -37,7 +37,7 @@ class PlainPinv(NamedTuple):
 
     def step(self, p, e):
         s = p.desk
-        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # JJ'
+        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the matrix JJ'
         for i in range(s.dq.shape[0]):
             u = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2])
             gram = gram.plus(u, u)
@@ -155,7 +155,7 @@ class Interpreted:
     @staticmethod
     def _damped(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
         J = jacobian(frames)
-        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)  # the damping 100 mm, squared
+        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)  # the damping is (100 mm)^2
 
 
 def jacobian(frames: list[np.ndarray]) -> np.ndarray:
