@@ -262,7 +262,7 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        table = run_block(*job[1:]) if futures is None else futures[k].result()  # Ctrl-C mostly comes here, and leaves whole blocks
+        table = run_block(*job[1:]) if futures is None else futures[k].result()  # Ctrl-C mostly comes here
         parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)
 

@@ -7,7 +7,8 @@ import numpy as np
 
 # Rotation from the axes of base_link to those of the paper.
 TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}  # our choice of tolerance [m] and iterations, as the paper gives neither
+# Our choice of tolerance [m] and iterations, as the paper gives neither.
+PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}
 # Tables I and III as printed: offset of theta, d, a, alpha, lower and upper limit (mm, degrees; the planar arm in its own units).
 TABLE_1 = (
     (0, 0, 70.0, 90, -27.07, 40.60),
