@@ -83,6 +83,7 @@ def test_a_corner_is_rounded_within_the_tolerance():
     result = motions.as_result(robot, np.array(rows), kind=POSITION)
     made = result.retime(1.0, 1.0)
     assert made.success and len(made.pieces) == 1 and made.deviation[0] <= 1e-3
+    assert repr(made) == f"Trajectory({len(made.t)} samples, {made.duration:.4g} s, {robot.n} joints)"
 
 
 def test_the_robot_stops_where_the_branch_changes_and_moves_freely_to_the_other():
