@@ -1,4 +1,4 @@
-"""Files that a xacro file includes or loads: read only below the allowed folders, and no larger than a robot needs.
+"""Reads the files that a xacro file includes or loads, only below the allowed folders and no larger than a robot needs.
 
 It imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
 """
@@ -11,26 +11,30 @@ from typing import Any
 from xml.dom import minidom
 from xml.parsers import expat
 
-BYTES = 20_000_000  # of all files together
-YAML_BYTES, YAML_SCALAR = 2_000_000, 2_000  # of a YAML file, characters of one value in it
+BYTES = 20_000_000  # Limit on the bytes of all files together.
+# Limits on the bytes of a YAML file and on the characters of one value in it.
+YAML_BYTES, YAML_SCALAR = 2_000_000, 2_000
 DECLARED = re.compile(rb"""(\s*<\?xml[^>]*?encoding=["'])([A-Za-z0-9._-]{1,40})""")
-KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # to expat
-NESTED = 200  # depth of XML elements
-ELEMENTS = 200_000  # of all files together
+KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # The XML parser expat knows these encodings.
+NESTED = 200  # Limit on the depth of XML elements.
+ELEMENTS = 200_000  # Limit on the elements of all files together.
 UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.001, "foot": 0.3048, "inches": 0.0254}
 
 
 class Files:
-    """Files below the allowed folders, symbolic links followed first, and what all of them come to."""
+    """Files below the allowed folders, after symbolic links are followed, with a count of what has been read."""
 
     def __init__(self, values: ModuleType, folders: list[str]) -> None:
-        """Take the module of values, for its caps and its error, and the folders."""
+        """Store the module of values, for its limits and its error, and the allowed folders."""
         self.values = values
         self.folders = [os.path.realpath(folder) for folder in folders]
         self.bytes = self.elements = 0
 
     def read(self, path: str, most: int) -> bytes:
-        """Bytes of a file. Raises Refused, and FileNotFoundError for one that could be read but is not there."""
+        """Return the bytes of a file.
+
+        Raises Refused if it is not allowed or too large, FileNotFoundError if it is allowed but does not exist.
+        """
         path = os.path.abspath(path)
         real = os.path.realpath(path)
         if not any(real.startswith(os.path.join(folder, "")) for folder in self.folders):
@@ -49,7 +53,7 @@ class Files:
         return raw
 
     def xml(self, path: str) -> Any:
-        """Document of an XML file. Raises Refused."""
+        """Return the document of an XML file. Raises Refused."""
         raw, depth = self.read(path, BYTES), 0
         declared = DECLARED.match(raw)
         if declared and declared[2].lower() not in KNOWN:
@@ -79,10 +83,10 @@ class Files:
         except expat.ExpatError as error:
             reason = expat.ErrorString(error.code)
             raise self.values.Refused(f"it is not well-formed XML: {reason} in line {error.lineno}") from None
-        return minidom.parseString(raw)  # noqa: S318 - it was checked above
+        return minidom.parseString(raw)  # noqa: S318 - The text was checked above.
 
     def yaml(self, path: str, number: Callable[[str], float]) -> Any:
-        """Plain values of a YAML file; number: value of a text with a unit. Raises Refused."""
+        """Return the plain values of a YAML file; `number` computes a text with a unit. Raises Refused."""
         import yaml
 
         raw = self.read(path, YAML_BYTES)
@@ -91,18 +95,19 @@ class Files:
 
         for unit, factor in UNITS.items():
             Loader.add_constructor(f"!{unit}", lambda _, node, times=factor: number(f"({node.value})*{times}"))
-        for plain in ("timestamp", "binary"):  # a date of calibration is no quantity of a robot
+        # A date, say of a calibration, is no quantity of a robot, so it stays text.
+        for plain in ("timestamp", "binary"):
             Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
         try:
             weigh(yaml.parse(raw, Loader), self.values)
-            return yaml.load(raw, Loader)  # noqa: S506 - a safe loader
+            return yaml.load(raw, Loader)  # noqa: S506 - The loader is a safe one.
         except (yaml.YAMLError, ValueError) as error:
             said = " ".join(str(error).split())[:160]
             raise self.values.Refused(f"'{os.path.basename(path)[:60]}' cannot be read as YAML: {said}") from None
 
 
 def weigh(events: Any, values: ModuleType) -> None:
-    """Raise Refused for YAML that is too large once its anchors are put in, or nested too deep."""
+    """Raise Refused for YAML that is nested too deep, or too large once its anchors are put in."""
     known: dict[str, int] = {}
     open_: list[tuple[str | None, int]] = [(None, 0)]
     for event in events:

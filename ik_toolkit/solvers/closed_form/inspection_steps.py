@@ -1,4 +1,4 @@
-"""The closed form of a spherical shoulder on a lift, worked out step by step for one pose at one lift."""
+"""Works out the closed form of a spherical shoulder on a lift step by step, for one pose at one lift."""
 
 import math
 from typing import Any
@@ -30,20 +30,21 @@ LEGEND = (
 SHOULDER, ROOM, MOVED, ON_SIX, STRAIGHT, BEND, INNER, HEADING = (
     12,
     *range(15, 22),
-)  # slots of `head`, after the wrist pose
-ANGLES, BROKEN, Q = 3, 9, 10  # slots of a branch
-BASE, TOOL = 0, 12  # slots of the transforms base -> shoulder axes and tip -> wrist axes: rotation, point
-ALIGNED = 1e-12  # [m], or of a rotation: what rounding leaves of axes that are the same
+)  # Slots of `head` after the wrist pose.
+ANGLES, BROKEN, Q = 3, 9, 10  # Slots of a branch, which is a row of `table`.
+# Slots of the transforms base -> shoulder axes and tip -> wrist axes; each has a rotation and a point.
+BASE, TOOL = 0, 12
+ALIGNED = 1e-12  # Rounding leaves this [m, or of a rotation] of axes that are the same.
 PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 @cached
 def worked_out(p, T, d, box, head, table):
-    """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return how many branches.
+    """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return the number of branches.
 
-    head: wrist pose (12), the shoulder seen from it (3), room left in the reach and how far the pose was moved to be reached [m],
-    then what `forearm` returns of the elbow. table, one row per branch: numbers of elbow, wrist and shoulder, theta_1, 3 to 7, the
-    limit broken, q.
+    head has the wrist pose (12), the shoulder seen from it (3), the room left in the reach and how far the pose was
+    moved to be reached [m], then what `forearm` returns about the elbow. A row of table has a branch's numbers of
+    elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit broken, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -69,7 +70,7 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Formulas and branches of the pose T (4, 4) at box[2]'s lift, or the given one; box as in `geometry.copy_limits`."""
+    """Return formulas and branches of the pose T (4, 4) at box[2]'s lift, or the given one; box is as in `geometry.copy_limits`."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))
@@ -100,14 +101,15 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
 
 
 def _is_far(p: np.ndarray, head: np.ndarray) -> bool:
-    """Whether the pose is out of reach, so that the formulas are those of the nearest one."""
+    """Return whether the pose is out of reach, so that the formulas are those of the nearest one."""
     return bool(head[ROOM] < -EDGE * (p[A4] + p[A6]))
 
 
 def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> tuple[Any, Any, dict[str, Any]]:
-    """Give the target; return the wrist's rotation, its point, and the angles theta at q = 0 as symbols.
+    """Write down the target; return the wrist's rotation, its point, and the angles theta at q = 0 as symbols.
 
-    The point follows by a formula where base and tool only shift and the target is in reach: the rotation is then the target's.
+    The point follows by a formula if base and tool only shift and the target is in reach, because the rotation is then
+    the target's.
     """
     plain = all(np.abs(p[at : at + 9].reshape(3, 3) - np.eye(3)).max() < ALIGNED for at in (BASE, TOOL))
     of = "the target's rotation" if plain else "the wrist's rotation, in the shoulder's axes"
@@ -147,7 +149,8 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
     r = sheet.formula("r", sqrt(s[0] ** 2 + s[1] ** 2), "m", "its distance from axis 7")
     near, far = (sqrt((r + side * a6) ** 2 + s[2] ** 2) for side in (-1, 1))
     words = "room left in the reach; below 0 is out of reach"
-    room = Min(a4 - near, far - a4, evaluate=False)  # unevaluated: comparing the two takes SymPy 50 ms
+    # The minimum stays unevaluated, because comparing the two takes SymPy 50 ms.
+    room = Min(a4 - near, far - a4, evaluate=False)
     sheet.formula("g", room, "m", words, None if head[MOVED] > 0.0 else head[ROOM])
     wide = Max(sqrt((a4 - s[2]) * (a4 + s[2])), Abs(r - a6), evaluate=False)
     words = "size of a4 cos theta_5, clamped to what the elbow can span"
