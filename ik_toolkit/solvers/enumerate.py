@@ -1,4 +1,4 @@
-"""Distinct solutions by search: one attempt from each of many starts, equal answers merged."""
+"""Finds distinct solutions by search: one attempt from each of many starts, with equal answers merged."""
 
 from typing import Any
 
@@ -23,16 +23,17 @@ ONE_ATTEMPT: dict[str, Any] = {
     "wrap": None,
     "follow": 0.0,
 }
-SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two numerical answers are one
-TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
-FLAT = 1e-4  # singular value (lengths over the scale) below which a direction may lead along a family
-STRIDE = 0.02  # rad, or of the scale: step along that direction; an isolated answer is not found again so far away
-CLOSE, STEPS = 1e-2, 40  # errors [of the scale, rad] from which numerical answers are finished, and steps given to that
-MOST_DIRECTIONS = 256  # directions tried for families: enough to name the joints that move
+SAME = 1e-3  # Two numerical answers are one if no joint differs by more [rad, or of the reach].
+# Tolerance of the numerical search, because answers to 1e-6 differ too much near singular poses to be merged.
+TIGHT = 1e-9
+FLAT = 1e-4  # A direction may lead along a family if its singular value (lengths over the scale) is below this.
+STRIDE = 0.02  # Step along that direction [rad, or of the scale]; an isolated answer is not found again so far away.
+CLOSE, STEPS = 1e-2, 40  # Answers with smaller errors [of the scale, rad] are finished numerically, with so many steps.
+MOST_DIRECTIONS = 256  # This many directions are tried for families, enough to name the joints that move.
 
 
 def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
-    """Distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first."""
+    """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first."""
     robot, o, n = plan.robot, plan.options, plan.robot.n
     tight = {
         "position_tolerance": min(TIGHT, o.position_tolerance),
@@ -52,7 +53,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     if limited:
         low, high = robot.lower[turning], robot.upper[turning]
         near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
-        near = np.clip(near, low, high)  # a turn rounds
+        near = np.clip(near, low, high)  # Adding a turn rounds.
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
     orientation = None if all(kind in SPOKEN for kind in kinds) else out[:, AT.rotation]
@@ -74,12 +75,12 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
 
 
 def _redundant(plan: Plan, kinds: tuple) -> bool:
-    """Whether the task leaves joints free, so that solutions are not isolated; an axis target frees the turn about it."""
+    """Return whether the task leaves joints free, so that solutions are not isolated; an axis target frees the turn about it."""
     return plan.robot.n - len(plan.held) > Asked(plan.robot, kinds, options=plan.options).rows
 
 
 def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) -> None:
-    """Give result rows that ended close to the target more steps: at a singular pose an attempt converges slowly."""
+    """Give result rows that ended close to the target more steps, because an attempt converges slowly at a singular pose."""
     close = (out[:, AT.status] != CONVERGED) & (out[:, AT.position] < CLOSE * single.robot.chain.scale)
     close &= out[:, AT.rotation] < CLOSE
     if not close.any():
@@ -94,16 +95,16 @@ def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) ->
 
 
 def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.ndarray:
-    """Result rows of one attempt at T (1, 4, 4) from each start Q0 (K, n)."""
+    """Return the result rows of one attempt at T (1, 4, 4) from each start Q0 (K, n)."""
     out = np.empty((len(Q0), single.width))
     single.run(np.repeat(T, len(Q0), axis=0), kinds, np.ascontiguousarray(Q0), True, out)
     return out
 
 
 def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redundant: bool) -> tuple[Family, ...]:
-    """Families among numerical solutions: where the Jacobian leaves a direction free and a step along it leads to another.
+    """Find families of solutions: there the Jacobian leaves a direction free, and a step along it leads to another solution.
 
-    A singular pose alone is no family: from beside an isolated solution the search comes back to it.
+    A singular pose alone is no family, because the search comes back to an isolated solution from beside it.
     """
     robot = found.robot
     if not len(found) or counts_in_part(kinds, single.options):
@@ -142,7 +143,7 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redun
 
 
 def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
-    """Without rows that repeat an earlier one."""
+    """Return the solutions without rows that repeat an earlier one."""
     turning, _ = turning_joints(plan)
     unit = found.robot.chain.unit
     kept: list[int] = []
@@ -153,22 +154,22 @@ def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
 
 
 def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, full turns of revolute joints left out."""
+    """Return the largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, without full turns of revolute joints."""
     apart = np.abs(Q - q) / unit
     apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
     return apart.max(axis=1)
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Which joints (n,) may be moved by full turns, and whether inside limits."""
+    """Return which joints (n,) may be moved by full turns, and whether only inside limits."""
     robot = plan.robot
-    if not plan.options.limits and robot.chain.plain:  # no limits, no mimic joints: every angle may be turned over
+    if not plan.options.limits and robot.chain.plain:  # Without limits and mimic joints every angle may be turned over.
         return ~robot.slides, False
     return robot.chain.turns > 0, plan.options.limits
 
 
 def sample(found: Solutions, count: int) -> Solutions:
-    """At most `count` of the solutions: rows that lie far from one another, the nearest to q0 among them, in order."""
+    """Return at most `count` of the solutions, in order: rows that are far from one another, the nearest to q0 among them."""
     q = found.q / found.robot.chain.unit
     chosen = [0]
     gap = np.linalg.norm(q - q[0], axis=1)
