@@ -15,7 +15,7 @@ import pinocchio as pin
 from ..errors import InvalidOption, ModelError, floats, near_match
 from .pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
-# A floating base pitches at most this much [rad] either way, because at 90 degrees yaw and roll share one axis.
+# The pitch of a floating base is at most 85 degrees either way, because at 90 degrees yaw and roll share one axis.
 PITCH = math.radians(85.0)
 BALL_PITCH = math.pi / 2  # A ball joint pitches at most this much [rad], so that every rotation can be reached.
 ENDLESS = 1e16  # A limit of this size means that there is none (see NO_LIMIT in probe.py).

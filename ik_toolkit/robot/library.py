@@ -20,7 +20,7 @@ from .packages import MANIFESTS
 DATA_PACKAGE = "example-robot-data"
 DESCRIBED = "robot_descriptions:"  # Names of the package robot_descriptions begin with this.
 MENAGERIE = "mujoco-menagerie:"  # Folder names of the MuJoCo Menagerie begin with this.
-# This environment variable has the path of a copy; the mujoco-menagerie package reads it too.
+# The environment variable MENAGERIE_ROOT has the path of a copy; the mujoco-menagerie package reads it too.
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
 
@@ -55,8 +55,7 @@ class RobotEntry:
         return self.tips[0] if len(self.tips) == 1 else None
 
 
-# Each name maps to a file below robots/ and its tips: the fixed-base arms (and arms on a fixed body) of
-# example-robot-data 6.
+# Each name maps to a file below robots/ and its tips: the arms of example-robot-data 6 that have a fixed base.
 DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "panda": ("panda_description/urdf/panda.urdf", ("panda_hand_tcp",)),
     "ur3": ("ur_description/urdf/ur3_robot.urdf", ("tool0",)),

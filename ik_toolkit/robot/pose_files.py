@@ -30,8 +30,8 @@ from .pose import rpy_matrix
 LINES = 16384  # Number of rows read at a time.
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
 ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # The columns of x, y, z and w.
-# Limit on the largest arrays of a file together [bytes]: the first, and the second for each byte of the file, because
-# poses compress to a fifth at best.
+# The arrays of a file together may take UNPACKED bytes, and EXPANSION bytes for each byte of the file.
+# Compressed poses are at least a fifth of their size.
 UNPACKED, EXPANSION = 2**26, 20
 NAMES = 2**18  # Limit on the bytes of an array of names.
 NUMBERS, TEXTS = "fiu", "U"  # Arrays of these kinds of dtype are read as numbers, and as names.

@@ -19,18 +19,18 @@ from .formats.urdf_values import reversed_advice
 from .pose import turn_onto
 
 SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
-# Lengths below AGREE times this fraction of the distance from the model's origin are lost in Pinocchio's own rounding.
+# Lengths below AGREE times FAR times the distance from the model's origin are lost in Pinocchio's own rounding.
 FAR = 1e-5
 AGREE = 1e-9  # Largest difference allowed there [rad, or of the robot's size]: a thousandth of the default tolerance.
 # Relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed.
 HELD = 2.5e-16
-# Limits of this size [m, rad or per s] are no limits: files write 1e16 or 1e308 for "none", and so does our own code
-# (ENDLESS).
+# A limit of 1e15 or more [m, rad or per s] is no limit: files write 1e16 or 1e308 for "none", and so do we (ENDLESS).
 NO_LIMIT = 1e15
-# A limit beyond this [rad, m] is read as this much, which the notes say. Near 1e7 rad one ulp of an angle reaches
-# AGREE, and near 1e9 m one ulp of a length a tenth of the default tolerance.
+# A limit beyond 1e6 [rad or m] is read as 1e6, which the notes say.
+# Near 1e7 rad one ulp of an angle reaches AGREE.
+# Near 1e9 m one ulp of a length reaches a tenth of the default tolerance.
 LARGEST_ANGLE, LARGEST_STROKE = 1e6, 1e6
-# Two axes are parallel, up to the rounding of a few matrix products, if the sine between them is below this.
+# Two axes are parallel, up to the rounding of a few matrix products, if the sine between them is below PARALLEL.
 PARALLEL = 1e-14
 SINGULAR = 0.02  # A configuration is no good as home if its smallest singular value (lengths over reach) is below this.
 
@@ -42,7 +42,7 @@ class Path(NamedTuple):
     # Number of leading joints that run from the base towards the root, up to the last link that it shares with the tip.
     up: int
     leaders: list[int]  # Id of the joint of each coordinate, in order of first use.
-    # Number of leading coordinates that move the tip's branch; those after it move the base's for another tip only.
+    # Number of leading coordinates that move the tip's branch; the others move the base's branch, for another tip only.
     own: int
     owner: dict[int, int]  # Each joint of the model that moves maps to its coordinate.
     idx_q: np.ndarray  # Indices (n,) of the coordinates in q.

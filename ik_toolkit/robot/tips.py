@@ -11,14 +11,14 @@ from ..errors import FrameNotFound, InvalidOption, ModelError
 
 LOG = logging.getLogger("ik_toolkit")
 
-# Words that a frame's name must contain, the strongest convention first: the tool centre point, then the end frames of
-# ROS, MoveIt and arm manufacturers, then the hand itself.
+# Each convention lists words that the name of a tip frame has together; the strongest convention comes first.
+# The tool centre point precedes the end frames of ROS, MoveIt and manufacturers, and these precede the hand.
 CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# Words for sensors and things of a scene, which are no tips while an arm is there, and for parts of a hand, legs and
-# the like, on which no tool is mounted.
+# SCENE has words for sensors and things of a scene, which are no tips while an arm is there.
+# OTHERS also has words for parts of a hand, legs and the like, on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
     "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()
@@ -90,9 +90,8 @@ def guess_tip(model: pin.Model) -> Guess:
         (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])), ends
     )
     most = max((joints[f.name] for f in plain), default=0)
-    longest = {
-        f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most
-    }  # Each joint has one frame, the first.
+    # Each joint has one frame, the first.
+    longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
 
 

@@ -14,10 +14,10 @@ from urllib.parse import urlsplit
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # Limit on the bytes of a message. The page sends numbers and short texts, and messages are buffered until complete.
 LARGEST = 2**20
-# viser and the checks here read only one of each of these headers, so a second one is refused.
+# viser and the checks here read only one header of each name in ONCE, so a second one is refused.
 ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")
 LOG = logging.getLogger(__name__)
-# This logger is off, because a port scan would fill the terminal with handshake tracebacks.
+# Messages of the web socket are not logged, because a port scan would fill the terminal with tracebacks.
 QUIET = logging.getLogger(f"{__name__}.socket")
 QUIET.setLevel(logging.CRITICAL)
 _PATCHING = threading.Lock()
@@ -51,7 +51,7 @@ def refusal(headers: Any, host: str) -> str:
 
     A browser sends the requesting page (Origin) and the host name it used (Host).
     """
-    # tornado and websockets have different names for this method.
+    # The method that returns all headers of a name is get_list in tornado and get_all in websockets.
     every = getattr(headers, "get_list", None) or getattr(headers, "get_all", None)
     twice = [name for name in ONCE if every is not None and len(every(name)) > 1]
     if twice:

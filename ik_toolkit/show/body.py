@@ -129,7 +129,7 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
         if sum(len(piece.faces) for piece in pieces):  # A mesh may have only points and lines.
             parts.append(Part(shape.name, pieces))
             drawn.append(shape)
-    # Only the placements of this geometry are used.
+    # The shapes of the geometry are never used, only their placements.
     geometry = geometry_model(robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn))
     return geometry, parts, f"not read: {said(problems)}" if problems else ""
 

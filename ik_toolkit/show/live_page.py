@@ -26,10 +26,9 @@ from .body import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # Vertices (N, 3) [m], normals (N, 3) and faces (M, 3).
 
 MODULES = ("robot", "solve", "draw", "hand", "main")  # A module comes after those that it depends on.
-# Limit on a page's triangles. Full meshes have up to 100 times as many and look the same at this size.
+# Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on the page.
 MOST_FACES = 40_000
-# First size of the cells in which vertices merge, as a fraction of the robot's size; it grows until the faces are few
-# enough.
+# Vertices merge in cells that are at first 1/250 of the robot's size and grow until the faces are few enough.
 FINEST = 1 / 250
 GROW = 1.1  # The cell size grows by at least this factor.
 STEPS = 65_535  # A coordinate has 16 bits over its shape.

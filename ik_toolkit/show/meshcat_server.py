@@ -159,7 +159,7 @@ class Window:
     def _page(self, body: str) -> str:
         files = importlib.resources.files("ik_toolkit.show")
         page = (files / "scene.html").read_text(encoding="utf-8")
-        # The title is replaced last, so that nothing inside a robot's name is replaced.
+        # The title is replaced last, so that a robot's name cannot contain a word that is replaced.
         return page.replace("/*@START@*/", body).replace("@TITLE@", html.escape(self.about["title"]))
 
     def html(self) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InvalidOption, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
 
-# These options choose or finish one answer, so they are left out when a plan is varied to search for more answers.
+# The options in PLAIN choose or finish one answer, so a plan that is varied to search for more answers leaves them out.
 PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
@@ -25,7 +25,7 @@ OTHERWISE = {  # Other packages use these names, which mean something else here.
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
-# These options say what counts; each is one value for every tip, or a dict by tip.
+# The options in COUNTING say what counts of the errors; each is one value for every tip, or a dict by tip.
 COUNTING = ("mask", "slack", "free_turn", "frame")
 FRAMES = ("base", "tip", "target")
 

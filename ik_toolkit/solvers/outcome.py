@@ -47,5 +47,5 @@ class Outcome(NamedTuple):
         return self.row[ANSWER + self.plan.robot.n :].reshape(-1, MISS)
 
 
-# Making an outcome from all its fields this way is a fifth of a microsecond faster than by Outcome(...).
+# Making an outcome from all its fields with make_outcome is 0.2 microseconds faster than with Outcome(...).
 make_outcome = partial(tuple.__new__, Outcome)

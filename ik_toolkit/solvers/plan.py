@@ -25,10 +25,10 @@ from .registry import GENERAL, Row, find_row
 from .task import kernel_tasks, relatives, what_counts
 
 MARGIN = 1.0 - 1e-9  # The kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree.
-# A plan stays ready for this many kinds of target, because every axis is a kind of its own, and axes have no end.
+# A plan stays ready for 64 kinds of target, because every axis is a kind of its own, and axes have no end.
 KINDS_KEPT = 64
 CLOSEST = 16  # This many solutions are compared if the one nearest q0 is asked for.
-# The single attempt of `follow` gets this many, because no other attempt follows if it converges slowly.
+# The single attempt of `follow` gets at least 100 iterations, because no other attempt follows if it converges slowly.
 FOLLOW_ITERATIONS = 100
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
@@ -187,8 +187,8 @@ class Plan:
         orders = Orders(
             tol_p=o.position_tolerance * MARGIN,
             tol_r=o.orientation_tolerance * MARGIN,
-            # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the table of
-            # starts. What is compared by its distance from q0 or home starts there first.
+            # Without restarts the one attempt starts at q0 or home, as callers expect, never from the table.
+            # An option that compares answers by their distance from q0 or home makes the search start there first.
             given=bool(given or o.closest or (attempts == 1 and not own_starts)),
             iterations=iterations if o.max_iterations is None else o.max_iterations,
             attempts=attempts,

@@ -40,7 +40,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
     return tuple(steps), improving
 
 
-# Slices grow by this factor; a search that begins anew each time then repeats at most a third of its last run.
+# Slices grow by a factor of 4; a search that begins anew each time then repeats at most a third of its last run.
 GROWTH = 4
 
 
@@ -129,7 +129,8 @@ def confirm(outcome: Any) -> Any:
     if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
         return outcome
     if kinds == (POSE,):
-        # The angle of a rotation with few digits is no more exact than they are.
+        # A rotation of few digits is replaced by the nearest exact one, because its angle is no more exact than its
+        # digits.
         mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)

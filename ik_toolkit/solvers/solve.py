@@ -26,7 +26,7 @@ from .registry import GENERAL, find_row, make_rule
 from .result import Result
 from .task import POSES, read_target
 
-# There is one such object per process, so `is` suffices; other kinds of float take the slow path.
+# There is one dtype float64 per process, so `is` compares it; other kinds of float take the slow path.
 FLOAT = np.dtype(np.float64)
 BOUND_KEPT = 64  # `solve` keeps this many solvers for a robot.
 EXACT = {  # A closed form honours or ignores these options; 'auto' takes the search if any other is given.

@@ -41,8 +41,8 @@ def from_file(text: str) -> type:
 @functools.cache  # A file is run once per process.
 def _classes(path: Path) -> dict[str, type]:
     """Return the classes that a file makes, by name. Raises InvalidOption if it does not run."""
-    # The module gets a name of its own, so that a file called as a module (numpy.py) hides nothing. The name depends on
-    # the content, so that what was compiled for a file that moved is found again.
+    # The module gets a name of its own, so that a file called as a module (numpy.py) hides nothing.
+    # The name depends on the content, so that what was compiled for a file that moved is found again.
     try:
         content = path.read_bytes()
     except OSError as error:

@@ -10,11 +10,11 @@ MARKS = (  # Byte order marks. UTF-32 comes first because its mark begins with t
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
     (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
 )  # fmt: skip
-# These two encoding names occur in files, but Python does not know them.
+# The encoding names windows-31j and x-sjis occur in files, but Python does not know them.
 ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}
 DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
-# Encodings of text that Python decodes in time proportional to the input. Codecs that unpack data, such as zip or hex,
-# are not among them.
+# TEXTS has the encodings of text that Python decodes in time proportional to the input.
+# TEXTS has no codec that unpacks data, such as zip or hex.
 TEXTS = re.compile(
     r"utf-8|ascii|iso8859-\d+|cp(125\d|437|85\d|866|932|936|949|950|1361)|koi8-[rtu]|mac-(roman|cyrillic|greek|latin2)|"
     r"shift_jis(_2004|x0213)?|euc_(jp|kr|jis_2004|jisx0213)|iso2022_(jp|kr)(_\w+)?|gb2312|gbk|gb18030|hz|big5(hkscs)?|"

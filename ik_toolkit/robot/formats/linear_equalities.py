@@ -79,7 +79,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
         rows[pivot] = row
     tied: dict[int, tuple[int, float, float]] = {}
     held: dict[int, float] = {}
-    # Joints that depend on several others at once, with their coefficients and offset.
+    # A group has a joint that depends on several others at once, its coefficients and its offset.
     groups: list[tuple[int, np.ndarray, float]] = []
     for pivot, row in rows.items():
         joint, offset = columns[pivot], float(row[-1])

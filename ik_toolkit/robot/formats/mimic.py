@@ -49,7 +49,7 @@ def followers(text: str) -> Followers:
     given = tied
     order, late = leaders_first(items, given)
     for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
-        # No order has every leader first: change leaders, only in these groups if that is enough, otherwise in all.
+        # No order has every leader first, so leaders change: only in these groups if that is enough, otherwise in all.
         if late:
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
@@ -161,7 +161,7 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
     branches: dict[str, list[str]] = {}
     for name in sorted(joints):
         branches.setdefault(ends[name][0], []).append(name)
-    # Each branch is listed with the branches of the same link that must come before it.
+    # Each branch maps to the branches of the same link that must come before it.
     before: dict[str, set[str]] = {}
     loose: dict[str, str] = {}
 

@@ -30,7 +30,7 @@ MEMORY = 2_000_000_000  # Memory cap [bytes] of the process. A humanoid takes 0.
 SECONDS = 4  # Cap on processor time [s]. A large robot takes 1 s.
 ENDLESS = "1e16"  # This effort and velocity mean "no limit" (see NO_LIMIT in probe.py).
 HIDDEN = 3  # Shapes of this group and above are not drawn, as in MuJoCo's viewer.
-# A ball joint with a limited range is written as five joints with these suffixes.
+# A ball joint with a limited range becomes five joints, whose names end in the words of AXIS_ANGLE.
 AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
@@ -103,7 +103,7 @@ class _Writer:
         self.links: set[str] = set()
         self.names: set[str] = set()
         self.values: list[Any] = []  # Each function turns the qpos of a keyframe into (joint, value) pairs.
-        # Joints of a ball that turn back map to (leader, ratio, offset).
+        # A joint of a ball that turns back maps to (leader, ratio, offset).
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 

@@ -39,8 +39,7 @@ CLOSED = ("origin", "axis", "mimic", "parent", "child")  # No program adds attri
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
 MOST = 500  # At most this many different unknown names of a file are compared, because each takes up to 0.1 ms.
-# Likeness, as difflib computes it, from which a name counts as misspelled. "gear_velocity", which some files have, is
-# no misspelled "velocity".
+# A name is misspelled from a likeness of 0.82 on, as difflib computes it; "gear_velocity" is no "velocity".
 NEAR = 0.82
 
 

@@ -23,13 +23,8 @@ MAX_TAG = 1_000_000  # Limit on the bytes of one tag or comment, which the parse
 CHUNK = 65_536  # Bytes that are given to the parser at a time.
 BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
 ENDLESS = 1e16  # Robot reads a limit of this size as no limit (NO_LIMIT).
-FREEDOM = {
-    "revolute": 1,
-    "continuous": 1,
-    "prismatic": 1,
-    "planar": 3,
-    "floating": 6,
-}  # Degrees of freedom of each joint type.
+# Each type of joint has so many degrees of freedom.
+FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 NUMBERS = {  # Each attribute that holds numbers, by its element, with their count.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
@@ -44,8 +39,8 @@ NUMBERS = {  # Each attribute that holds numbers, by its element, with their cou
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
 ITEMS = ("link", "joint", "material")
-# These elements make a description xacro. A call of a macro does not: it is left over in a plain URDF and cannot be
-# expanded.
+# A description with one of the elements in XACRO is xacro.
+# A mere call of a macro is left over in a plain URDF and cannot be expanded, so it does not count.
 XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
 XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")

@@ -32,7 +32,7 @@ METHODS: dict[type, tuple[str, ...]] = {
     float: ("is_integer",),
 }  # fmt: skip
 FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
-# Messages call a refused part of an expression by these words.
+# Messages call a part of an expression that is refused by the words in WORDS.
 WORDS = {
     ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
     ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",

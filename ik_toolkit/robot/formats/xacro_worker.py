@@ -22,15 +22,15 @@ from typing import Any
 
 BYTES = 20_000_000  # Limit on the bytes of all files together.
 FILES = 1_000  # Limit on the files that one include may match.
-# These functions of xacro are replaced below; a version without them would not be contained, so it is refused.
+# The functions of xacro in REPLACED are replaced below; a version of xacro without them is refused as unsafe.
 REPLACED = {
     "xacro": ("eval_all", "eval_text", "safe_eval", "load_yaml", "parse", "get_include_files", "abs_filename_spec",
               "_global_symbols", "replace_node", "resolve_macro", "re_macro_arg"),
     "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
 }  # fmt: skip
 
-# This matches the parameters of a macro. In xacro's own pattern [^\s'"] is repeated inside a repetition, which takes
-# exponential time.
+# DEFAULTS matches the parameters of a macro as xacro does, but without a repetition in a repetition.
+# xacro's own pattern repeats [^\s'"] inside a repetition, which takes exponential time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )
@@ -342,7 +342,7 @@ def main() -> None:
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
-    # A loop in xacro is a macro that calls itself, and each turn takes ten nested calls here.
+    # A loop in xacro is a macro that calls itself, and each turn of it takes ten nested calls of ours.
     sys.setrecursionlimit(3000)
     print(json.dumps(expand(job)))
 

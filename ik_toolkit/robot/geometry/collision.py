@@ -126,7 +126,7 @@ class CollisionModel(Surroundings):
         base = model.frames[robot.arms[0]._ids[0]].parentJoint
         placements = self._sample([base, *owners, *hands])
         joints = list(placements)
-        # An entry is true if these two joints move relative to each other.
+        # apart[a, b] tells whether joints a and b move relative to each other.
         apart = np.zeros((len(joints), len(joints)), dtype=bool)
         for b, jb in enumerate(joints):
             for a, ja in enumerate(joints[:b]):
@@ -158,7 +158,7 @@ class CollisionModel(Surroundings):
         leave_out([*self.ignore, *self.allowed])
         zero = np.zeros(robot.n)
         touching = dict.fromkeys(self.collisions(robot.home))
-        # A pair that touches at only one of the two may be a real contact, for example of a folded arm.
+        # A pair that touches only at home or only at zero may be a real contact, for example of a folded arm.
         if not robot.outside(zero):
             touching = {pair: None for pair in self.collisions(zero) if pair in touching}
         self.excluded = tuple(touching)

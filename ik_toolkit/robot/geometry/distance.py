@@ -16,8 +16,9 @@ from ...kernel.clearance import free_until, levers, rows
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
-# The nearest points of a pair leap from one end of an edge to the other, so those found before are kept: at most
-# CORNERS (the two ends of an edge and two to spare), while their distance is less than NEARBY [m] above the least one.
+# The nearest points of a pair leap from one end of an edge to the other, so those found before are kept.
+# At most CORNERS are kept: the two ends of an edge and two to spare.
+# Points are kept while their distance is less than NEARBY [m] above the least one.
 # Points within APART [m] of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
@@ -82,8 +83,7 @@ class Clearance:
             self._hulls.createData(),
         )
         shapes, pairs = self._exact.geometryObjects, self._exact.collisionPairs
-        # These are references that follow each placement and measurement, because making one takes three times as long
-        # as reading it.
+        # References to Pinocchio's placements are kept, because making one takes three times as long as reading it.
         self._frames = list(self._data.oMi)
         self._hull_found, self._exact_found = (
             [data.distanceResults[k] for k in range(len(pairs))] for data in (self._hull_data, self._exact_data)
@@ -247,8 +247,7 @@ class Clearance:
         known = self._corners[ks]
         before = (turn[:, None] @ known[..., None])[..., 0] + origin[:, None]
         gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
-        # Where a corner slides along a face, it stays the same point of one shape although the point on the face
-        # changes.
+        # A corner that slides along a face counts as one point, although the point on the face changes.
         same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
         # Points kept from hulls, which may meet, are not points of the exact shapes.
         hull = ~self._on_surface[ks][:, None]

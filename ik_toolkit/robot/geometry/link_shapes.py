@@ -67,7 +67,7 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     files = {}
     for item in items:
         own = [given for given in item.shapes if given["role"] == role]
-        # A <collision_checking> element names these shapes.
+        # A <collision_checking> element names the cylinders that count as capsules and the meshes that count as convex.
         asked = {(part.tag, part.attributes.get("name")) for part in item.inside}
         for k, given in enumerate(own):
             try:

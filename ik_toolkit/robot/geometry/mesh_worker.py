@@ -21,8 +21,8 @@ FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is
 REPEATED = 100_000  # Limit on the nodes that one node may expand to.
 # Lines of coal's message that surround the actual reason.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# trimesh loads these packages if they are installed; reading does not need them, and they take three times as long to
-# import as all others.
+# trimesh loads scipy, networkx and shapely if they are installed, although reading a mesh does not need them.
+# Importing the three takes three times as long as importing everything else.
 UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 

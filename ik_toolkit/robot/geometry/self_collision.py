@@ -18,9 +18,10 @@ from ..probe import NO_LIMIT
 from .convex import owner_above, read_shapes, request
 
 ALWAYS = 0.95  # A pair that touches in this share of the configurations is said to touch "always", as in MoveIt.
-# A pair that touches in this share and also at zero touches "by default". MoveIt uses 0, which hides real contacts.
+# A pair that touches at zero and in half of the samples touches "by default". MoveIt needs no sample, which hides
+# contacts.
 DEFAULT = 0.5
-# Two links this near [m] in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
+# Two links within 1 cm of each other in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
 NEAR = 0.01
 SAMPLES = 10_000  # MoveIt takes as many samples.
 REASONS = ("Adjacent", "Always", "Default", "Never")

@@ -13,7 +13,7 @@ from ...servo.tracker import Tracker
 STEP = 0.02  # Length of a step [s] of robot time.
 STEPS = 50  # Number of steps before the page is drawn anew, which make one second.
 FAR = 1000.0  # A target further away than this many reaches is a mistake.
-# The arm has settled after this many steps at rest in a row: half a second, in which a tracker finds another way.
+# The arm has settled after 25 steps at rest in a row: half a second, in which a tracker finds another way.
 REST = 25
 
 

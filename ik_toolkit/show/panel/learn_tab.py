@@ -130,7 +130,7 @@ class Lesson:
         if free is None or not free.inside:
             return None
         low, high = (self.scale(free.joint) * x for x in (free.inside[0][0], free.inside[-1][1]))
-        # The range is rounded inwards, so that both ends reach the pose.
+        # The range is rounded inwards, so that the pose can be reached from both of its ends.
         return math.ceil(low / STEP) * STEP, math.floor(high / STEP) * STEP
 
 

@@ -25,7 +25,7 @@ from ...solvers.solve_all import solve_all
 from ...text import parameter, plain, vector
 from .drag_follower import Followed, Hand, prepare
 
-# A typed target's orientation is given in one of these forms.
+# A typed target's orientation has one of the forms in KINDS.
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")
 NONE = "no target"  # One of several tips may have no target.
 SHOWN = 16  # At most this many solutions are listed.
@@ -218,7 +218,8 @@ class Session:
         """Continue from a failed attempt to the closest pose near it."""
         # The target may be too far away, or the arm in contact already.
         with contextlib.suppress(InvalidTarget, InvalidConfiguration):
-            # The posture is kept, because the chosen solver has not found a target that only another posture reaches.
+            # The arm keeps its posture: a target that only another posture reaches has not been found by the chosen
+            # solver.
             hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
             for _ in range(PATIENCE):
                 if self._move(hand).settled:

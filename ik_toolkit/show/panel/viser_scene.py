@@ -12,12 +12,12 @@ from ..body import Body, need_trimesh
 
 RED = (204, 51, 38)  # Colour of the line to a target that is not reached.
 GHOST = (0, 114, 178)
-# The camera looks at the robot along this direction, from the front right and from above.
+# The camera looks along VIEW, so that it sees the robot from the front right and from above.
 VIEW = np.array([-0.66, 0.63, -0.41])
 LENS = 0.7  # Angle of view [rad] from top to bottom.
 FILL = 0.72  # The robot fills this share of the picture, because its arrows and the next poses need the rest.
 NARROW = 576  # On a page narrower than this [pixels] viser lays its controls over the lower part of the picture.
-# A target further out than this share of the way from the middle to the edge of the picture counts as outside.
+# A target beyond 95 % of the way from the middle to the edge of the picture counts as outside.
 EDGE = 0.95
 FREE = 0.5  # On a narrow page this share of the height stays free, see STYLE in connection.py.
 

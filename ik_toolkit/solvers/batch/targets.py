@@ -11,7 +11,7 @@ from ...robot.pose import check_target
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
-# A rotation whose deviation from orthonormal lies between these has few digits and is replaced by an exact one.
+# A rotation off orthonormal by 1e-12 to 1e-6 has few digits and is replaced by the nearest exact one.
 ROUGH, RIGID = 1e-12, 1e-6
 
 

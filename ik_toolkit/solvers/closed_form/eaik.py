@@ -12,11 +12,9 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
 
 N = 6
-STEPS = (
-    # Number of Newton steps that finish an answer. EAIK's own are off by 1e-4 at a singular pose, and each step halves
-    # that.
-    12
-)
+# Number of Newton steps that finish an answer.
+# At a singular pose EAIK's own answers are off by 1e-4, and each step halves that.
+STEPS = 12
 # Slices of the parameters: the axes, the steps from one axis to the next, and the tip's orientation at q = 0.
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 

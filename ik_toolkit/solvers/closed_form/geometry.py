@@ -19,8 +19,8 @@ from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import ANSWER, HEAD, WEIGHTS, Answer, Ends, Orders, read, write
 
 FIT = 1e-9  # Axes that are off a structure by less than this [rad, or of the reach] fit it exactly.
-# Largest deviation accepted [rad, or of the reach]. Files written with five digits have it, and Newton steps correct
-# it.
+# Axes may be off a structure by at most 1e-4 [rad, or of the reach].
+# Files written with five digits are off by up to 1e-4, and Newton steps correct them.
 NEAR = 1e-4
 SNAP = 1e-9  # An answer this little [rad or m] beyond a limit is put on the limit.
 
@@ -79,7 +79,7 @@ def read_screws(chain: Chain) -> Screws | str:
     """Return the joint screws at q = 0, or the reason why there are none: a coordinate drives several joints (mimic)."""
     if not chain.plain:
         return "it has mimic joints"
-    # This function is not compiled, so recognising a robot compiles nothing.
+    # `evaluate` is not compiled, so recognising a robot compiles nothing.
     T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)
     linear, angular = J[0, :3].T, J[0, 3:].T
     turns = chain.rows[:, 9] > 0.0

@@ -165,7 +165,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     broken = narrow_windows(p, P, box, near, spans, count, limits, row, q, best)
             elif gap > 0.0:
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                # The target would be in reach with more stroke, so it is the lift's limit that stops it.
+                # The target would be in reach with more stroke, so the lift's limit stops the arm.
                 if stroke > 0.0:
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])

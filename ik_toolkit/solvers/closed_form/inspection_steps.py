@@ -27,10 +27,8 @@ THETA = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 LEGEND = (
     "Shoulder, elbow and wrist: the signs of sin theta_3, sin theta_6 and cos theta_5 (0 where two branches merge)."
 )
-SHOULDER, ROOM, MOVED, ON_SIX, STRAIGHT, BEND, INNER, HEADING = (
-    12,
-    *range(15, 22),
-)  # Slots of `head` after the wrist pose.
+# The slots of `head` after the wrist pose.
+SHOULDER, ROOM, MOVED, ON_SIX, STRAIGHT, BEND, INNER, HEADING = 12, *range(15, 22)
 ANGLES, BROKEN, Q = 3, 9, 10  # Slots of a branch, which is a row of `table`.
 # Slots of the transforms base -> shoulder axes and tip -> wrist axes; each has a rotation and a point.
 BASE, TOOL = 0, 12

@@ -18,19 +18,19 @@ from .reach import (
     nearest_lift,
 )
 
-# Slots of the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12): the lengths; for
-# each revolute joint its place in q, sign and offset (theta = sign q + offset); for the lift its place (-1: none),
-# sign, choice and given value; and whether the arm only nearly has the structure.
+# Slots of the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12).
+# A4 and A6 are lengths, and NEARLY tells whether the arm only nearly has the structure.
+# From JOINTS on, each revolute joint has its place in q, sign and offset: theta = sign q + offset.
+# From LIFT on, the lift has its place (-1: none), sign, choice and given value.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
 SCAN = 12  # Number of lifts tried in each feasible interval if no branch at the first lift is legal.
-# Number of lifts of each branch between which minima of the limit broken are searched for if none of those lifts is
-# legal.
+# If none of 33 lifts of a branch is legal, minima of the limit broken are searched for between them.
 WINDOWS = 33
-# The golden section and its number of steps, after which it is at rounding: 0.618^64 = 4e-14.
+# The golden section takes 64 steps, after which it is at rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
 TURNS = 8  # Full turns considered in either direction; a joint with wider limits counts as endless.
-# An arm counts as level up to this slope of the tool's z axis, and this miss of the forearm's length over the arm's.
+# An arm is level if the slope of the tool's z axis, and the miss of the forearm over the arm's length, are below 1e-9.
 LEVEL = 1e-9
 
 

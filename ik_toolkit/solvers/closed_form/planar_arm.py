@@ -8,8 +8,9 @@ from ...compile.jit import cached, inline, inner
 from .geometry import legal_turn
 from .reach import planar_branches
 
-# Slots of the parameters, after the transform base -> arm plane (12): the lengths, the height, sign and offset of each
-# angle (theta = sign q + offset), and whether the axes are only nearly parallel.
+# Slots of the parameters, after the transform base -> arm plane (12): the lengths and the height.
+# From ANGLES on, each angle has sign and offset: theta = sign q + offset.
+# NEARLY tells whether the axes are only nearly parallel.
 L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
 FOLDED = 1e-9  # The links count as folded onto the base if the tip is nearer to it than this fraction of their lengths.
 

@@ -10,7 +10,7 @@ import math
 from ...compile.jit import cached, shared
 from ...kernel.kinematics import TAU
 
-# The two branches of an elbow are one if the sine of its angle is below this, which costs 1e-15 of the length.
+# The two branches of an elbow are one if the sine of its angle is below 1e-7, which costs 1e-15 of the length.
 MERGED = 1e-7
 ON_AXIS = 1e-12  # An angle about an axis is free if the point is nearer to the axis than this fraction of the lengths.
 EDGE = 1e-13  # Rounding allowed in a reach test, as a fraction of the lengths.
@@ -119,8 +119,7 @@ def forearm(P, d, a4, a6, near):
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
     size = a4 + a6
-    # a4 cos(theta_5) is clamped to what the elbow spans, because poses near cos(theta_5) = 0 would lose half their
-    # digits.
+    # a4 cos(theta_5) is clamped to what the elbow spans, or poses near cos(theta_5) = 0 would lose half their digits.
     reach = math.sqrt(max((a4 - z) * (a4 + z), 0.0))
     on_six = abs(r - a6) <= ON_AXIS * size and reach <= 1e-6 * a4
     reach = 0.0 if on_six else min(max(reach, abs(r - a6)), r + a6)

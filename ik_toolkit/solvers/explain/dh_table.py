@@ -12,7 +12,7 @@ from ...robot.library import shipped_robots
 from ..closed_form.geometry import across, angle_about, read_screws
 from .layout import Block, Sentence, Table, Variable, decimals, number
 
-# Axes count as parallel if the sine between them is below this, and as meeting if they are nearer than this part of reach.
+# Axes are parallel if the sine between them is below 1e-7, and meet if they are nearer than 1e-7 of the reach.
 SAME = 1e-7
 AGREES = 1e-6  # The table and the robot may differ by this [of the reach, or rad].
 

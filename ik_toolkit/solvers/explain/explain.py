@@ -20,11 +20,9 @@ from .dh_table import dh_of
 from .explanation import Explanation, Iterations
 from .worked_solution import Branch, WorkedSolution
 
-# The finish on the real chain corrects errors up to this fraction of the reach, also those of EAIK near a singular
-# pose.
+# The finish on the real chain corrects errors up to 1e-3 of the reach, also those of EAIK near singular poses.
 NEARLY = 1e-3
-# The answer is a branch if it is within this [rad, or of the reach] of it, because the finish moves the branch of a
-# near fit.
+# An answer is a branch if it is within 1e-6 [rad, or of the reach] of it; the finish moves branches of a near fit.
 SAME = 1e-6
 
 

@@ -12,9 +12,8 @@ from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.str import StrPrinter
 
 BREAK = "\v"  # This marks in MathML where a line may end.
-SLOT = re.compile(
-    "\x01(\\w+)\x02(\\(?)"
-)  # This marks in a written formula where the number of a symbol goes, in parentheses or not.
+# SLOT finds the places in a written formula where the number of a symbol goes, in parentheses or not.
+SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
 class _Slot(sympy.Symbol):

@@ -17,7 +17,7 @@ from ..tuning_space import Parameter, Space, start_parameter
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # Each unit of gain is this many rad/m.
 
 
-# A trial must improve the error by more than this fraction of the length scale, which is above rounding.
+# A trial must improve the error by more than 1e-14 of the length scale, which is above rounding.
 ROUNDING = 1e-14
 
 
@@ -63,9 +63,8 @@ class Gains(NamedTuple):
                 s.q[i] = p.inside(i, old + size if sign == 0 else old - size)
                 f = p.try_out(s.q)
                 value = p.norm(f, self.orientation)
-                if (
-                    value < least - ROUNDING
-                ):  # Not moving wins ties, for example for a roll about the tip when only positions count.
+                # Not moving wins ties, for example for a roll about the tip when only positions count.
+                if value < least - ROUNDING:
                     least = value
                     kept = s.q[i]
                     done = f.good

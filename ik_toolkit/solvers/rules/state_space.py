@@ -23,17 +23,14 @@ from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
 # Each system of units is given per metre of error and in rad per unit of increment.
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
-# The table begins with the numbers of states and maps, whether there is a D, and whether each step chooses the map
-# anew.
+# The table begins with the numbers of states and maps, whether there is a D, and whether each step chooses a map.
 HEAD = 4
 MAPS = 128  # Number of starts of the designed solver.
 TUNED_MAPS = 32  # Number of starts of a tuned solver.
 C_FIXED = -0.05  # (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver, so C need not be searched.
 SAMPLES = 4096  # Starts are picked from this many configurations.
-SPREAD, RADIUS = (
-    0.15,
-    0.3,
-)  # Jacobians are averaged over +- SPREAD of a joint's range, but at most RADIUS [rad, or of the reach].
+# Jacobians are averaged over +- 15 % of a joint's range, but at most 0.3 rad (or of the reach).
+SPREAD, RADIUS = 0.15, 0.3
 DAMPING = 0.1  # This damps the inverse of the averaged Jacobian, in its units of reach and joint range.
 SETTLED = 1e-13  # A state that changes by less in a step has settled.
 # Loop gain kappa at a start for positions (True) and for poses; at 2 the step is unstable.
