@@ -30,15 +30,22 @@ from .pose import rpy_matrix
 LINES = 16384  # Number of rows read at a time.
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
 ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # The columns of x, y, z and w.
-# The arrays of a file together may take UNPACKED bytes, and EXPANSION bytes for each byte of the file.
-# Compressed poses are at least a fifth of their size.
-UNPACKED, EXPANSION = 2**26, 20
-NAMES = 2**18  # Limit on the bytes of an array of names.
 NUMBERS, TEXTS = "fiu", "U"  # Arrays of these kinds of dtype are read as numbers, and as names.
-HEADER = 2**16  # Limit on the bytes of an array's header, which numpy takes into memory before it looks at it.
-# Limit on the bytes of a JSON file, whose lists take up to 20 times as much, and a second for 5 MB.
-JSON_BYTES = 20_000_000
-LONGEST_LINE = 2**20  # Limit on the characters of a line.
+
+
+class PoseFileCaps(NamedTuple):
+    """Limits on a file, in bytes and characters, so that none exhausts this process; a file beyond one is refused."""
+
+    unpacked: int = 2**26  # Bytes of the arrays of a file together, besides `expansion` for each byte of the file.
+    # Bytes of arrays for each byte of the file; compressed poses are at least a fifth of their size.
+    expansion: int = 20
+    names: int = 2**18  # Bytes of an array of names.
+    header: int = 2**16  # Bytes of an array's header, which numpy takes into memory before it looks at it.
+    json: int = 20_000_000  # Bytes of a JSON file, whose lists take up to 20 times as much, and a second for 5 MB.
+    line: int = 2**20  # Characters of a line.
+
+
+CAPS = PoseFileCaps()
 
 
 class Block(NamedTuple):
@@ -108,8 +115,8 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
 
 def read_json(path: Path, error: type[IKError]) -> Any:
     """Read a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
-    if path.stat().st_size > JSON_BYTES:
-        raise error(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ or CSV")
+    if path.stat().st_size > CAPS.json:
+        raise error(f"'{path.name}' is larger than {CAPS.json / 1e6:.0f} MB; save it as NPZ or CSV")
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:
@@ -119,7 +126,7 @@ def read_json(path: Path, error: type[IKError]) -> Any:
 def _array(path: Path, name: str, value: Any) -> np.ndarray:
     """Return numbers (or names) from JSON as an array."""
     if name == "tips":
-        if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < NAMES // 4 for one in value):
+        if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < CAPS.names // 4 for one in value):
             raise InvalidTarget(f"'{path.name}': tips must be a list of names")
         return np.array(value, dtype=object)
     with suppress(TypeError, ValueError, OverflowError):  # `floats` would look for masked entries in millions of lists.
@@ -198,7 +205,7 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
         for member in members:
             name = member.filename.removesuffix(".npy")
             with archive.open(member) as stream:
-                start = io.BytesIO(stream.read(HEADER))
+                start = io.BytesIO(stream.read(CAPS.header))
                 version = np.lib.format.read_magic(start)
                 read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
                 shape, _, dtype = read(start)
@@ -211,9 +218,9 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
                     f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
                 )
             together += member.file_size
-            if name in texts and promised > NAMES:
+            if name in texts and promised > CAPS.names:
                 raise error(f"'{path.name}': the array {name} takes {promised:,} bytes, too many for names")
-            if together > UNPACKED + EXPANSION * packed:
+            if together > CAPS.unpacked + CAPS.expansion * packed:
                 raise error(
                     f"'{path.name}': {member.filename} unpacks to {together / 1e6:,.1f} MB from {packed / 1e6:,.1f} MB; save it "
                     "with numpy.savez, without compression"
@@ -223,9 +230,9 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
 def _lines(stream: TextIO, name: str) -> Iterator[str]:
     """Yield the lines of a file. Raises InvalidTarget for one that is too long to be a row."""
     for k in count(1):
-        line = stream.readline(LONGEST_LINE + 1)
-        if len(line) > LONGEST_LINE:
-            raise InvalidTarget(f"'{name}', line {k} has more than {LONGEST_LINE:,} characters")
+        line = stream.readline(CAPS.line + 1)
+        if len(line) > CAPS.line:
+            raise InvalidTarget(f"'{name}', line {k} has more than {CAPS.line:,} characters")
         if not line:
             return
         yield line

@@ -1,6 +1,6 @@
 """Finds distinct solutions by search: one attempt from each of many starts, with equal answers merged."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,21 +23,30 @@ ONE_ATTEMPT: dict[str, Any] = {
     "wrap": None,
     "follow": 0.0,
 }
-SAME = 1e-3  # Two numerical answers are one if no joint differs by more [rad, or of the reach].
-# Tolerance of the numerical search, because answers to 1e-6 differ too much near singular poses to be merged.
-TIGHT = 1e-9
-FLAT = 1e-4  # A direction may lead along a family if its singular value (lengths over the scale) is below this.
-STRIDE = 0.02  # Step along that direction [rad, or of the scale]; an isolated answer is not found again so far away.
-CLOSE, STEPS = 1e-2, 40  # Answers with smaller errors [of the scale, rad] are finished numerically, with so many steps.
-MOST_DIRECTIONS = 256  # This many directions are tried for families, enough to name the joints that move.
+
+
+class SearchThresholds(NamedTuple):
+    """Thresholds of the numerical search, in rad or parts of the robot's scale."""
+
+    same: float = 1e-3  # Two numerical answers are one if no joint differs by more [rad, or of the reach].
+    # Tolerance of the search, because answers to 1e-6 differ too much near singular poses to be merged.
+    tight: float = 1e-9
+    flat: float = 1e-4  # A direction may lead along a family if its singular value (lengths over scale) is smaller.
+    stride: float = 0.02  # Step along such a direction; an isolated answer is not found again so far away.
+    close: float = 1e-2  # Answers with smaller errors are finished numerically.
+    steps: int = 40  # Number of steps that finish such an answer.
+    directions: int = 256  # Number of directions tried for families, enough to name the joints that move.
+
+
+THRESHOLDS = SearchThresholds()
 
 
 def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
     """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first."""
     robot, o, n = plan.robot, plan.options, plan.robot.n
     tight = {
-        "position_tolerance": min(TIGHT, o.position_tolerance),
-        "orientation_tolerance": min(TIGHT, o.orientation_tolerance),
+        "position_tolerance": min(THRESHOLDS.tight, o.position_tolerance),
+        "orientation_tolerance": min(THRESHOLDS.tight, o.orientation_tolerance),
     }
     single = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT, **tight)
     rng = np.random.default_rng(o.seed)
@@ -81,13 +90,13 @@ def _redundant(plan: Plan, kinds: tuple) -> bool:
 
 def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) -> None:
     """Give result rows that ended close to the target more steps, because an attempt converges slowly at a singular pose."""
-    close = (out[:, AT.status] != CONVERGED) & (out[:, AT.position] < CLOSE * single.robot.chain.scale)
-    close &= out[:, AT.rotation] < CLOSE
+    close = (out[:, AT.status] != CONVERGED) & (out[:, AT.position] < THRESHOLDS.close * single.robot.chain.scale)
+    close &= out[:, AT.rotation] < THRESHOLDS.close
     if not close.any():
         return
     rows, ends = single.chain[:2]
     Q, errors = out[close, ANSWER:], np.empty((close.sum(), 2))
-    finished(rows, ends, single.orders(kinds, True), T[0], Q, STEPS, errors)
+    finished(rows, ends, single.orders(kinds, True), T[0], Q, THRESHOLDS.steps, errors)
     good = (errors < (single.options.position_tolerance, single.options.orientation_tolerance)).all(axis=1)
     where = np.flatnonzero(close)[good]
     out[where, ANSWER:] = Q[good]
@@ -120,23 +129,23 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redun
     _, values, directions = np.linalg.svd(J)
     wide = np.zeros((len(J), len(moving)))
     wide[:, : values.shape[1]] = values
-    where, which = np.nonzero(wide < FLAT)
+    where, which = np.nonzero(wide < THRESHOLDS.flat)
     if not len(where):
         return ()
-    where, which = where[:MOST_DIRECTIONS], which[:MOST_DIRECTIONS]
+    where, which = where[: THRESHOLDS.directions], which[: THRESHOLDS.directions]
     V = np.zeros((len(where), robot.n))
     V[:, moving] = directions[where, which]
-    tried = np.vstack([found.q[where] + sign * STRIDE * V * robot.chain.unit for sign in (1.0, -1.0)])
+    tried = np.vstack([found.q[where] + sign * THRESHOLDS.stride * V * robot.chain.unit for sign in (1.0, -1.0)])
     if single.options.limits:
         tried = np.clip(tried, robot.lower, robot.upper)
     out = _attempts(single, T, kinds, tried)
     turning, _ = turning_joints(single)
     moved = np.abs(out[:, ANSWER : ANSWER + robot.n] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
     moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
-    another = (out[:, AT.status] == CONVERGED) & (moved.max(axis=1) > 0.5 * STRIDE)
+    another = (out[:, AT.status] == CONVERGED) & (moved.max(axis=1) > 0.5 * THRESHOLDS.stride)
     if not another.any():
         return ()
-    joints = (moved[another] > 1e-2 * STRIDE).any(axis=0)
+    joints = (moved[another] > 1e-2 * THRESHOLDS.stride).any(axis=0)
     names = tuple(name for name, moves in zip(robot.joint_names, np.atleast_1d(joints), strict=True) if moves)
     who = "all joints move" if len(names) == robot.n else f"{', '.join(names)} {'move' if len(names) > 1 else 'moves'}"
     return (Family(names, None, None, f"a family of solutions, found numerically: {who} along it"),)
@@ -148,7 +157,7 @@ def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
     unit = found.robot.chain.unit
     kept: list[int] = []
     for k, q in enumerate(found.q):
-        if not kept or _apart(found.q[kept], q, unit, turning).min() >= SAME:
+        if not kept or _apart(found.q[kept], q, unit, turning).min() >= THRESHOLDS.same:
             kept.append(k)
     return found.keep(np.array(kept, dtype=int))
 

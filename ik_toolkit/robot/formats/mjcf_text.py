@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ...errors import ModelError
 from ..geometry.meshes import lies_in
-from .urdf import MAX_BYTES, check_names, source_text, walk
+from .urdf import CAPS, check_names, source_text, walk
 
 MAX_COPIES = 20_000  # Limit on the number of elements after replication, and of keyframes times bodies.
 MAX_INCLUDES = 200  # Limit on the number of included files. The largest model of the MuJoCo Menagerie has 5.
@@ -48,7 +48,7 @@ class Flattener:
 
     def __init__(self, path: Path | None, folders: list[Path]) -> None:
         self.home = path.resolve().parent if path else None
-        self.folders, self.bytes = folders, MAX_BYTES
+        self.folders, self.bytes = folders, CAPS.bytes
         self.included: list[Path] = []
 
     def find(self, name: str, beside: Path | None) -> Path:
@@ -87,7 +87,7 @@ class Flattener:
             text = source_text(file, "MJCF")
             self.bytes -= len(text)
             if self.bytes < 0:
-                raise ModelError(f"the model and what it includes are larger than {MAX_BYTES // 1_000_000} MB")
+                raise ModelError(f"the model and what it includes are larger than {CAPS.bytes // 1_000_000} MB")
             inner = tree(text)
             self.put_in(inner, file.parent, (*above, file))
             children += list(inner)

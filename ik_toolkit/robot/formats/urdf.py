@@ -11,16 +11,24 @@ from xml.parsers import expat
 from ...errors import ModelError
 from .decode import decode, undeclared
 
-MAX_BYTES = 20_000_000  # Limit on the size of a file [bytes].
-MAX_JOINTS = 1_000  # Fixed and mimic joints count too, because Pinocchio's parser recurses once per joint of a chain.
-# A pin.Data holds eight arrays of n^3 doubles: 134 MB at 128 degrees of freedom, 0.5 GB at 200, 8 GB at 500.
-MAX_FREEDOM = 128
-MAX_ELEMENTS = 200_000
-MAX_DEPTH = 64
-MAX_ATTRIBUTES = 64  # Pinocchio's parser takes time quadratic in the attributes of an element; URDF defines at most 6.
-MAX_NAME = 255  # Limit on characters, as for a file name, because messages repeat names.
-MAX_TAG = 1_000_000  # Limit on the bytes of one tag or comment, which the parser keeps in memory as a whole.
-CHUNK = 65_536  # Bytes that are given to the parser at a time.
+
+class UrdfCaps(NamedTuple):
+    """Limits on a URDF, so that no file can exhaust this process; a file beyond one of them is refused."""
+
+    bytes: int = 20_000_000
+    # Fixed and mimic joints count too, because Pinocchio's parser recurses once per joint of a chain.
+    joints: int = 1_000
+    # A pin.Data holds eight arrays of n^3 doubles: 134 MB at 128 degrees of freedom, 0.5 GB at 200, 8 GB at 500.
+    freedom: int = 128
+    elements: int = 200_000
+    depth: int = 64
+    attributes: int = 64  # Pinocchio's parser takes time quadratic in the attributes of an element; URDF has at most 6.
+    name: int = 255  # Number of characters, as for a file name, because messages repeat names.
+    tag: int = 1_000_000  # Number of bytes of a tag or comment, which the parser keeps in memory as a whole.
+    chunk: int = 65_536  # Number of bytes that are given to the parser at a time.
+
+
+CAPS = UrdfCaps()
 BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
 ENDLESS = 1e16  # Robot reads a limit of this size as no limit (NO_LIMIT).
 # Each type of joint has so many degrees of freedom.
@@ -120,8 +128,8 @@ def source_text(source: str | Path, what: str) -> str:
     """Return text from a file or a string. Raises ModelError if it is missing, empty, over 20 MB or not UTF-8."""
     if is_text(source):
         assert isinstance(source, str)
-        if len(source) > MAX_BYTES:
-            raise ModelError(f"the {what} text is larger than {MAX_BYTES // 1_000_000} MB")
+        if len(source) > CAPS.bytes:
+            raise ModelError(f"the {what} text is larger than {CAPS.bytes // 1_000_000} MB")
         return undeclared(source.lstrip(BLANK))
     return _read_file(Path(source).expanduser())
 
@@ -132,18 +140,20 @@ def _read_file(path: Path) -> str:
         regular, exists = path.is_file(), path.exists()
         if regular:
             with path.open("rb") as file:
-                raw = file.read(MAX_BYTES + 1)
+                raw = file.read(CAPS.bytes + 1)
     except (OSError, ValueError) as error:  # A path that contains a NUL raises ValueError.
         raise ModelError(f"cannot read {shown}: {getattr(error, 'strerror', None) or error}") from None
     if not regular:
         raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
-    if len(raw) > MAX_BYTES:
-        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB, too large for a robot description")
+    if len(raw) > CAPS.bytes:
+        raise ModelError(
+            f"'{path.name}' is larger than {CAPS.bytes // 1_000_000} MB, too large for a robot description"
+        )
     text = decode(raw, path.name).lstrip(BLANK)
     if not text:
         raise ModelError(f"'{path.name}' is empty")
-    if not text.isascii() and len(text.encode(errors="replace")) > MAX_BYTES:
-        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB as UTF-8")
+    if not text.isascii() and len(text.encode(errors="replace")) > CAPS.bytes:
+        raise ModelError(f"'{path.name}' is larger than {CAPS.bytes // 1_000_000} MB as UTF-8")
     return text
 
 
@@ -171,8 +181,8 @@ def parse(text: str) -> list[Item]:
             raise HasMacros(f"line {line} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf")
         if len(above) < 2:
             joints += tag == "joint" and len(above) == 1
-            if joints > MAX_JOINTS:
-                raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
+            if joints > CAPS.joints:
+                raise ModelError(f"the URDF has more than {CAPS.joints:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
         elif above[1] in ITEMS:
             items[-1].inside.append(Part(tag, attributes, line, tuple(above[2:])))
@@ -182,9 +192,9 @@ def parse(text: str) -> list[Item]:
     walk(text, "URDF", start)
     joined = [item for item in items if item.tag == "joint" and item.first("mimic") is None]
     freedom = sum(FREEDOM.get(item.attributes.get("type", ""), 0) for item in joined)
-    if freedom > MAX_FREEDOM:
+    if freedom > CAPS.freedom:
         raise ModelError(
-            f"the URDF has {freedom} degrees of freedom; at most {MAX_FREEDOM} are read, because the memory Pinocchio "
+            f"the URDF has {freedom} degrees of freedom; at most {CAPS.freedom} are read, because the memory Pinocchio "
             "needs grows with their cube; make the joints that need not move fixed"
         )
     return items
@@ -192,8 +202,8 @@ def parse(text: str) -> list[Item]:
 
 def check_names(attributes: Mapping[str, str], what: str, line: int) -> None:
     """Raise ModelError if an attribute that is a name is too long."""
-    if any(len(value) > MAX_NAME for value in attributes.values()):
-        raise ModelError(f"the {what} has a name of more than {MAX_NAME} characters in line {line}; it is not read")
+    if any(len(value) > CAPS.name for value in attributes.values()):
+        raise ModelError(f"the {what} has a name of more than {CAPS.name} characters in line {line}; it is not read")
 
 
 def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[str], int], None]) -> None:
@@ -209,12 +219,12 @@ def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[st
     def begin(tag: str, attributes: dict[str, str]) -> None:
         nonlocal elements
         elements += 1
-        if elements > MAX_ELEMENTS:
-            raise ModelError(f"the {what} has more than {MAX_ELEMENTS:,} elements; it is not read")
+        if elements > CAPS.elements:
+            raise ModelError(f"the {what} has more than {CAPS.elements:,} elements; it is not read")
         line = parser.CurrentLineNumber
-        if len(stack) >= MAX_DEPTH:
-            raise ModelError(f"the {what} is nested more than {MAX_DEPTH} deep in line {line}; it is not read")
-        if len(attributes) > MAX_ATTRIBUTES:
+        if len(stack) >= CAPS.depth:
+            raise ModelError(f"the {what} is nested more than {CAPS.depth} deep in line {line}; it is not read")
+        if len(attributes) > CAPS.attributes:
             raise ModelError(
                 f"the {what} has an element with {len(attributes):,} attributes in line {line}; it is not read"
             )
@@ -290,11 +300,11 @@ def span(joint: Item) -> tuple[float, float]:
 
 def _feed(parser: Any, raw: bytes, what: str) -> None:
     """Parse the text piece by piece, so that an endless tag or comment is rejected before it fills the memory."""
-    for start in range(0, len(raw), CHUNK):
-        parser.Parse(raw[start : start + CHUNK], False)
-        if start + CHUNK - parser.CurrentByteIndex > MAX_TAG + CHUNK:
+    for start in range(0, len(raw), CAPS.chunk):
+        parser.Parse(raw[start : start + CAPS.chunk], False)
+        if start + CAPS.chunk - parser.CurrentByteIndex > CAPS.tag + CAPS.chunk:
             raise ModelError(
-                f"the {what} has a tag or comment of more than {MAX_TAG // 1_000_000} MB in line "
+                f"the {what} has a tag or comment of more than {CAPS.tag // 1_000_000} MB in line "
                 f"{parser.CurrentLineNumber}; it is not read"
             )
     parser.Parse(b"", True)

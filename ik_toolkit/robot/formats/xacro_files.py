@@ -7,18 +7,26 @@ import os
 import re
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 from xml.dom import minidom
 from xml.parsers import expat
 
-BYTES = 20_000_000  # Limit on the bytes of all files together.
-# Limits on the bytes of a YAML file and on the characters of one value in it.
-YAML_BYTES, YAML_SCALAR = 2_000_000, 2_000
 DECLARED = re.compile(rb"""(\s*<\?xml[^>]*?encoding=["'])([A-Za-z0-9._-]{1,40})""")
 KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # The XML parser expat knows these encodings.
-NESTED = 200  # Limit on the depth of XML elements.
-ELEMENTS = 200_000  # Limit on the elements of all files together.
 UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.001, "foot": 0.3048, "inches": 0.0254}
+
+
+class XacroFileCaps(NamedTuple):
+    """Limits on the files of a xacro file, so that none exhausts this process; a file beyond one is refused."""
+
+    bytes: int = 20_000_000  # Bytes of all files together.
+    yaml_bytes: int = 2_000_000  # Bytes of a YAML file, and its size once its anchors are put in.
+    yaml_scalar: int = 2_000  # Characters of one value in YAML.
+    nested: int = 200  # Depth of XML elements.
+    elements: int = 200_000  # XML elements of all files together.
+
+
+CAPS = XacroFileCaps()
 
 
 class Files:
@@ -48,13 +56,13 @@ class Files:
         with open(real, "rb") as file:
             raw = file.read(most + 1)
         self.bytes += len(raw)
-        if len(raw) > most or self.bytes > BYTES:
+        if len(raw) > most or self.bytes > CAPS.bytes:
             raise self.values.Refused(f"'{os.path.basename(path)[:100]}' and what is read before it are too large")
         return raw
 
     def xml(self, path: str) -> Any:
         """Return the document of an XML file. Raises Refused."""
-        raw, depth = self.read(path, BYTES), 0
+        raw, depth = self.read(path, CAPS.bytes), 0
         declared = DECLARED.match(raw)
         if declared and declared[2].lower() not in KNOWN:
             try:
@@ -65,8 +73,10 @@ class Files:
         def start(tag: str, attributes: dict) -> None:
             nonlocal depth
             depth, self.elements = depth + 1, self.elements + 1
-            if depth > NESTED or self.elements > ELEMENTS:
-                raise self.values.Refused(f"its elements are nested more than {NESTED} deep, or more than {ELEMENTS:,}")
+            if depth > CAPS.nested or self.elements > CAPS.elements:
+                raise self.values.Refused(
+                    f"its elements are nested more than {CAPS.nested} deep, or more than {CAPS.elements:,}"
+                )
 
         def end(tag: str) -> None:
             nonlocal depth
@@ -89,7 +99,7 @@ class Files:
         """Return the plain values of a YAML file; `number` computes a text with a unit. Raises Refused."""
         import yaml
 
-        raw = self.read(path, YAML_BYTES)
+        raw = self.read(path, CAPS.yaml_bytes)
 
         Loader: Any = type("Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
 
@@ -121,8 +131,8 @@ def weigh(events: Any, values: ModuleType) -> None:
             anchor, weight = open_.pop()
         elif kind == "ScalarEvent":
             weight += len(event.value)
-            if weight > YAML_SCALAR:
-                raise values.Refused(f"a value in YAML has more than {YAML_SCALAR:,} characters")
+            if weight > CAPS.yaml_scalar:
+                raise values.Refused(f"a value in YAML has more than {CAPS.yaml_scalar:,} characters")
         elif kind == "AliasEvent":
             weight = known.get(anchor or "", 1)
             anchor = None
@@ -132,5 +142,5 @@ def weigh(events: Any, values: ModuleType) -> None:
             known[anchor] = weight
         above, before = open_[-1]
         open_[-1] = above, before + weight
-        if before + weight > YAML_BYTES:
+        if before + weight > CAPS.yaml_bytes:
             raise values.Refused("YAML is too large once its anchors are put in")

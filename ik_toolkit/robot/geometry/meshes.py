@@ -22,16 +22,24 @@ from ...errors import ModelError
 from ..packages import find_package
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
-MAX_MESH_BYTES = 100_000_000  # Limit on a file's bytes. The largest file of example-robot-data has 29 MB.
-MAX_TRIANGLES = 2_000_000  # Limit on a file's triangles. The largest file of example-robot-data has 351,394.
-MAX_MESHES = 1_000  # Limit on the different files of a robot.
-MAX_PACKAGES = 50  # Limit on the different packages of a robot.
-# Memory cap [bytes] of the reading process. The largest file of example-robot-data takes 0.5 GB.
-MEMORY = 2_000_000_000
 # Cap on processor time [s] for each file. The largest file of example-robot-data takes 1.6 s in all.
-SECONDS, SECONDS_PER_MB = 4.0, 2.0
-MAX_CRASHES = 5  # Limit on the reading processes that may crash for one robot.
-KEPT = 256  # At most this many files have their triangles cached.
+SECONDS = 4.0
+
+
+class MeshCaps(NamedTuple):
+    """Limits on the meshes of a robot; the comments give what the largest file of example-robot-data has."""
+
+    bytes: int = 100_000_000  # Bytes of a file, of which that file has 29 MB.
+    triangles: int = 2_000_000  # Triangles of a file, of which that file has 351,394.
+    meshes: int = 1_000  # Different files of a robot.
+    packages: int = 50  # Different packages of a robot.
+    memory: int = 2_000_000_000  # Memory [bytes] of the reading process, of which that file takes 0.5 GB.
+    seconds_per_mb: float = 2.0  # Processor time [s] for each MB of a file, beyond SECONDS.
+    crashes: int = 5  # Reading processes that may crash for one robot.
+    kept: int = 256  # Files whose triangles are cached.
+
+
+CAPS = MeshCaps()
 WORKER = Path(__file__).with_name("mesh_worker.py")
 
 
@@ -73,7 +81,7 @@ def mesh_packages(names: Iterable[str], path: Path | None, package_dirs: Iterabl
     spoken = dict.fromkeys(
         name.partition("://")[2].partition("/")[0] for name in names if name.startswith("package://")
     )
-    found = {package: find_package(package, path, package_dirs) for package in [*spoken][:MAX_PACKAGES]}
+    found = {package: find_package(package, path, package_dirs) for package in [*spoken][: CAPS.packages]}
     return {package: folder for package, folder in found.items() if folder}
 
 
@@ -115,8 +123,8 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         raise ModelError("is a link that leads outside the allowed folders" if real else "is not there")
     if found.suffix.lower() not in FORMATS:
         raise ModelError(f"is not a supported format ({', '.join(FORMATS)})")
-    if size > MAX_MESH_BYTES:
-        raise ModelError(f"is larger than {MAX_MESH_BYTES // 1_000_000} MB")
+    if size > CAPS.bytes:
+        raise ModelError(f"is larger than {CAPS.bytes // 1_000_000} MB")
     return found
 
 
@@ -142,13 +150,13 @@ def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> di
         key = kind, path, about.st_size, about.st_mtime_ns, tuple(folders)
         if key in _read:
             found[path] = _read[key]
-        elif len(left) < MAX_MESHES:
+        elif len(left) < CAPS.meshes:
             left[path] = key
         else:
-            found[path] = Mesh(refused=f"is not read: the robot has more than {MAX_MESHES:,} meshes")
-    for _ in range(MAX_CRASHES):
+            found[path] = Mesh(refused=f"is not read: the robot has more than {CAPS.meshes:,} meshes")
+    for _ in range(CAPS.crashes):
         for path, mesh in (_run([*left], kind, folders) if left else {}).items():
-            if len(_read) >= KEPT:
+            if len(_read) >= CAPS.kept:
                 del _read[next(iter(_read))]
             found[path] = _read[left.pop(path)] = mesh
     return found | dict.fromkeys(left, Mesh(refused="is not read: too many others crashed their reader"))
@@ -156,16 +164,16 @@ def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> di
 
 def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
     """Read files in one process until all are read or one crashes it; return the files done, including the one that crashed it."""
-    seconds = [SECONDS + SECONDS_PER_MB * path.stat().st_size / 1e6 for path in paths]
+    seconds = [SECONDS + CAPS.seconds_per_mb * path.stat().st_size / 1e6 for path in paths]
     with tempfile.TemporaryDirectory(prefix="ik_mesh_") as out:
         job = {
             "kind": kind,
             "out": out,
             "folders": [str(folder) for folder in folders],
             "files": [(str(path), allowed) for path, allowed in zip(paths, seconds, strict=True)],
-            "bytes": MAX_MESH_BYTES,
-            "triangles": MAX_TRIANGLES,
-            "memory": MEMORY,
+            "bytes": CAPS.bytes,
+            "triangles": CAPS.triangles,
+            "memory": CAPS.memory,
         }
         # One thread is enough, and every further one takes memory.
         threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")

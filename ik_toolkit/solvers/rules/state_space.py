@@ -25,16 +25,25 @@ from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
 # The table begins with the numbers of states and maps, whether there is a D, and whether each step chooses a map.
 HEAD = 4
-MAPS = 128  # Number of starts of the designed solver.
-TUNED_MAPS = 32  # Number of starts of a tuned solver.
 C_FIXED = -0.05  # (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver, so C need not be searched.
-SAMPLES = 4096  # Starts are picked from this many configurations.
-# Jacobians are averaged over +- 15 % of a joint's range, but at most 0.3 rad (or of the reach).
-SPREAD, RADIUS = 0.15, 0.3
-DAMPING = 0.1  # This damps the inverse of the averaged Jacobian, in its units of reach and joint range.
 SETTLED = 1e-13  # A state that changes by less in a step has settled.
-# Loop gain kappa at a start for positions (True) and for poses; at 2 the step is unstable.
-LOOP_GAIN = {True: 0.9, False: 0.6}
+
+
+class MapDesign(NamedTuple):
+    """Numbers of the designed solver, which has a map for each of many starts."""
+
+    maps: int = 128  # Number of starts.
+    tuned_maps: int = 32  # Number of starts of a tuned solver.
+    samples: int = 4096  # Number of configurations from which the starts are picked.
+    # Jacobians are averaged over +- spread of a joint's range, but at most radius [rad, or of the reach].
+    spread: float = 0.15
+    radius: float = 0.3
+    damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, in its units of reach and joint range.
+    position_gain: float = 0.9  # Loop gain kappa at a start, for positions; at 2 the step is unstable.
+    pose_gain: float = 0.6  # Loop gain kappa at a start, for poses.
+
+
+DESIGN = MapDesign()
 
 
 @compiled
@@ -152,10 +161,9 @@ class StateSpace(NamedTuple):
             return self
         key = ("state-space design", position_only)
         if key not in robot.memo:
-            starts = spread_starts(robot, position_only, MAPS)
-            robot.memo[key] = StateSpace(
-                D=LOOP_GAIN[position_only] * inverse_maps(robot, starts, position_only), starts=starts
-            )
+            starts = spread_starts(robot, position_only, DESIGN.maps)
+            gain = DESIGN.position_gain if position_only else DESIGN.pose_gain
+            robot.memo[key] = StateSpace(D=gain * inverse_maps(robot, starts, position_only), starts=starts)
         return robot.memo[key]
 
     @classmethod
@@ -163,7 +171,7 @@ class StateSpace(NamedTuple):
         cls, robot: Any, position_only: bool, initial: "StateSpace | None" = None, maps: int | None = None
     ) -> Space:
         """Return what is tuned: one start and the published structure (maps=1), or starts with designed maps (default 32)."""
-        maps = TUNED_MAPS if maps is None else maps
+        maps = DESIGN.tuned_maps if maps is None else maps
         if maps == 1:
             return _one_map(robot, position_only, initial)
         return _several_maps(robot, position_only, maps) if initial is None else _split(robot, maps, initial)
@@ -245,7 +253,7 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
     rng = np.random.default_rng(seed)
     chain = robot.chain
     low, width = sampling_box(robot)
-    Q = low + width * rng.random((max(SAMPLES, 32 * count), robot.n))
+    Q = low + width * rng.random((max(DESIGN.samples, 32 * count), robot.n))
     T, J = chain.forward(Q, jacobian=True)
     feature = T[:, :3, 3] / chain.scale
     J = J[:, : 3 if position_only else 6] * np.minimum(width, 2.0 * chain.unit)
@@ -286,14 +294,14 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
     chain, n = robot.chain, robot.n
     low, width = sampling_box(robot)
     rows = 3 if position_only else 6
-    radius = np.minimum(SPREAD * width, RADIUS * chain.unit)
+    radius = np.minimum(DESIGN.spread * width, DESIGN.radius * chain.unit)
     offsets = rng.uniform(-1.0, 1.0, (64, n)) * radius
     Q = np.clip(starts[:, None] + offsets, np.minimum(low, starts[:, None]), np.maximum(low + width, starts[:, None]))
     J = chain.forward(Q.reshape(-1, n), jacobian=True)[1].reshape(len(starts), 64, 6, n).mean(axis=1)[:, :rows]
     J[:, :3] /= chain.scale
     weight = np.minimum(width, 2.0 * chain.unit)  # Joints move in proportion to their range.
     W = J * weight
-    inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DAMPING**2 * np.eye(rows))
+    inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DESIGN.damping**2 * np.eye(rows))
     maps = inverse * weight[:, None]
     maps[:, :, :3] /= chain.scale
     return maps
@@ -349,7 +357,10 @@ def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
         where = values["starts"]
         return StateSpace(D=values["kappa"] * inverse_maps(robot, where, position_only), starts=where)
 
-    parameters = (start_parameter(robot, starts), Parameter("kappa", 0.2, 1.6, 0.9 if position_only else 0.6))
+    parameters = (
+        start_parameter(robot, starts),
+        Parameter("kappa", 0.2, 1.6, DESIGN.position_gain if position_only else DESIGN.pose_gain),
+    )
     initial = make({"starts": starts, "kappa": parameters[1].initial})
     return Space(parameters, initial, make, spread=0.08)
 
