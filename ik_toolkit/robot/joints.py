@@ -89,7 +89,7 @@ class Joints(ReadOnly):
         "on_base": "load it with on_base=",
         "base_limits": "load it with base_limits=",
         "package_dirs": "load it with package_dirs=",
-        "": "load the robot again as it should be",
+        "": "load the robot again with the settings you want",
     }
 
     name: str

@@ -219,7 +219,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
         elif name in ("limits", "history", "check", "closest") or (name == "wrap" and value is not None):
             if not isinstance(value, bool | np.bool_):  # A text such as "no" would count as true.
-                hint = " (what it is nearest to is q0)" if name == "closest" else ""
+                hint = " (q0 is what the solution is nearest to)" if name == "closest" else ""
                 raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
             values[name] = bool(value)
         elif name == "follow":

@@ -236,7 +236,7 @@ def _row(point: Any) -> Row:
     if not isinstance(row, Row):
         raise InvalidOption(f"{point.value} is a {type(row).__name__}, not a Row of ik_toolkit.solvers.registry")
     if row.name != point.name:
-        raise InvalidOption(f"its row is called '{row.name}'")
+        raise InvalidOption(f"its row has the name '{row.name}'")
     if not NAME.fullmatch(row.name) or row.name == "auto":
         raise InvalidOption(
             "a name must consist of lowercase letters, digits, '-', '_' and '.', and must not be 'auto'"

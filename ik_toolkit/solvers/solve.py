@@ -54,7 +54,7 @@ class Solver(ReadOnly):
         InvalidOption: An option is wrong.
     """
 
-    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options that are meant"}
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options you want"}
 
     def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Unpack[SolveOptions]) -> None:
         """Validate everything once; the loop is compiled at the first call."""

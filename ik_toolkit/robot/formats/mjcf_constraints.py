@@ -78,8 +78,8 @@ class _Reader:
             self.joints[j]: (self.joints[leader], ratio, offset) for j, (leader, ratio, offset) in solved.tied.items()
         }
         for kind, said in (
-            (Loop, "is left open: the solvers do not close it, and each result says what it does to it"),
-            (Relation, "is not kept by the solvers, and each result says what it does to it"),
+            (Loop, "is left open: the solvers do not close it, and each result says how wide it opens"),
+            (Relation, "is not kept by the solvers, and each result says whether it holds"),
         ):
             notes += [f"{_what(one)} '{one.name}' {said}" for one in curved if isinstance(one, kind)]
         held = {self.joints[j]: value for j, value in solved.held.items()}

@@ -144,7 +144,7 @@ def _axis(joint: Item, kind: str) -> Iterator[Finding]:
     if parts:
         yield from _numbers(joint, parts[0], wrong)
     if kind == "planar" and not parts:
-        told = "it has no <axis>, so its plane is that of y and z, says URDF"
+        told = "it has no <axis>, so by URDF's default (1 0 0) its plane is that of y and z"
         yield odd(joint, told, 'write <axis xyz="0 0 1"/> for the plane of x and y', line, at_load=True)
     if parts and "xyz" not in parts[0].attributes:
         yield odd(joint, "its <axis> has no xyz: read as 1 0 0", 'write <axis xyz="0 0 1"/>', line, at_load=True)
@@ -184,7 +184,7 @@ def _limit(joint: Item, kind: str) -> Iterator[Finding]:
     for end, values in zip(("lower", "upper"), ends, strict=True):
         if len(values) != 1 or math.isnan(values[0]):
             told = f'<limit {end}="{limit[end][:60]}"> is not a number'
-            yield wrong(joint, told, "write a number, or inf for none", line)
+            yield wrong(joint, told, "write a number, or inf for no limit", line)
     if all(len(values) == 1 for values in ends):
         yield from _ends(joint, kind, limit, ends[0][0], ends[1][0], line)
 
@@ -195,7 +195,9 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
         told = f"its <limit> has no {' and no '.join(missing)}: read as 0"
         yield odd(joint, told, "write both limits", line, at_load=True)
     if low >= ENDLESS or high <= -ENDLESS:
-        yield wrong(joint, f"its limits {low:g} to {high:g} leave it no position", "-inf to inf is no limit", line)
+        yield wrong(
+            joint, f"its limits {low:g} to {high:g} leave it no position to take", "-inf to inf is no limit", line
+        )
     elif low > high:
         told = f"its lower limit {low:g} is above its upper limit {high:g}: no tip can use it"
         yield odd(joint, told, reversed_advice(low, high, kind == "revolute"), line)
@@ -237,9 +239,11 @@ def _power(joint: Item, limit: Mapping[str, str], key: str, line: int) -> Iterat
     if len(values) != 1 or math.isnan(values[0]):
         yield odd(joint, f'<limit {key}="{limit[key][:60]}"> is not a number', UNUSED, line)
     elif values[0] < 0.0:
-        yield odd(joint, f"its {key} limit is negative ({limit[key]}): taken for none", "write a positive number", line)
+        yield odd(
+            joint, f"its {key} limit is negative ({limit[key]}), read as no limit", "write a positive number", line
+        )
     elif values[0] == 0.0 and key == "velocity":
-        told = "its velocity limit is 0: taken for none, because a joint that may not move would be fixed"
+        told = "its velocity limit is 0, read as no limit: a joint that cannot move would be fixed"
         yield odd(joint, told, "write the speed of the real joint [rad/s or m/s]", line)
 
 

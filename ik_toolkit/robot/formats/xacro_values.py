@@ -174,7 +174,7 @@ class Evaluator:
         for word in node.keywords:
             value = self.value(word.value, names, depth)
             if word.arg is None and type(value) is not dict:
-                raise Refused(f"{_called(value)} does not follow **")
+                raise Refused(f"{_called(value)} cannot follow **")
             named |= value if word.arg is None else {word.arg: value}
         for value in (*given, *named.values()):
             self.checked(value)
@@ -241,7 +241,7 @@ class Evaluator:
         for key, part in zip(node.keys, node.values, strict=True):
             value = self.value(part, names, depth)
             if key is None and type(value) is not dict:
-                raise Refused(f"{_called(value)} does not follow **")
+                raise Refused(f"{_called(value)} cannot follow **")
             made |= value if key is None else {self.value(key, names, depth): value}
         return self.checked(made)
 
@@ -300,7 +300,7 @@ def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
         for part, member in zip(target.elts, value, strict=True):
             own |= _unpacked(part, member)
         return own
-    raise Refused(f"a loop does not take {_called(value)} apart this way")
+    raise Refused(f"a loop cannot unpack {_called(value)} this way")
 
 
 def _called(value: Any) -> str:

@@ -286,7 +286,7 @@ def _weight(node: Any) -> int:
 
 
 def _never(*_: object, **__: object) -> None:
-    raise Refused("it asks xacro for something that is never done here")
+    raise Refused("it uses a feature of xacro that is not allowed here")
 
 
 def _converted(text: str) -> Any:

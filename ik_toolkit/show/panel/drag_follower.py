@@ -111,7 +111,7 @@ def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, bet
         return f"converged to {left}"
     touch = f"{' and '.join(between)} would touch" if between else ""
     if not settled:
-        return f"on its way, {left} to go{touch and ': '}{touch}"
+        return f"on its way, {left} from the target{touch and ': '}{touch}"
     held = near_limits(robot, q)
     why = f"{', '.join(held)} at {'a limit' if len(held) > 1 else 'its limit'}" if held else "at the edge of its reach"
     return f"the closest pose is {left} away: {touch or why}"

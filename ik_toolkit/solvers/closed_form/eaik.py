@@ -31,7 +31,7 @@ def recognise(chain: Chain) -> Fit:
     steps = np.diff(np.vstack([np.zeros(3), screws.point, screws.T[:3, 3]]), axis=0)
     parameters = np.concatenate([screws.axis.ravel(), steps.ravel(), screws.T[:3, :3].ravel()])
     if not _arm(parameters.tobytes()).hasKnownDecomposition():
-        return no_fit("EAIK knows no decomposition of its axes")
+        return no_fit("EAIK has no decomposition for its axes")
     return Fit(parameters, "", 0.0)
 
 
