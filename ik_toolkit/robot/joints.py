@@ -28,7 +28,8 @@ from .narrow import narrowed
 from .probe import Path
 
 LOG = logging.getLogger("ik_toolkit")
-ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # Rows of each tip's Jacobian.
+# Maps a word to rows of a tip's Jacobian.
+ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}
 
 
 class Named(dict[str, np.ndarray]):
@@ -172,7 +173,7 @@ class Joints(ReadOnly):
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
             meant = (self.lower <= array) & (array <= self.upper) & (self.upper - self.lower < np.inf)
-            # A value inside the limits is not a mistake, and often our own.
+            # Values inside the limits are never taken for degrees.
             values = zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array).tolist(), strict=True)
             far = {joint: x for joint, kind, x in values if kind != "prismatic" and abs(x) > FEW_TURNS}
             if far:

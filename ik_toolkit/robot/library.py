@@ -177,7 +177,7 @@ def _described(name: str) -> RobotEntry:
         near = [known for known in DESCRIPTIONS if known.startswith(name)]
         raise RobotNotFound(f"robot_descriptions has no '{name}'.{near_match(name, near or DESCRIPTIONS)}")
     try:
-        # A download prints its progress.
+        # A download prints its progress, which is hidden.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             module = importlib.import_module(f"robot_descriptions.{name}")
     except Exception as error:  # git can raise any exception.
@@ -217,7 +217,7 @@ def _menagerie(name: str) -> Path:
     if name not in names:
         raise RobotNotFound(f"MuJoCo's menagerie has no '{name[:200]}'.{near_match(name, names)}")
     try:
-        # A download prints its progress.
+        # A download prints its progress, which is hidden.
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             return Path(package.get(name).xml(package.get(name).default_model))
     except Exception as error:  # A download can raise any exception.

@@ -23,7 +23,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
         else:
             key = tuple((x.dtype, x.shape, x.tobytes()) for x in limits)
         found = kept.get(key)
-    except (AttributeError, TypeError):  # A list raises one of these.
+    except (AttributeError, TypeError):  # A list of numbers instead of arrays raises one of these and is not kept.
         key = found = None
     if found is None:
         lower, upper = _ends(robot, limits)

@@ -99,7 +99,7 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
     degrees.
     """
     cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # Below this a yaw is rounding error.
+    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # At a pitch of 90 degrees yaw is 0.
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])

@@ -29,20 +29,20 @@ from .pose import rpy_matrix
 
 LINES = 16384  # Number of rows read at a time.
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # The columns of x, y, z and w.
+ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # Maps an order to its columns of x, y, z and w.
 NUMBERS, TEXTS = "fiu", "U"  # Arrays of these kinds of dtype are read as numbers, and as names.
 
 
 class PoseFileCaps(NamedTuple):
     """Limits on a file, in bytes and characters, so that none exhausts this process; a file beyond one is refused."""
 
-    unpacked: int = 2**26  # Bytes of the arrays of a file together, besides `expansion` for each byte of the file.
+    unpacked: int = 2**26  # Bytes of all arrays of a file, besides `expansion` for each byte of the file.
     # Bytes of arrays for each byte of the file; compressed poses are at least a fifth of their size.
     expansion: int = 20
-    names: int = 2**18  # Bytes of an array of names.
+    names: int = 2**18  # Bytes of an array that holds names.
     header: int = 2**16  # Bytes of an array's header, which numpy takes into memory before it looks at it.
     json: int = 20_000_000  # Bytes of a JSON file, whose lists take up to 20 times as much, and a second for 5 MB.
-    line: int = 2**20  # Characters of a line.
+    line: int = 2**20  # Characters of one line of a CSV file.
 
 
 CAPS = PoseFileCaps()

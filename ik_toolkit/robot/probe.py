@@ -19,9 +19,10 @@ from .formats.urdf_values import reversed_advice
 from .pose import turn_onto
 
 SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
-# Lengths below AGREE times FAR times the distance from the model's origin are lost in Pinocchio's own rounding.
+# Pinocchio's rounding of lengths is up to AGREE times FAR times the distance from the model's origin.
 FAR = 1e-5
-AGREE = 1e-9  # Largest difference allowed there [rad, or of the robot's size]: a thousandth of the default tolerance.
+# A chain may differ from Pinocchio by this [rad, or of the robot's size]: a thousandth of the default tolerance.
+AGREE = 1e-9
 # Relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed.
 HELD = 2.5e-16
 # A limit of 1e15 or more [m, rad or per s] is no limit: files write 1e16 or 1e308 for "none", and so do we (ENDLESS).

@@ -95,11 +95,12 @@ class Robot(Joints):
         self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
         root = "universe" if on_base is not None else root_link(self.model)
         self.base = root if base is None else self._frame(base)
-        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)  # No joint is split yet.
+        # The joints are still the user's own.
+        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
-        self._ranges: Mapping[str, tuple[float, float]] = {}  # Narrower limits asked for, by joint.
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # Limits set by `narrowed`, by joint.
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in (followers(urdf).rest if urdf else {}).items():
             self._set_rest(joint, value, False)
@@ -297,7 +298,7 @@ class Robot(Joints):
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
         pin.forwardKinematics(self.model, data, self._fill(self.rest.copy(), q))
-        # The base moves if the leader of one of its joints lies above it.
+        # A joint between root and base may mimic one on the path, so the base can move.
         base = pin.updateFramePlacement(self.model, data, self._ids[0])
         return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
 

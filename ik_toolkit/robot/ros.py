@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-LARGEST_NANOSEC = 999_999_999  # The largest number keeps rounding from giving a whole second.
+LARGEST_NANOSEC = 999_999_999  # Nanoseconds are capped here, because rounding could give a whole second.
 
 
 def header(frame: str = "") -> dict[str, Any]:

@@ -90,7 +90,7 @@ def guess_tip(model: pin.Model) -> Guess:
         (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])), ends
     )
     most = max((joints[f.name] for f in plain), default=0)
-    # Each joint has one frame, the first.
+    # Of the frames on one joint only the first counts.
     longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
 

@@ -185,7 +185,7 @@ def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
     pairs, edges = mesh.face_adjacency[flat], mesh.face_adjacency_edges[flat]
     joined = []
     for end in (0, 1):
-        # Which corner (E, 2, 3) of each face the end of the edge is.
+        # corners (E, 2, 3) marks the corner of each of the two faces at which this end of the edge lies.
         corners = faces[pairs] == edges[:, end][:, None, None]
         joined.append(3 * pairs + corners.argmax(axis=2))
     links = np.vstack(joined) if len(pairs) else np.empty((0, 2), dtype=int)

@@ -30,7 +30,7 @@ MODULES = ("robot", "solve", "draw", "hand", "main")  # A module comes after tho
 MOST_FACES = 40_000
 # Vertices merge in cells that are at first 1/250 of the robot's size and grow until the faces are few enough.
 FINEST = 1 / 250
-GROW = 1.1  # The cell size grows by at least this factor.
+GROW = 1.1  # The cell size grows by at least this factor in each round.
 STEPS = 65_535  # A coordinate has 16 bits over its shape.
 
 

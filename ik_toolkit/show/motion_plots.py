@@ -49,7 +49,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
             ax.tick_params(labelbottom=False)
         axes[-1].set_xlabel("time [s]")
         joints = axes[2].get_legend_handles_labels()
-        for columns in range(COLUMNS, 0, -1):  # As many columns are taken as fit, because names may be long.
+        for columns in range(COLUMNS, 0, -1):  # The legend gets as many columns as fit, because names may be long.
             legend = figure.legend(*joints, fontsize=7.5, ncols=columns, loc="outside lower right")
             if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
                 break
@@ -84,7 +84,8 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
     first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
     corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # A planar arm gets a readable box too.
+    # No side is shorter than half the longest, because the box of a planar arm would be flat.
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
         getattr(ax, f"set_{name}lim")(middle - size, middle + size)
     ax.set_box_aspect(half, zoom=0.92)

@@ -62,7 +62,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     if limited:
         low, high = robot.lower[turning], robot.upper[turning]
         near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
-        near = np.clip(near, low, high)  # Adding a turn rounds.
+        near = np.clip(near, low, high)  # The sum with a turn is rounded.
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
     orientation = None if all(kind in SPOKEN for kind in kinds) else out[:, AT.rotation]

@@ -18,7 +18,8 @@ PLAIN: dict[str, Any] = {
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
 SLICE = 256  # A timed solve makes this many evaluations before it looks at the clock, about a quarter of a millisecond.
 FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
-OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # The numbers are those of kernel/null_space.py.
+# kernel/null_space.py knows the objectives by these numbers.
+OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
 OTHERWISE = {  # Other packages use these names, which mean something else here.
     "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
@@ -92,7 +93,7 @@ class Options:
     avoid_collisions: Any = False
     follow: float = 0.0
 
-    @functools.cached_property  # It is asked at every check of an answer.
+    @functools.cached_property  # Every check of an answer needs this, so it is computed once.
     def in_part(self) -> bool:
         """Whether only part of the errors counts, or targets are relative to another tip."""
         return any(getattr(self, name) is not None for name in (*COUNTING[:3], "relative_to"))

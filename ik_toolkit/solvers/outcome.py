@@ -22,7 +22,7 @@ class Outcome(NamedTuple):
     kinds: tuple
     start: np.ndarray  # The start (1, n).
     given: bool
-    row: np.ndarray  # Answer, q, then for several tips the Miss of each.
+    row: np.ndarray  # The row of the kernel: Answer, q, then for several tips the Miss of each.
     elapsed: float
     notice: str = ""
     errors: Errors | None = None  # The errors that Pinocchio has computed again.

@@ -241,7 +241,7 @@ def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
     ends, seeds, n = ends.copy(), seeds.copy(), seeds.shape[1]
     seeds[:, held] = at
     ends[..., POINTS + 4 * n + held] = at
-    ends[..., POINTS + 5 * n + held] = 0.0  # Random starts are drawn from a range of this width.
+    ends[..., POINTS + 5 * n + held] = 0.0  # The range of random starts gets the width 0 at these joints.
     return with_seeds(rows, ends, seeds)
 
 

@@ -40,7 +40,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
     return tuple(steps), improving
 
 
-# Slices grow by a factor of 4; a search that begins anew each time then repeats at most a third of its last run.
+# Each slice of a timed search is 4 times as long as the last and repeats it, which costs at most a third more.
 GROWTH = 4
 
 
@@ -63,7 +63,7 @@ def extend(outcome: Any) -> Any:
     return outcome._replace(plan=plan, row=row, elapsed=outcome.elapsed + perf_counter() - began)
 
 
-TOLD_APART = 12  # Besides the winner, this many attempts have known rows in a history, as many as a picture shows.
+TOLD_APART = 12  # A history tells apart the winning attempt and this many others, as many as a picture shows.
 
 
 def record(outcome: Any) -> Any:
@@ -129,8 +129,7 @@ def confirm(outcome: Any) -> Any:
     if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
         return outcome
     if kinds == (POSE,):
-        # A rotation of few digits is replaced by the nearest exact one, because its angle is no more exact than its
-        # digits.
+        # A rotation given with few digits is replaced by the nearest exact one, because its angle is as inexact.
         mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)

@@ -62,7 +62,7 @@ def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None
     if cls.preset is None:
         have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))
         raise InvalidOption(f"solver '{row.name}' has no presets; these have: {have}")
-    make_rule(row, values or {})  # This call names the parameter that does not exist.
+    make_rule(row, values or {})  # This raises for a parameter that does not exist, and names it.
     return cls.preset(name)._replace(**(values or {}))
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .explain.worked_solution import WorkedSolution
 
 Class = TypeVar("Class", bound=type)
-SHOWN = 16  # Number of branches of a family in an explanation.
+SHOWN = 16  # An explanation shows this many branches of a continuous family.
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,7 @@ class Result(ReadOnly):
 
         It is measured on demand, as `CollisionModel.distance` does; None without collisions to avoid, or pairs to test.
         """
-        from .collision_free import collision_model  # That module reads this one.
+        from .collision_free import collision_model  # That module imports this one.
 
         asked = self._of.plan.options.avoid_collisions
         near = None if asked is False else collision_model(self.robot, asked).distance(self.q)
@@ -216,7 +216,7 @@ class Result(ReadOnly):
             InvalidTarget: The result is a row of a batch, which keeps no target.
             MissingExtra: A closed form has formulas to show, and SymPy is not installed.
         """
-        from .explain.explain import explain  # That module reads this one.
+        from .explain.explain import explain  # That module imports this one.
 
         return explain(self)
 

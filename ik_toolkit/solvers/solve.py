@@ -62,7 +62,7 @@ class Solver(ReadOnly):
         robot = narrowed_for(robot, options)
         options.setdefault("check", False)
         auto = is_auto(solver)
-        self._plans: dict[tuple, Plan] = {}  # Plans by kind of target, if it is not `plan`.
+        self._plans: dict[tuple, Plan] = {}  # Plans for the kinds of target that do not use `plan`.
         if auto:
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}

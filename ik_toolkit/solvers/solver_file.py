@@ -38,7 +38,7 @@ def from_file(text: str) -> type:
     raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
 
 
-@functools.cache  # A file is run once per process.
+@functools.cache  # The cache makes a file run once per process.
 def _classes(path: Path) -> dict[str, type]:
     """Return the classes that a file makes, by name. Raises InvalidOption if it does not run."""
     # The module gets a name of its own, so that a file called as a module (numpy.py) hides nothing.
@@ -54,7 +54,7 @@ def _classes(path: Path) -> dict[str, type]:
     sys.path.insert(0, str(path.parent))
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # A script may end itself.
+    except (Exception, SystemExit) as error:  # A script may call sys.exit().
         del sys.modules[module_name]
         at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = getattr(error, "lineno", None) or (at[-1] if at else None)

@@ -195,7 +195,8 @@ class _Writer:
             self.notes.append(
                 f"free joint '{joints[0][1]}' of '{link}' is held still; that of the robot's own base moves with base_limits="
             )
-            self._joint(joints[0][1], "floating", parent, link, np.eye(4))  # MuJoCo stores the pose in the world
+            # MuJoCo gives the pose of a free body in the world, as the joint's value.
+            self._joint(joints[0][1], "floating", parent, link, np.eye(4))
             return
         steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
         for j, name in joints:

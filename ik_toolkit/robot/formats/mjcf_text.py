@@ -137,7 +137,7 @@ def _copies(element: ET.Element) -> int:
     try:
         return max(int(element.get("count", "1")), 1) * max(inside, 1)
     except ValueError:
-        return inside  # MuJoCo reports what is wrong.
+        return inside  # MuJoCo itself reports an invalid count.
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:

@@ -97,7 +97,7 @@ class Srdf:
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
         bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
-        if chains:  # A chain that ends where others begin carries them, so neither end is one of the group's.
+        if chains:  # A chain that ends where others begin carries them, so that point is no end of the group.
             inner = [tip for tip in tips if tip in bases]
             bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
         else:

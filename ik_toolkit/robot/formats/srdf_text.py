@@ -12,7 +12,7 @@ from .urdf import HasMacros, check_names, numbers, walk
 MEMBERS = ("link", "joint", "chain", "group")  # A <group> may hold these elements.
 FACTS = ("group", "end_effector", "group_state", "passive_joint", "disable_collisions")
 FACTS += ("disable_default_collisions", "enable_collisions")
-NEEDED = {  # These attributes are required.
+NEEDED = {  # Maps an element to the attributes that it must have.
     "chain": ("base_link", "tip_link"),
     "link": ("name",),
     "joint": ("name",),

@@ -16,7 +16,7 @@ class UrdfCaps(NamedTuple):
     """Limits on a URDF, so that no file can exhaust this process; a file beyond one of them is refused."""
 
     bytes: int = 20_000_000
-    # Fixed and mimic joints count too, because Pinocchio's parser recurses once per joint of a chain.
+    # Limit on all joints, also fixed and mimic ones, because Pinocchio's parser recurses once per joint of a chain.
     joints: int = 1_000
     # A pin.Data holds eight arrays of n^3 doubles: 134 MB at 128 degrees of freedom, 0.5 GB at 200, 8 GB at 500.
     freedom: int = 128
@@ -31,9 +31,9 @@ class UrdfCaps(NamedTuple):
 CAPS = UrdfCaps()
 BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
 ENDLESS = 1e16  # Robot reads a limit of this size as no limit (NO_LIMIT).
-# Each type of joint has so many degrees of freedom.
+# FREEDOM maps the type of a joint to its number of degrees of freedom.
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
-NUMBERS = {  # Each attribute that holds numbers, by its element, with their count.
+NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
@@ -52,7 +52,7 @@ ITEMS = ("link", "joint", "material")
 XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
 XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")
-NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # The attributes of these elements are names.
+NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # These elements have attributes that hold names.
 
 
 class Part(NamedTuple):

@@ -128,7 +128,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # Other messages on roots and cycles would only repeat these.
+        return  # Findings on roots and cycles would only repeat the broken joints.
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"

@@ -19,11 +19,11 @@ UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.00
 class XacroFileCaps(NamedTuple):
     """Limits on the files of a xacro file, so that none exhausts this process; a file beyond one is refused."""
 
-    bytes: int = 20_000_000  # Bytes of all files together.
-    yaml_bytes: int = 2_000_000  # Bytes of a YAML file, and its size once its anchors are put in.
-    yaml_scalar: int = 2_000  # Characters of one value in YAML.
-    nested: int = 200  # Depth of XML elements.
-    elements: int = 200_000  # XML elements of all files together.
+    bytes: int = 20_000_000  # Limit on the bytes of all files together.
+    yaml_bytes: int = 2_000_000  # Limit on the bytes of a YAML file, before and after its anchors are expanded.
+    yaml_scalar: int = 2_000  # Limit on the characters of one value in YAML.
+    nested: int = 200  # Limit on how deep XML elements are nested.
+    elements: int = 200_000  # Limit on the number of XML elements in all files together.
 
 
 CAPS = XacroFileCaps()

@@ -32,7 +32,7 @@ METHODS: dict[type, tuple[str, ...]] = {
     float: ("is_integer",),
 }  # fmt: skip
 FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
-# Messages call a part of an expression that is refused by the words in WORDS.
+# WORDS has the words by which messages call the refused parts of an expression.
 WORDS = {
     ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
     ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",
@@ -124,7 +124,8 @@ class Evaluator:
         owner, name = self.value(node.value, names, depth), node.attr
         if name.startswith("_"):
             raise Refused(f"it uses '.{name[:60]}', which is not allowed")
-        if isinstance(owner, Mapping) and type(owner) is not dict:  # Such a mapping is a namespace.
+        # A mapping that is not a plain dict is a namespace of xacro.
+        if isinstance(owner, Mapping) and type(owner) is not dict:
             try:
                 return owner[name]
             except KeyError:

@@ -96,7 +96,8 @@ class Expansion:
             module.__dict__.update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
         self._all, self._text = xacro.eval_all, xacro.eval_text
         self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
-        self.bodies: dict[int, tuple[Any, int]] = {}  # Each macro's body, by its id, with the cost of a copy in steps.
+        # Maps the id of a macro's body to the body and the cost of a copy in steps.
+        self.bodies: dict[int, tuple[Any, int]] = {}
         plain = load("formats/xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
         own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
@@ -106,7 +107,7 @@ class Expansion:
                 self.symbols[name] = xacro.NameSpace()
                 self.symbols[name].update(inside)
         for name in ("arg", "message", "warning", "error", "print_location", "fatal", "tokenize"):
-            del self.symbols[name]  # These functions exist in their namespace only.
+            del self.symbols[name]  # Expressions call these functions only as xacro.NAME.
         xacro.__dict__.update(
             eval_all=self.eval_all,
             eval_text=self.eval_text,
@@ -144,7 +145,7 @@ class Expansion:
         return {
             "load_yaml": self.load_yaml,
             "abs_filename": lambda name: self.xacro.abs_filename_spec(name),
-            "dotify": lambda value: value,  # Every dict allows dotted access already.
+            "dotify": lambda value: value,  # xacro makes a dict allow d.key here; in these expressions every dict does.
             "arg": lambda name: self.arguments[name],
             **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
             "fatal": fatal,

@@ -195,7 +195,7 @@ class CollisionModel(Surroundings):
         geometry.setCollisionPairs(tested)
         pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
         margins = np.array([self._closer.get(pair, self.margin) for pair in pairs])
-        margins.setflags(write=False)  # The margins are handed out to callers.
+        margins.setflags(write=False)  # Callers receive this array and must not change it.
         self._names = [*self._links, *self._placed]
         self._state = geometry, margins
         self._local = threading.local()

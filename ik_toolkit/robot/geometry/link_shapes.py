@@ -19,14 +19,14 @@ from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
 # Limit on a robot's triangles, which take 2 GB as bounding volume trees for collisions. Robots have up to 1,000,000.
 MAX_TOTAL = 5_000_000
 LARGEST = 1e6  # Limit on the size, scale and distance of a shape [m, or factor].
-SIZES = {  # The sizes of each shape by URDF attribute, with their count of numbers.
+SIZES = {  # Maps a shape to the URDF attributes of its size and how many numbers they hold.
     "box": {"size": 3},
     "sphere": {"radius": 1},
     "cylinder": {"radius": 1, "length": 1},
     "capsule": {"radius": 1, "length": 1},
 }
 ROLES = {"surface": "collision", "look": "visual"}
-Problems = list[tuple[str, str]]  # Each problem has the element and what is wrong with it.
+Problems = list[tuple[str, str]]  # A problem names an element and what is wrong with it.
 
 
 @dataclass(frozen=True)

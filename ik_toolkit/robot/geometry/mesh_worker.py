@@ -22,7 +22,7 @@ REPEATED = 100_000  # Limit on the nodes that one node may expand to.
 # Lines of coal's message that surround the actual reason.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
 # trimesh loads scipy, networkx and shapely if they are installed, although reading a mesh does not need them.
-# Importing the three takes three times as long as importing everything else.
+# Importing UNUSED takes three times as long as importing everything else.
 UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 
@@ -36,7 +36,7 @@ class References:
 
     def __init__(self, file: Path, job: dict) -> None:
         self.file, self.job = file, job
-        self.refused: list[str] = []  # Files outside the folders were refused with these sentences.
+        self.refused: list[str] = []  # Sentences on the files refused so far because they lie outside the folders.
         self.last = ""
 
     def get(self, name: str) -> bytes:

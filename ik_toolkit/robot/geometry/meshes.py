@@ -29,14 +29,14 @@ SECONDS = 4.0
 class MeshCaps(NamedTuple):
     """Limits on the meshes of a robot; the comments give what the largest file of example-robot-data has."""
 
-    bytes: int = 100_000_000  # Bytes of a file, of which that file has 29 MB.
-    triangles: int = 2_000_000  # Triangles of a file, of which that file has 351,394.
-    meshes: int = 1_000  # Different files of a robot.
-    packages: int = 50  # Different packages of a robot.
-    memory: int = 2_000_000_000  # Memory [bytes] of the reading process, of which that file takes 0.5 GB.
+    bytes: int = 100_000_000  # Bytes of a file; the largest has 29 MB.
+    triangles: int = 2_000_000  # Triangles of a file; the largest has 351,394.
+    meshes: int = 1_000  # Number of different mesh files of a robot.
+    packages: int = 50  # Number of different ROS packages that a robot's meshes come from.
+    memory: int = 2_000_000_000  # Memory [bytes] of the reading process; the largest file takes 0.5 GB.
     seconds_per_mb: float = 2.0  # Processor time [s] for each MB of a file, beyond SECONDS.
-    crashes: int = 5  # Reading processes that may crash for one robot.
-    kept: int = 256  # Files whose triangles are cached.
+    crashes: int = 5  # Number of reading processes that may crash for one robot.
+    kept: int = 256  # Number of files whose triangles are cached.
 
 
 CAPS = MeshCaps()
@@ -117,7 +117,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         real = [Path(place).resolve() for place in inside if os.path.isfile(place)]
         found = next((path for path in real if lies_in(path, folders)), None)
         size = found.stat().st_size if found else 0
-    except (OSError, ValueError, RuntimeError):  # A circular link and too long a name raise these.
+    except (OSError, ValueError, RuntimeError):  # A circular link or a name that is too long raises one of these.
         raise ModelError("cannot be read") from None
     if found is None:
         raise ModelError("is a link that leads outside the allowed folders" if real else "is not there")

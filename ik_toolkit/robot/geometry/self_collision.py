@@ -18,12 +18,12 @@ from ..probe import NO_LIMIT
 from .convex import owner_above, read_shapes, request
 
 ALWAYS = 0.95  # A pair that touches in this share of the configurations is said to touch "always", as in MoveIt.
-# A pair that touches at zero and in half of the samples touches "by default". MoveIt needs no sample, which hides
-# contacts.
+# A pair that touches at zero and in half of the samples touches "by default".
+# MoveIt needs no sample for that, which hides contacts.
 DEFAULT = 0.5
 # Two links within 1 cm of each other in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
 NEAR = 0.01
-SAMPLES = 10_000  # MoveIt takes as many samples.
+SAMPLES = 10_000  # Number of samples, the same as in MoveIt.
 REASONS = ("Adjacent", "Always", "Default", "Never")
 
 

@@ -52,7 +52,8 @@ class Surroundings(ReadOnly):
         """Return an added shape as a Pinocchio geometry object."""
         arm = self.robot.arms[one.arm or 0]
         held = one.arm is not None
-        at = arm._ids[1] if held else arm._ids[0]  # The base moves when the leader of one of its joints lies above it.
+        # An obstacle is placed in the base, which itself may move in the model.
+        at = arm._ids[1] if held else arm._ids[0]
         frame = self.robot.model.frames[at]
         place = frame.placement * (arm.tool if held else pin.SE3.Identity()) * pin.SE3(one.T)
         return pin.GeometryObject(name, frame.parentJoint, at, place, one.form)

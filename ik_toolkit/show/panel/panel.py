@@ -55,8 +55,8 @@ class Panel(Unique):
         except ImportError:
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
-        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # A visitor may leave at any time.
-        session = Session(source, tips)  # An invalid robot raises here.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # viser warns of visitors who leave.
+        session = Session(source, tips)  # This raises for an invalid robot.
         here = session.joined(session.poses())
         session.solve(here)  # It compiles now if necessary, so that no visitor has to wait.
         session.follow(here)

@@ -48,7 +48,7 @@ class Session:
         self.parameters: dict[str, str] = {}
         self.tolerance = 1e-6
         self.limits, self.avoid = True, False  # Joint limits are kept, collisions are not avoided.
-        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # Sizes [m] and poses (4, 4) in the base.
+        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # Size [m] and pose (4, 4) in the base, by name.
         self.source = ""
         self.random = np.random.default_rng(0)
         self.warm: set[tuple] = set()  # Solvers and kinds of target that have been solved before.
@@ -216,10 +216,9 @@ class Session:
 
     def _approach(self) -> None:
         """Continue from a failed attempt to the closest pose near it."""
-        # The target may be too far away, or the arm in contact already.
+        # A target that is too far away and an arm already in contact raise.
         with contextlib.suppress(InvalidTarget, InvalidConfiguration):
-            # The arm keeps its posture: a target that only another posture reaches has not been found by the chosen
-            # solver.
+            # The arm keeps its posture, because the chosen solver has found no other posture that reaches the target.
             hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
             for _ in range(PATIENCE):
                 if self._move(hand).settled:

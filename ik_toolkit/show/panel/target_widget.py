@@ -22,7 +22,8 @@ class Goal:
         orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
         listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
-        self.written = xyz, rotation  # These texts show the handle's target, which has more digits.
+        # While the fields hold these texts, the handle's target is used, which has more digits.
+        self.written = xyz, rotation
         self.handle: Handle  # The handle is set by `join`.
 
     @property

@@ -23,7 +23,7 @@ from ..postprocess import confirmed, mark_open
 from ..task import counts_in_part
 from .targets import mended
 
-# Parts waiting for each thread, and in total at an executor; iterators are never read further ahead.
+# This many parts wait for each thread, and in total at an executor; iterators are read no further ahead.
 AHEAD, REMOTE_AHEAD = 4, 64
 SLICE = 0.05  # A thread checks this often [s] whether to stop.
 

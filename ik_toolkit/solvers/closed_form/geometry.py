@@ -59,7 +59,7 @@ class Branches(NamedTuple):
     broken: np.ndarray  # By how much (K,) [rad or m] each branch breaks a limit.
     marks: np.ndarray  # Signs (K, 3) of shoulder, elbow and wrist.
     complete: bool  # Whether these branches are proven to be all.
-    words: str  # Words of the message that say where the branches are.
+    words: str  # Part of the message that says where the branches are, such as ' at lift 0.2 m'.
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
     steps: int = 0  # Number of Newton steps that finish each branch on the real chain.
     fixed: int = -1  # Place in q of a joint that those steps do not move, or -1.

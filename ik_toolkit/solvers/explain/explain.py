@@ -40,7 +40,7 @@ def explain(result: Any) -> Explanation:
     if form is not None:
         solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
-        if not solution.steps:  # The list is another package's, with poses that match only roughly.
+        if not solution.steps:  # Branches without steps are EAIK's, whose poses match only roughly.
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
         chosen = _nearest(robot, solution.branches, q)

@@ -32,7 +32,7 @@ SETTLED = 1e-13  # A state that changes by less in a step has settled.
 class MapDesign(NamedTuple):
     """Numbers of the designed solver, which has a map for each of many starts."""
 
-    maps: int = 128  # Number of starts.
+    maps: int = 128  # Number of starts of the designed solver.
     tuned_maps: int = 32  # Number of starts of a tuned solver.
     samples: int = 4096  # Number of configurations from which the starts are picked.
     # Jacobians are averaged over +- spread of a joint's range, but at most radius [rad, or of the reach].
@@ -299,7 +299,7 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
     Q = np.clip(starts[:, None] + offsets, np.minimum(low, starts[:, None]), np.maximum(low + width, starts[:, None]))
     J = chain.forward(Q.reshape(-1, n), jacobian=True)[1].reshape(len(starts), 64, 6, n).mean(axis=1)[:, :rows]
     J[:, :3] /= chain.scale
-    weight = np.minimum(width, 2.0 * chain.unit)  # Joints move in proportion to their range.
+    weight = np.minimum(width, 2.0 * chain.unit)  # These weights make joints move in proportion to their range.
     W = J * weight
     inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DESIGN.damping**2 * np.eye(rows))
     maps = inverse * weight[:, None]
