@@ -193,7 +193,7 @@ class Closure:
         return self._residual(constraint, full)
 
     def _residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same at the configuration at which Jacobians were last computed."""
+        """Return residual and derivative of a constraint at the configuration at which Jacobians were last computed."""
         if isinstance(constraint, Relation):
             return self._relation(constraint, full)
         (p, J, R), (s, K, S) = (self._point(end) for end in constraint.ends)

@@ -216,7 +216,7 @@ class Joints(ReadOnly):
         return made
 
     def _locked(self, joints: Mapping[str, float]) -> Self:
-        """Make the copy of `locked`."""
+        """Make the copy that `locked` returns."""
         raise NotImplementedError
 
     def narrowed(self, limits: Any) -> Self:
@@ -238,7 +238,7 @@ class Joints(ReadOnly):
         return narrowed(self, limits)
 
     def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> Self:
-        """Make the variant of `narrowed` for ranges of all joints."""
+        """Make the variant that `narrowed` returns, for ranges of all joints."""
         raise NotImplementedError
 
     def check_home(self, home: Any) -> np.ndarray:

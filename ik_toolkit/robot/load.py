@@ -74,7 +74,7 @@ def read(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """Read a source; return its entry, and the model, name, text and folders that `Robot` needs.
+    """Read a robot; return its library entry, and the model, name, text and folders that `Robot` needs.
 
     Raises what `Robot.load` raises.
     """

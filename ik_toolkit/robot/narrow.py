@@ -48,14 +48,14 @@ def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, A
 
 
 def with_limits(robot: Any, limits: Any) -> tuple[Any, bool]:
-    """Return the robot to solve for and whether its limits count, as the option `limits` of every call asks."""
+    """Return the robot to solve for, and whether joints stay inside its limits, as the option `limits` asks."""
     if isinstance(limits, bool | np.bool_):
         return robot, bool(limits)
     return narrowed(robot, limits), True
 
 
 def _ends(robot: Any, limits: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper ends (n,) as asked for."""
+    """Return the lower and upper limits (n,) [rad or m] that the caller asks for."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
     if isinstance(limits, Mapping):
         for joint, pair in limits.items():

@@ -239,7 +239,7 @@ def _lines(stream: TextIO, name: str) -> Iterator[str]:
 
 
 def _first_line(path: Path) -> list[str]:
-    """Return the names of the columns."""
+    """Return the names of the columns, which the first line of a CSV file gives."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
         return [without_mark(cell.strip()) for cell in next(csv.reader(_lines(stream, path.name)), [])]
 

@@ -51,7 +51,7 @@ class Path(NamedTuple):
 
 
 class Motionless(ModelError):
-    """No joint moves the tip."""
+    """The error of a robot in which no joint moves the tip."""
 
 
 def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> Path:

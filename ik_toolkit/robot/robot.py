@@ -95,7 +95,6 @@ class Robot(Joints):
         self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
         root = "universe" if on_base is not None else root_link(self.model)
         self.base = root if base is None else self._frame(base)
-        # The joints are still the user's own.
         self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)

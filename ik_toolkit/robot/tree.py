@@ -203,7 +203,7 @@ class Tree(Joints):
         return tree.locked(held) if held else tree
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
-        """Compute T_base_tip [m] of every tip at q (n,) by Pinocchio, by name."""
+        """Compute the pose T_base_tip [m] of every tip at q (n,) by Pinocchio; the keys are names of tips."""
         q = self.check_q(q)
         return {arm.tip: arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)}
 

@@ -142,7 +142,7 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
 
 
 def flat(T: pin.SE3) -> list[float]:
-    """Return the rows of [R | p] of a pose."""
+    """Return the 12 numbers of [R | p] of a pose, row by row."""
     return T.homogeneous[:3].ravel().tolist()
 
 

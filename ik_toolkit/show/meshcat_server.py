@@ -235,7 +235,7 @@ class Feed:
         self._news()
 
     def told(self, about: dict[str, Any]) -> None:
-        """Note a change of the page's text."""
+        """Note that the text or camera of the page has changed."""
         self._about.update(about)
         self._news()
 

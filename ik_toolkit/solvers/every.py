@@ -64,7 +64,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
 
 
 def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
-    """Return any target as (1, ...) with kinds and notice; a plain valid pose costs next to nothing."""
+    """Return the target as an array (1, ...), its kinds and a notice; a plain valid pose costs next to nothing."""
     if type(target) is np.ndarray and target.dtype == np.float64 and target.shape == (4, 4) and target.flags.carray:
         if not robot.by_tip and is_rigid(target):
             return target[None], POSES, ""

@@ -66,7 +66,7 @@ def sentence(result: Any) -> str:
 
 
 def _left(result: Any) -> str:
-    """Say the errors left at q."""
+    """Say how far the tip at q is from the target."""
     left = _length(result.position_error)
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"

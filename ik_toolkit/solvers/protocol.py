@@ -93,7 +93,7 @@ class Rule(Protocol):
         return entry(type(self))
 
     def lanes(self) -> Callable | None:
-        """Return the same steps for eight targets side by side (arguments of `kernel.lanes.lanes`), or None if there are none."""
+        """Return the rule for eight targets side by side, as arguments of `kernel.lanes.lanes`, or None if it has no such form."""
         return None
 
 

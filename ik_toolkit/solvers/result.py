@@ -60,7 +60,7 @@ class Result(ReadOnly):
 
     @property
     def status(self) -> Status:
-        """How the solve ended."""
+        """The `Status` that says how the solve ended."""
         return Status(int(self._of.row[AT.status]))
 
     @property
@@ -80,7 +80,7 @@ class Result(ReadOnly):
 
     @property
     def orientation_error(self) -> float | None:
-        """Rotation angle left at q [rad], of several tips the largest; None if orientation is free."""
+        """Angle [rad] between the tip at q and the target, of several tips the largest; None if orientation is free."""
         return max((angle for _, angle in self._of.left() if angle is not None), default=None)
 
     @property
@@ -90,7 +90,7 @@ class Result(ReadOnly):
 
     @property
     def orientation_errors(self) -> dict[str, float | None]:
-        """Rotation angle left at each tip [rad]; None if the target leaves orientation free."""
+        """Angle [rad] between each tip and its target; None if the target leaves orientation free."""
         return {tip: angle for tip, (_, angle) in zip(self.robot.tips, self._of.left(), strict=True)}
 
     @property
@@ -114,12 +114,12 @@ class Result(ReadOnly):
 
     @property
     def iterations(self) -> int:
-        """Steps taken, over all attempts."""
+        """Number of steps taken in all attempts."""
         return int(self._of.row[AT.iterations])
 
     @property
     def restarts(self) -> int:
-        """Attempts after the first."""
+        """Number of attempts after the first one."""
         return int(self._of.row[AT.restarts])
 
     @property
@@ -144,7 +144,7 @@ class Result(ReadOnly):
 
     @property
     def fk_evaluations(self) -> int:
-        """Forward-kinematics evaluations made."""
+        """Number of evaluations of the forward kinematics."""
         return int(self._of.row[AT.evaluations])
 
     @property

@@ -40,7 +40,7 @@ class Solutions(ReadOnly):
         branches: np.ndarray | None = None,
         found_by: tuple[str, ...] | None = None,
     ) -> None:
-        """Store the parts."""
+        """Store the arrays and texts."""
         self.robot = robot
         self.q = q
         self.distance = distance
@@ -66,7 +66,7 @@ class Solutions(ReadOnly):
         return self.q[k]
 
     def keep(self, rows: np.ndarray) -> "Solutions":
-        """Return the same with only some rows (indices or booleans)."""
+        """Return only some of the solutions, chosen by indices or booleans."""
         rows = np.arange(len(self))[rows]
         orientation = self.orientation_error
         return Solutions(

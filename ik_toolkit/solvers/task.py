@@ -19,7 +19,7 @@ NONE = (0.0,) * 6
 
 
 class Counts(NamedTuple):
-    """What of the error of one tip counts (see `Options`): six weights and half widths or None, a unit tip axis or None, axes."""
+    """The parts of a tip's error that count (see `Options`): weights and half widths (6,), a free axis of the tip, the frame."""
 
     mask: tuple[float, ...] | None
     slack: tuple[float, ...] | None
@@ -28,7 +28,7 @@ class Counts(NamedTuple):
 
     @property
     def in_part(self) -> bool:
-        """Whether something is left out for any target."""
+        """Whether a part of the error does not count."""
         return any(part is not None for part in self[:3])
 
 
@@ -232,7 +232,7 @@ def counted_errors(
 def all_errors(
     robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
 ) -> list[tuple[np.ndarray, float, float | None]]:
-    """Return the same as `counted_errors`, each after the raw error (6,) (see `robot.pose.errors`), NaN if there is no target."""
+    """Return the errors of `counted_errors`, each after the raw error (6,) (see `robot.pose.errors`), NaN if there is no target."""
     poses = [arm._fk(q[at]).homogeneous for arm, at in zip(robot.arms, robot.places, strict=True)]
     found = []
     for pose, one, kind, counts, other in zip(

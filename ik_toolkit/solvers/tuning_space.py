@@ -27,7 +27,7 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """The number of values."""
+        """How many numbers the parameter has."""
         return int(np.size(self.initial))
 
     def to_unit(self) -> np.ndarray:
@@ -59,7 +59,7 @@ class Space:
 
     @property
     def size(self) -> int:
-        """The count of numbers searched."""
+        """How many numbers the search varies."""
         return sum(parameter.size for parameter in self.parameters)
 
     @property

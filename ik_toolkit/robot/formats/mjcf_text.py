@@ -130,7 +130,7 @@ def _check_copies(root: ET.Element) -> None:
 
 
 def _copies(element: ET.Element) -> int:
-    """Return how many elements there are after replication."""
+    """Return how many elements an element becomes when its <replicate> are carried out."""
     inside = sum(map(_copies, element))
     if element.tag != "replicate":
         return 1 + inside

@@ -94,7 +94,7 @@ class Evaluator:
             raise Refused(str(error) or type(error).__name__, text) from None
 
     def value(self, node: ast.expr, names: Mapping[str, Any], depth: int) -> Any:
-        """Evaluate a part of an expression."""
+        """Return the value of one part of an expression, a node of its syntax tree."""
         self.spend()
         if depth > DEEP:
             raise Refused(f"it is nested more than {DEEP} deep")
@@ -305,7 +305,7 @@ def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
 
 
 def _called(value: Any) -> str:
-    """Return what a message calls a value."""
+    """Return the words by which messages call a value."""
     return f"the function {value}" if isinstance(value, Function) else f"a value of the kind {type(value).__name__}"
 
 

@@ -131,7 +131,7 @@ class Expansion:
         )
 
     def own(self) -> dict[str, Callable[..., Any]]:
-        """Return the functions of the namespace xacro."""
+        """Return the functions that expressions may call as xacro.NAME."""
 
         def silent(*given: Any, **named: Any) -> str:
             return ""
@@ -174,7 +174,7 @@ class Expansion:
         self._replace(node, by, content_only)
 
     def eval_text(self, text: str, symbols: Any) -> Any:
-        """Evaluate a text with expressions and count it."""
+        """Evaluate a text with expressions, and count what that costs."""
         if "$" not in text:
             return text
         if len(text) > values.LONGEST:
@@ -316,7 +316,7 @@ def expand(job: dict) -> dict:
 
 
 def told(cause: BaseException, stack: list[str]) -> str:
-    """Return what happened and where, in one sentence."""
+    """Say in one sentence which error ended the expansion, and in which expression."""
     said = " ".join(str(cause.args[0] if isinstance(cause, Refused) else cause).split())[:300]
     where = f"'{stack[-1]}'" if stack else ""
     if isinstance(cause, Refused) and len(cause.args) > 1:

@@ -182,7 +182,7 @@ class Clearance:
         return None if found < 0 else self._near(least, found)
 
     def _near(self, distance: float, k: int) -> Near:
-        """Return pair k as a Near, from its last measurement."""
+        """Return the last measurement of pair k as a Near."""
         points = self.points(np.array([k]))[0]
         gap = points[1] - points[0]
         return Near(self.name(k), distance, points, gap / max(np.sqrt(gap @ gap), 1e-300))

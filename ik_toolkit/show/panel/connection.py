@@ -147,5 +147,5 @@ class Visit:
             self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
 
     def build(self) -> None:
-        """Make the robot and its controls anew."""
+        """Build the robot and its controls anew."""
         raise NotImplementedError

@@ -33,7 +33,7 @@ class Desk(Visit):
 
     # -------------------------------------------------------------------------------------------------------- build
     def build(self) -> None:
-        """Make the robot and its controls anew, after a change of robot, tip or units."""
+        """Build the robot and its controls anew, after a change of robot, tip or units."""
         s = self.session
         body = Body(s.robot)
         with self.client.atomic():
@@ -212,7 +212,7 @@ class Desk(Visit):
         self._again()
 
     def _again(self) -> None:
-        """Make the controls anew, but keep the kinds of orientation."""
+        """Build the controls anew, but keep for each tip how its orientation is given."""
         self.kinds = {goal.tip: goal.kind for goal in self.goals}
         self.build()
 

@@ -157,7 +157,7 @@ def _rows(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
 
 
 def _away(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Return the error from the tips at q to those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
+    """Return the difference of the tips at q from those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
     import pinocchio as pin
 
     left = []

@@ -58,7 +58,7 @@ class Handle:
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
-        """Show or hide the rings, and all of it."""
+        """Show or hide the rings, and the whole handle."""
         self.gizmo.disable_rotations, self.gizmo.visible = not rotations, visible
         if self.name is not None:
             self.name.visible = visible

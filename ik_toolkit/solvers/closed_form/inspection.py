@@ -255,5 +255,5 @@ class Inspection(NamedTuple):
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled solve."""
+        """Return the compiled function that solves, called as `kernel.search.entry`."""
         return solve

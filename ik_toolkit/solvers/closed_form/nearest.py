@@ -19,7 +19,7 @@ SAMPLE = 64  # This many branches are asked for if a family has no end.
 def nearest_of(form: Any, robot: Any) -> Callable:
     """Make a solve with the arguments of `kernel.search.entry` from `form.every`, which Python calls.
 
-    It proves nothing.
+    A failure proves nothing about the target.
     """
 
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:

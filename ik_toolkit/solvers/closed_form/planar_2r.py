@@ -186,5 +186,5 @@ class Planar2R(NamedTuple):
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled solve."""
+        """Return the compiled function that solves, called as `kernel.search.entry`."""
         return solve

@@ -102,7 +102,7 @@ def _derived(form: Plan, of: Outcome, q: np.ndarray) -> WorkedSolution:
 
 
 def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | None:
-    """Return which branch the answer is, or None."""
+    """Return the index of the branch that the answer q is, or None."""
     far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
     best = int(np.argmin(far)) if far else 0
     return best if far and far[best] < SAME else None

@@ -17,7 +17,7 @@ SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
 class _Slot(sympy.Symbol):
-    """The place of a symbol's number.
+    """The place in a formula that gets the number of a symbol.
 
     It sorts as the symbol does, so that a formula and its numbers have the same order.
     """
