@@ -1,6 +1,7 @@
 """`ik solvers`: the methods there are, and the parameters of one."""
 
 import inspect
+import re
 from typing import Annotated, Any
 
 import typer
@@ -65,7 +66,7 @@ def _one(row: Any, as_json: bool) -> None:
     from rich.text import Text
 
     show(heading(row.name), facts({"how": row.summary, "handles": row.handles, "source": row.citation}))
-    show("", Text("\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))), "")
+    show("", Text(re.sub(r"(?<!\n)\n(?: {8} *|(?=\S))", " ", text)), "")
     if parameters:
         made = table("<parameter", ">default")
         for parameter in parameters:

@@ -1,4 +1,4 @@
-"""Poses: build them from user input and reject anything that is not one."""
+"""Builds poses from user input and rejects anything that is not one."""
 
 import math
 from collections.abc import Sequence
@@ -10,22 +10,27 @@ import numpy as np
 from ..errors import FEW_TURNS, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
 
-LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
-PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
+LAST = (0.0, 0.0, 0.0, 1.0)  # Every pose has this last row.
+PROJECT_WITHIN = 1e-2  # A typed rotation is projected if no singular value deviates more than this from 1.
 
 
 @dataclass(frozen=True, eq=False)
 class AxisTarget:
     """A position with one tip axis along a direction: five of the six degrees of freedom; rotation about the axis is free.
 
-    T_base_tip (4, 4) [m]: one pose that satisfies it; axis (3,): vector in the tip frame, normalised. Raises InvalidTarget.
+    Args:
+        T_base_tip: One pose (4, 4) [m] that satisfies the target.
+        axis: Vector (3,) in the tip frame, which is normalised.
+
+    Raises:
+        InvalidTarget: The pose is none, or the axis is zero.
     """
 
     T_base_tip: np.ndarray
     axis: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Validate both and keep copies."""
+        """Validate pose and axis, and store copies."""
         T, _ = check_target(self.T_base_tip)
         if T.ndim == 1:
             raise InvalidTarget("the T_base_tip of an AxisTarget is a 4x4 pose, not a position")
@@ -42,18 +47,19 @@ def _unit(value: Any, name: str) -> np.ndarray:
 
 
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) that takes one unit vector onto another."""
+    """Return a rotation (3, 3) that takes one unit vector onto another."""
     cos = float(axis @ direction)
-    if cos < 0.0:  # 1 + cos loses its digits near 180 degrees: use two reflections through a third vector instead
+    # 1 + cos loses its digits near 180 degrees, so two reflections through a third vector are used instead.
+    if cos < 0.0:
         between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
         u, v = axis - between, direction - between
         return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
-    K = np.outer(direction, axis) - np.outer(axis, direction)  # cross product matrix of axis x direction
+    K = np.outer(direction, axis) - np.outer(axis, direction)  # This is the cross product matrix of axis x direction.
     return np.eye(3) + K + K @ K / (1.0 + cos)
 
 
 def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
-    """Rotation (3, 3) nearest to R and how far R was from it (largest deviation of a singular value from 1)."""
+    """Return the rotation (3, 3) nearest to R and the largest deviation of R's singular values from 1."""
     U, S, Vt = np.linalg.svd(R)
     D = np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(U @ Vt)))])
     return U @ D @ Vt, float(np.abs(S * np.diag(D) - 1.0).max())
@@ -69,13 +75,13 @@ def _numbers(value: Any, size: int, name: str) -> np.ndarray:
 
 
 def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Angles (N,) [rad] between rotations A and B (N, 3, 3)."""
+    """Return the angles (N,) [rad] between rotations A and B (N, 3, 3)."""
     chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
     return 2.0 * np.arcsin(np.minimum(chord, 1.0))
 
 
 def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return the rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     return np.array(
         [
@@ -87,19 +93,20 @@ def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def matrix_rpy(R: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw [rad] of a rotation (3, 3); yaw = 0 where pitch is +-90 degrees.
+    """Return roll, pitch, yaw [rad] of a rotation (3, 3), with yaw = 0 if pitch is +-90 degrees.
 
-    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90 degrees.
+    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90
+    degrees.
     """
     cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding error
+    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # At a pitch of 90 degrees yaw is 0.
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
 
 
 def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
-    """Rotation (3, 3) of a quaternion (4,) in this order (normalised here)."""
+    """Return the rotation (3, 3) of a quaternion (4,) in this order, which is normalised here."""
     q = _numbers(quat, 4, f"quat_{order}")
     length = math.sqrt(float(q @ q))
     if not length > 1e-6:
@@ -115,7 +122,7 @@ def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz
 
 
 def matrix_quat(R: np.ndarray) -> np.ndarray:
-    """Quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
+    """Return the quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
     K = np.array(
         [
             [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
@@ -124,7 +131,7 @@ def matrix_quat(R: np.ndarray) -> np.ndarray:
             [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
         ]
     )
-    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle
+    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle only.
     return q if q[3] >= 0 else -q
 
 
@@ -166,11 +173,22 @@ def pose(
     axis: Numbers = (0.0, 0.0, 1.0),
     direction: Numbers | None = None,
 ) -> AxisTarget | np.ndarray:
-    """Return a target: T_base_tip (4, 4), or a position (3,) when no rotation is given (orientation free).
+    """Make a target from a position and, if the orientation counts, a rotation or direction.
 
-    xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, quat_wxyz, or rotation (3, 3). With a
-    direction (3,) in the base frame it is an AxisTarget: the tip's axis (3,) (default its z) points along it, rotation about it
-    is free. Raises InvalidTarget for anything not finite, of the wrong size or not a rotation.
+    Args:
+        xyz: Position [m] of the tip in the base frame, by default the origin.
+        rpy: Roll, pitch and yaw [rad] in URDF's order: Rz(yaw) Ry(pitch) Rx(roll).
+        quat_xyzw: Quaternion with the scalar last.
+        quat_wxyz: Quaternion with the scalar first.
+        rotation: Rotation matrix (3, 3), T_base_tip.
+        axis: Axis (3,) in the tip frame that points along `direction`, by default z.
+        direction: Direction (3,) in the base frame; rotation about it is free.
+
+    Returns:
+        T_base_tip (4, 4), an AxisTarget if a direction is given, or the position (3,) if no rotation is given.
+
+    Raises:
+        InvalidTarget: A value is not finite, of the wrong size or no rotation, or several rotations are given.
     """
     turned = sum(part is not None for part in (rpy, quat_xyzw, quat_wxyz, rotation))
     if direction is not None:
@@ -208,17 +226,17 @@ def pose(
 
 
 def _axes(T: np.ndarray, target: np.ndarray, frame: str) -> np.ndarray:
-    """Rotation (3, 3) from base axes to the axes of `frame`."""
+    """Return the rotation (3, 3) from base axes to the axes of `frame`."""
     if frame == "base" or (frame == "target" and target.ndim == 1):
         return np.eye(3)
     return (T if frame == "tip" else target)[:3, :3].T
 
 
 def raw_error(T: np.ndarray, target: np.ndarray, frame: str = "base") -> np.ndarray:
-    """Error (6,) of a tip pose T (4, 4) from a target (4, 4) or (3,): target - tip [m], then the remaining rotation vector [rad].
+    """Compute the error (6,) of a tip pose T (4, 4) from a target (4, 4) or (3,): target - tip [m], then the rotation vector [rad].
 
-    Along the axes of `frame`: 'base' (of T and target), 'tip' or 'target' (of a position, which has no axes: 'base'). The
-    rotation vector r is that of the rotation exp(r) T = target; NaN for a position, which has none.
+    It is along the axes of `frame`: 'base' (of T and target), 'tip' or 'target' ('base' for a position, which has no
+    axes). The rotation vector r is that of the rotation exp(r) T = target; for a position, which has none, it is NaN.
     """
     import pinocchio as pin
 
@@ -241,18 +259,19 @@ def errors(
     free_turn: Sequence[float] | None = None,
     frame: str = "base",
 ) -> tuple[np.ndarray, float, float | None]:
-    """Error of a tip pose T (4, 4) from a target (4, 4) or (3,): the raw error (6,), and the norms of what counts [m], [rad].
+    """Compute the error of a tip pose T (4, 4) from a target (4, 4) or (3,): the raw error (6,), and the norms of what counts.
 
-    First, rotation about the tip axis free_turn (3,) is ignored: the rotation vector becomes that of the smallest rotation that
-    aligns the axis with the target's. Then each error is reduced by its slack (6,) and multiplied by its mask weight (6,). All
-    along the axes of `frame`, see `raw_error`. The orientation norm is None for a position.
+    First, rotation about the tip axis free_turn (3,) is ignored: the rotation vector becomes that of the smallest
+    rotation that aligns the axis with the target's. Then each error is reduced by its slack (6,) and multiplied by its
+    mask weight (6,), along the axes of `frame` (see `raw_error`). The norms are in [m] and [rad]; the latter is None
+    for a position.
     """
     raw = raw_error(T, target, frame)
     e = raw.copy()
     if free_turn is not None and target.ndim == 2:
         now, wanted = T[:3, :3] @ free_turn, target[:3, :3] @ free_turn
         across, cosine = np.cross(now, wanted), float(now @ wanted)
-        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # 180 degrees, about any perpendicular axis
+        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # The rotation is 180 degrees, about any perpendicular axis.
             across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))])
             angle = math.pi
         else:
@@ -273,7 +292,10 @@ def _near(position: np.ndarray) -> np.ndarray:
 
 
 def as_matrix(pose: Any) -> np.ndarray:
-    """Pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation. Raises InvalidTarget."""
+    """Return a pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation.
+
+    Raises InvalidTarget.
+    """
     T = check_target(pose)[0]
     if T.ndim == 2:
         return T
@@ -285,8 +307,8 @@ def as_matrix(pose: Any) -> np.ndarray:
 def check_target(target: Any) -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
 
-    Accepts a (4, 4) array, a (3,) position or anything with a `homogeneous` attribute (pin.SE3). A rotation within 1e-2 of
-    orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget otherwise.
+    A target is a (4, 4) array, a (3,) position or anything with a `homogeneous` attribute (pin.SE3). A rotation within
+    1e-2 of orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget for anything else.
     """
     matrix = getattr(target, "homogeneous", target)
     T = floats(matrix, "a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers", InvalidTarget)
@@ -323,6 +345,6 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
 
 
 def length(value: float) -> str:
-    """Length [m] as text with a suitable unit."""
+    """Write a length [m] with a suitable unit."""
     size, unit = next((x for x in ((1.0, "m"), (1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
     return f"{value / size:.3g} {unit}"

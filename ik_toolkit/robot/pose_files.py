@@ -1,12 +1,13 @@
-"""Poses from CSV, NPZ or JSON files: positions with or without rotations, and with times where requested.
+"""Reads poses from CSV, NPZ or JSON files: positions with or without rotations, and with times where requested.
 
-CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or all of roll,pitch,yaw (URDF order), and t [s] where times are
-requested, in any order; other columns are ignored. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t`
-(N,); without times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists under these names, or just a list of targets.
+A CSV file has a header with x,y,z [m], optionally all of qx,qy,qz,qw or all of roll,pitch,yaw (URDF order), and t [s]
+if times are requested, in any order; other columns are ignored. An NPZ file has `xyz` (N, 3), optionally `quat_xyzw` or
+`quat_wxyz` (N, 4), and `t` (N,); without times also `targets` (N, 4, 4) or (N, 3). A JSON file has an object with lists
+under these names, or just a list of targets.
 
-For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or
-(N, 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without
-data is free.
+For several tips, CSV has columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) has an array TIP (N,
+4, 4) or (N, 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is
+one. A tip without data is free.
 """
 
 import csv
@@ -26,20 +27,32 @@ from ..errors import IKError, InvalidTarget, near_match
 from ..files import without_mark
 from .pose import rpy_matrix
 
-LINES = 16384  # rows read at a time
+LINES = 16384  # Number of rows read at a time.
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w
-# Largest arrays of a file together [bytes]: the first, and the second for each byte of the file; poses compress to a fifth at best.
-UNPACKED, EXPANSION = 2**26, 20
-NAMES = 2**18  # bytes of an array of names
-NUMBERS, TEXTS = "fiu", "U"  # kinds of dtype that are read as numbers, and as names
-HEADER = 2**16  # bytes of an array's header, which numpy takes into memory before it looks at it
-JSON_BYTES = 20_000_000  # lists take up to 20 times as much, and a second for 5 MB
-LONGEST_LINE = 2**20  # characters
+ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # Maps an order to its columns of x, y, z and w.
+NUMBERS, TEXTS = "fiu", "U"  # Arrays of these kinds of dtype are read as numbers, and as names.
+
+
+class PoseFileCaps(NamedTuple):
+    """Limits on a file, in bytes and characters, so that none exhausts this process; a file beyond one is refused."""
+
+    unpacked: int = 2**26  # Bytes of all arrays of a file, besides `expansion` for each byte of the file.
+    # Bytes of arrays for each byte of the file; compressed poses are at least a fifth of their size.
+    expansion: int = 20
+    names: int = 2**18  # Bytes of an array that holds names.
+    header: int = 2**16  # Bytes of an array's header, which numpy takes into memory before it looks at it.
+    json: int = 20_000_000  # Bytes of a JSON file, whose lists take up to 20 times as much, and a second for 5 MB.
+    line: int = 2**20  # Characters of one line of a CSV file.
+
+
+CAPS = PoseFileCaps()
 
 
 class Block(NamedTuple):
-    """Rows read at a time: t (m,) [s] or None, poses (m, 4, 4) or positions (m, 3); for several tips a dict of these by tip."""
+    """Rows that are read together: times t (m,) [s] or None, and poses.
+
+    The poses are (m, 4, 4) or positions (m, 3), for several tips a dict of these by tip.
+    """
 
     t: np.ndarray | None
     poses: Any
@@ -48,10 +61,11 @@ class Block(NamedTuple):
 def read_poses(
     path: Path, what: str, *, times: bool = False, deg: bool = False, tips: Sequence[str] = ()
 ) -> tuple[int, Iterator[Block]]:
-    """Number of rows and the blocks of a file: one block for NPZ, many for CSV. `what` names the contents in messages.
+    """Return the number of rows and the blocks of a file: one block for NPZ, many for CSV.
 
-    times: t is required as well. deg: roll, pitch and yaw are in degrees, not radians. tips: names of the tips whose poses the
-    file holds; none: poses without a name. Raises InvalidTarget naming the line, for a CSV also while its blocks are read.
+    `what` names the contents in messages. With `times`, t is required as well; with `deg`, roll, pitch and yaw are in
+    degrees, not radians. `tips` names the tips whose poses the file has; without, its poses have no name. Raises
+    InvalidTarget naming the line, for a CSV also while its blocks are read.
     """
     if not path.is_file():
         raise InvalidTarget(f"there is no {what} file '{path}'")
@@ -70,29 +84,29 @@ def read_poses(
         return rows, _read_csv(path, columns, len(_first_line(path)), times, deg)
     except InvalidTarget:
         raise
-    except Exception as error:  # damaged files raise many types: zip, zlib, lzma, npy and csv errors
+    except Exception as error:  # Damaged files raise many types: zip, zlib, lzma, npy and csv errors.
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
 
 
 def _said(error: Exception) -> str:
-    """Message of a decoder's error, in one short line."""
+    """Shorten the message of a decoder's error to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def _short(text: str) -> str:
-    """Text from a file, shortened for a message."""
+    """Shorten a text from a file for a message."""
     return text if len(text) <= 80 else f"{text[:80]}..."
 
 
 @contextmanager
 def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
-    """Arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
+    """Yield the arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
     if path.suffix.lower() == ".json":
         content = read_json(path, InvalidTarget)
         content = content if isinstance(content, dict) else {"targets": content}
         yield {name: _array(path, name, content[name]) if name in names else None for name in content}
         return
-    if not zipfile.is_zipfile(path):  # numpy would suggest unpickling it
+    if not zipfile.is_zipfile(path):  # numpy would suggest unpickling such a file.
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
     with np.load(path, allow_pickle=False) as file:
@@ -100,9 +114,9 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
 
 
 def read_json(path: Path, error: type[IKError]) -> Any:
-    """Content of a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
-    if path.stat().st_size > JSON_BYTES:
-        raise error(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ or CSV")
+    """Read a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
+    if path.stat().st_size > CAPS.json:
+        raise error(f"'{path.name}' is larger than {CAPS.json / 1e6:.0f} MB; save it as NPZ or CSV")
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except RecursionError:
@@ -110,12 +124,12 @@ def read_json(path: Path, error: type[IKError]) -> Any:
 
 
 def _array(path: Path, name: str, value: Any) -> np.ndarray:
-    """Numbers (or names) from JSON."""
+    """Return numbers (or names) from JSON as an array."""
     if name == "tips":
-        if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < NAMES // 4 for one in value):
+        if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < CAPS.names // 4 for one in value):
             raise InvalidTarget(f"'{path.name}': tips must be a list of names")
         return np.array(value, dtype=object)
-    with suppress(TypeError, ValueError, OverflowError):  # `floats` would look for masked entries in millions of lists
+    with suppress(TypeError, ValueError, OverflowError):  # `floats` would look for masked entries in millions of lists.
         if (array := np.array(value)).dtype.kind in NUMBERS:
             return array.astype(float)
     raise InvalidTarget(f"'{path.name}': {name} must be lists of numbers, not {' '.join(repr(value).split())[:120]}")
@@ -147,7 +161,7 @@ def _read_arrays(path: Path, times: bool) -> Block:
 
 
 def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
-    """Targets (N, 4, 4) or (N, 3) of each tip."""
+    """Return the targets (N, 4, 4) or (N, 3) of each tip."""
     with _arrays(path, ("targets", "tips", *tips)) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
         order = file["tips"].tolist() if "tips" in file else list(tips)
@@ -179,10 +193,11 @@ def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray
 
 
 def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: type[IKError]) -> None:
-    """Look at the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
+    """Check the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
 
-    Of the arrays called `names`: those in `texts` hold names, all others real numbers (no dates, complex numbers, truth values or
-    objects); none is larger than its data, and together they take no more than a file of this size can hold.
+    Of the arrays called `names`, those in `texts` have names, all others real numbers (no dates, complex numbers, truth
+    values or objects). None may be larger than its data, and together they may take no more than a file of this size
+    can hold.
     """
     packed, together = path.stat().st_size, 0
     with zipfile.ZipFile(path) as archive:
@@ -190,7 +205,7 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
         for member in members:
             name = member.filename.removesuffix(".npy")
             with archive.open(member) as stream:
-                start = io.BytesIO(stream.read(HEADER))
+                start = io.BytesIO(stream.read(CAPS.header))
                 version = np.lib.format.read_magic(start)
                 read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
                 shape, _, dtype = read(start)
@@ -203,9 +218,9 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
                     f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
                 )
             together += member.file_size
-            if name in texts and promised > NAMES:
+            if name in texts and promised > CAPS.names:
                 raise error(f"'{path.name}': the array {name} takes {promised:,} bytes, too many for names")
-            if together > UNPACKED + EXPANSION * packed:
+            if together > CAPS.unpacked + CAPS.expansion * packed:
                 raise error(
                     f"'{path.name}': {member.filename} unpacks to {together / 1e6:,.1f} MB from {packed / 1e6:,.1f} MB; save it "
                     "with numpy.savez, without compression"
@@ -213,29 +228,29 @@ def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: 
 
 
 def _lines(stream: TextIO, name: str) -> Iterator[str]:
-    """Lines of a file. Raises InvalidTarget for one that is too long to be a row."""
+    """Yield the lines of a file. Raises InvalidTarget for one that is too long to be a row."""
     for k in count(1):
-        line = stream.readline(LONGEST_LINE + 1)
-        if len(line) > LONGEST_LINE:
-            raise InvalidTarget(f"'{name}', line {k} has more than {LONGEST_LINE:,} characters")
+        line = stream.readline(CAPS.line + 1)
+        if len(line) > CAPS.line:
+            raise InvalidTarget(f"'{name}', line {k} has more than {CAPS.line:,} characters")
         if not line:
             return
         yield line
 
 
 def _first_line(path: Path) -> list[str]:
-    """Names of the columns."""
+    """Return the names of the columns, which the first line of a CSV file gives."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
         return [without_mark(cell.strip()) for cell in next(csv.reader(_lines(stream, path.name)), [])]
 
 
 def _header(path: Path, times: bool) -> list[int]:
-    """Indices of the columns used: t if requested, then 3, 7 (with quaternion) or 6 (with roll, pitch, yaw)."""
+    """Return the indices of the columns used: t if requested, then 3, 7 (with quaternion) or 6 (with roll, pitch, yaw)."""
     return _places([cell.lower() for cell in _first_line(path)], path.name, ["t"] if times else [], "")
 
 
 def _places(header: list[str], file: str, needed: list[str], prefix: str) -> list[int]:
-    """Indices of the columns of one pose, whose names begin with `prefix`, preceded by those in `needed`."""
+    """Return the indices of the columns of one pose, whose names begin with `prefix`, after those in `needed`."""
     position, every_quat, every_rpy = (tuple(prefix + name for name in names) for names in (POSITION, QUAT, RPY))
     needed = [*needed, *position]
     first = ",".join(needed)
@@ -257,7 +272,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str) -> lis
 
 
 def _other_separator(header: list[str]) -> str:
-    """Sentence tail for a first line whose names are separated by something else."""
+    """Return the tail of a sentence for a first line whose names are separated by something else."""
     other = next(
         (name for mark, name in ((";", "semicolons"), ("\t", "tabs")) if len(header) == 1 and mark in header[0]), ""
     )
@@ -265,7 +280,10 @@ def _other_separator(header: list[str]) -> str:
 
 
 def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
-    """Indices of the columns TIP.x, ... of each tip that has any. Raises InvalidTarget: no tip has any, or a name is wrong."""
+    """Return the indices of the columns TIP.x, ... of each tip that has any.
+
+    Raises InvalidTarget if none has, or a name is wrong.
+    """
     header = []
     for cell in _first_line(path):
         tip, dot, name = cell.rpartition(".")
@@ -290,7 +308,7 @@ def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool, deg: bool) -> Iterator[Block]:
-    """Blocks of a file; columns: indices by tip ('' for poses without a name); width: columns of the first line."""
+    """Yield the blocks of a file with columns by tip ('' for poses without a name); its first line has `width` columns."""
     every = [place for places in columns.values() for place in places]
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -310,7 +328,7 @@ def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool
 
 
 def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: str) -> np.ndarray:
-    """Positions (m, 3), or poses from them and a quaternion or roll, pitch, yaw (m, 7 or 6); `prefix` of the column names."""
+    """Return positions (m, 3), or poses from them and a quaternion or roll, pitch, yaw (m, 7 or 6)."""
     xyz, angles = values[:, :3], values[:, 3:]
     if not angles.shape[1]:
         return xyz
@@ -319,9 +337,9 @@ def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: st
 
 
 def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int], name: str) -> np.ndarray:
-    """Finite numbers (m, columns) from lines of text, each with `width` columns."""
+    """Return finite numbers (m, columns) from lines of text, each of which has `width` columns."""
     try:
-        if any(text.count(",") != width - 1 for text in texts):  # or a comma in quotes
+        if any(text.count(",") != width - 1 for text in texts):  # A comma in quotes has this effect too.
             raise ValueError
         values = np.loadtxt(texts, delimiter=",", usecols=columns, ndmin=2, comments=None, quotechar='"')
         if len(values) == len(texts) and np.isfinite(values).all():
@@ -329,7 +347,7 @@ def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int],
     except ValueError:
         pass
     rows = []
-    for k, text in zip(lines, texts, strict=True):  # find the line at fault
+    for k, text in zip(lines, texts, strict=True):  # Find the line at fault.
         try:
             row = next(csv.reader([text], strict=True))
         except csv.Error as error:
@@ -358,7 +376,7 @@ def _poses(
     word: str,
     prefix: str = "",
 ) -> np.ndarray:
-    """Poses (m, 4, 4) from positions and quaternions or roll, pitch, yaw."""
+    """Return poses (m, 4, 4) from positions and quaternions or roll, pitch, yaw."""
     T = np.tile(np.eye(4), (len(xyz), 1, 1))
     T[:, :3, 3] = xyz
     if kind is QUAT:

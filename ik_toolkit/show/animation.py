@@ -1,4 +1,4 @@
-"""A path or a trajectory in the scene: the robot moves along it, the tip path is coloured by a value."""
+"""Shows a path or a trajectory in the scene: the robot moves along it, and the path of its tip is coloured by a value."""
 
 import csv
 from pathlib import Path
@@ -13,21 +13,21 @@ from ..robot.pose_files import check_arrays, read_json
 from .body import Shape, need_trimesh, smooth
 
 OBSTACLE = (0.55, 0.58, 0.62)
-SLATE = (0.30, 0.34, 0.40)  # colour of the poses, as in the other scenes
+SLATE = (0.30, 0.34, 0.40)  # Colour of the poses, as in the other scenes.
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
     (0.99, 0.75, 0.16),
 )  # fmt: skip
-MAX_FRAMES = 400  # per animation; a longer motion is thinned out
-SECONDS = 12.0  # duration of the animation of a motion without times
+MAX_FRAMES = 400  # Limit on an animation's frames; a longer motion is thinned out.
+SECONDS = 12.0  # Duration [s] of the animation of a motion without times.
 
 
 class Motion(NamedTuple):
     """A path or a trajectory to show: N configurations, and a value for each.
 
-    q (N, n); t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit; targets (N', F, 3) [m]
-    in base axes, or None; breaks: places after which the motion is interrupted; lines: text for the page; collision: the
-    CollisionModel whose obstacles are drawn, or None.
+    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit;
+    targets (N', F, 3) [m] in base axes, or None; breaks, the places after which the motion is interrupted; lines of
+    text for the page; collision, the CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -43,7 +43,7 @@ class Motion(NamedTuple):
 
 
 def of_path(result: Any) -> Motion:
-    """Motion of a PathResult, with the bound on its deviation from the poses."""
+    """Make the motion of a PathResult, with the bound on its deviation from the poses."""
     finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
     deviation = np.append(result.continuity.deviation, np.nan)[finite]
     values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
@@ -58,7 +58,7 @@ def of_path(result: Any) -> Motion:
 
 
 def of_trajectory(trajectory: Any) -> Motion:
-    """Motion of a Trajectory, with the speed of its fastest tip."""
+    """Make the motion of a Trajectory, with the speed of its fastest tip."""
     speeds = []
     for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
         J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
@@ -82,7 +82,7 @@ def of_trajectory(trajectory: Any) -> Motion:
 
 
 def from_file(robot: Joints, file: str | Path) -> Motion:
-    """Motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip between samples.
+    """Make a motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -98,7 +98,7 @@ def from_file(robot: Joints, file: str | Path) -> Motion:
 
 
 def motion_of(what: Any) -> Motion | None:
-    """Motion of a PathResult or a Trajectory; None for anything else."""
+    """Make the motion of a PathResult or a Trajectory; return None for anything else."""
     if isinstance(what, Motion):
         return what
     if hasattr(what, "curve") and hasattr(what, "continuity"):
@@ -162,13 +162,13 @@ def _coloured(
     first[[k + 1 for k in breaks]] = True
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
-        last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece
+        last = stop if stop - 1 in breaks else stop + 1  # A piece ends where the next one starts.
         scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
 
 
 # ------------------------------------------------------------------------------------------------------------- read back
 def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
-    """Times (N,) [s] or None, and joint values (N, n), from a file of `ik path` (a path or a trajectory) or `ik track`.
+    """Read times (N,) [s] or None, and joint values (N, n) [rad or m], from a file of `ik path` or `ik track`.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -177,7 +177,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         names, values, t = _read(path)
     except InvalidConfiguration:
         raise
-    except Exception as error:  # damaged files raise many types: zip, zlib, npy, json and csv errors
+    except Exception as error:  # Damaged files raise many types: zip, zlib, npy, json and csv errors.
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
     missing = [joint for joint in robot.joint_names if joint not in names]
     if missing:

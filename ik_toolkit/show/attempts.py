@@ -1,4 +1,4 @@
-"""The attempts in a solve's history: the one that gave the result, and the others."""
+"""Separates the attempts in a solve's history: the one that gave the result, and the others."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,10 +7,10 @@ import numpy as np
 
 
 def attempts(history: Mapping[str, Any], q: Any = None) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Rows of a history: those of the winning attempt, up to its result, and those of each other attempt.
+    """Return the rows of the winning attempt, up to its result, and those of each other attempt.
 
-    q (n,): the result; if it is not among the rows (it was refined) the last row is used instead, and without q the row with the
-    smallest position error. A history without the column `attempt` is one attempt.
+    If the result q (n,) is not among the rows because it was refined, the last row is used instead, and without q the
+    row with the smallest position error. A history without the column `attempt` is one attempt.
     """
     error = np.asarray(history["position_error"], dtype=float)
     number = np.asarray(history.get("attempt", np.zeros(len(error), dtype=int)))
@@ -26,13 +26,13 @@ def attempts(history: Mapping[str, Any], q: Any = None) -> tuple[np.ndarray, lis
 
 
 def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Joint values (N, n), position errors [m] and angles [rad] of the winning attempt, ending at the result; rows of the others.
+    """Return joint values (N, n), position errors [m] and angles [rad] of the winning attempt of a Result with history.
 
-    result: a Result with history. An angle that does not count is NaN.
+    They end at the result; an angle that does not count is NaN. The last value lists the rows of the other attempts.
     """
     won, others = attempts(result.history, result.q)
     Q, position, angle = (np.asarray(result.history[key])[won] for key in ("q", "position_error", "orientation_error"))
-    if not np.array_equal(Q[-1], result.q):  # refined after the search
+    if not np.array_equal(Q[-1], result.q):  # The answer was refined after the search.
         Q, position = np.vstack([Q, result.q]), np.append(position, result.position_error)
         angle = np.append(angle, np.nan if result.orientation_error is None else result.orientation_error)
     return Q, position, angle, others

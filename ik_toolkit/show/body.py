@@ -1,7 +1,8 @@
-"""The look of a robot: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
+"""Turns the visual shapes of a robot's URDF into coloured triangles, which Pinocchio places.
 
-Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. Parts that cannot
-be drawn are reported; a robot without any drawable part becomes a stick figure, so that every model can be seen.
+Meshes go through trimesh, one shape for each material, because viewers that read .dae themselves drop parts of it.
+Parts that cannot be drawn are reported; a robot without any drawable part becomes a stick figure, so that every model
+can be seen.
 """
 
 import functools
@@ -19,18 +20,18 @@ from ..robot.geometry.meshes import Mesh
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
 
-FARTHEST = 1e9  # [m]; pages compute in 32 bits and multiply lengths
-THINNEST = 1e-6  # [m] least radius of a stick
-MAX_SHAPES = 2_000  # per robot; robots have up to 150
-COLORED = (".dae", ".obj", ".glb", ".gltf")  # formats with colours worth showing
+FARTHEST = 1e9  # Links further away [m] are not drawn, because pages compute in 32 bits and multiply lengths.
+THINNEST = 1e-6  # Least radius [m] of a stick.
+MAX_SHAPES = 2_000  # Limit on the shapes of a robot. Robots have up to 150.
+COLORED = (".dae", ".obj", ".glb", ".gltf")  # Formats whose colours are worth showing.
 GREY = (0.70, 0.72, 0.75)
-STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # colours of stick figures
-SMOOTH = np.radians(35.0)  # edges sharper than this stay visible
+STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # Colours of stick figures.
+SMOOTH = np.radians(35.0)  # Edges sharper than this stay visible.
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Triangles of one colour: vertices (N, 3) [m], faces (M, 3), color (3,) in 0..1, opacity."""
+    """Triangles of one colour: vertices (N, 3) [m], faces (M, 3), color (3,) in 0..1, and opacity."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -49,8 +50,9 @@ class Part:
 class Body:
     """The drawn parts of a robot and their placements.
 
-    parts (list of Part); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
-    why); T_world_base (4, 4) at rest; floor: height [m] of the floor, under the robot's lowest part that never moves.
+    `parts` is a list of Part, `placements(q)` gives their poses (P, 4, 4) in the model's world. `notice` says what is
+    not drawn and why, or is ''. `T_world_base` (4, 4) is the pose of the base at rest, `floor` the height [m] of the
+    floor, below the robot's lowest part that never moves.
     """
 
     def __init__(self, robot: Joints) -> None:
@@ -73,13 +75,13 @@ class Body:
         self.floor = float(self.bounds(robot.home, still=True)[0, 2])
 
     def placements(self, q: Any) -> np.ndarray:
-        """Poses (P, 4, 4) [m] of the parts in the world for joint values q (n,)."""
+        """Return the poses (P, 4, 4) [m] of the parts in the world for joint values q (n,) [rad or m]."""
         pin.forwardKinematics(self.model, self.data, self.robot._fill(self.robot.rest.copy(), q))
         pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
         return np.array([M.homogeneous for M in self.geometry_data.oMg])
 
     def tips(self, q: Any) -> np.ndarray:
-        """Poses (tips, 4, 4) [m] of the tips in the world at q (n,)."""
+        """Return the poses (tips, 4, 4) [m] of the tips in the world at q (n,) [rad or m]."""
         return np.array(
             [
                 self.T_world_base @ arm.fk(np.asarray(q)[at]).homogeneous
@@ -88,7 +90,7 @@ class Body:
         )
 
     def bounds(self, q: Any, still: bool = False) -> np.ndarray:
-        """Corners (2, 3) [m] of the bounding box of the robot at q, world axes; still: only of the parts that never move."""
+        """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only."""
         points = [np.zeros((0, 3))]
         moved = {self.model.getJointId(name) for name in self.robot.joint_names}
         for part, T, shown in zip(self.parts, self.placements(q), self.geometry.geometryObjects, strict=True):
@@ -99,7 +101,7 @@ class Body:
                 corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
-        if still and not len(stacked):  # the base has no drawn part: use the model's origin
+        if still and not len(stacked):  # The base has no drawn part, so the model's origin is used.
             stacked = self.T_world_base[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
@@ -114,7 +116,7 @@ def need_trimesh() -> Any:
 
 
 def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
-    """Geometry and parts of what can be drawn, and a sentence about what cannot."""
+    """Return geometry and parts of what can be drawn, and a sentence about what cannot."""
     if robot.urdf is None:
         return pin.GeometryModel(), [], ""
     try:
@@ -124,16 +126,16 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
     parts, drawn = [], []
     for shape in shapes:
         pieces = _pieces(shape)
-        if sum(len(piece.faces) for piece in pieces):  # a mesh may have only points and lines
+        if sum(len(piece.faces) for piece in pieces):  # A mesh may have only points and lines.
             parts.append(Part(shape.name, pieces))
             drawn.append(shape)
-    # Only the placements of this geometry are used.
+    # The shapes of the geometry are never used, only their placements.
     geometry = geometry_model(robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn))
     return geometry, parts, f"not read: {said(problems)}" if problems else ""
 
 
 def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
-    """Triangles of a link's shape, one Shape per material; () if none are left."""
+    """Return the triangles of a link's shape, one Shape for each material, or () if none are left."""
     creation = need_trimesh().creation
     *rgb, opacity = shape.color or (*GREY, 1.0)
     color = (rgb[0], rgb[1], rgb[2])
@@ -164,16 +166,16 @@ def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
 
 @functools.lru_cache(256)
 def _smoothed(mesh: Mesh) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
-    """Vertices, faces and colour of every material of a mesh, in the file's axes."""
+    """Return vertices, faces and colour of every material of a mesh, in the file's axes."""
     make = need_trimesh().Trimesh
     return tuple((*smooth(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces)
 
 
 def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled vertices, and faces, split along sharp edges so that a viewer's averaged normals keep them visible.
+    """Scale vertices and split them along sharp edges, so that a viewer's averaged normals keep those edges visible.
 
-    Corners of two faces stay one vertex if the faces meet there at a flat enough edge. Create small meshes large and scale them
-    here: trimesh drops triangles with sides under 0.1 mm.
+    Corners of two faces stay one vertex if the faces meet there at a flat enough edge. Create small meshes large and
+    scale them here, because trimesh drops triangles with sides under 0.1 mm.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -183,7 +185,8 @@ def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
     pairs, edges = mesh.face_adjacency[flat], mesh.face_adjacency_edges[flat]
     joined = []
     for end in (0, 1):
-        corners = faces[pairs] == edges[:, end][:, None, None]  # (E, 2, 3): which corner of each face it is
+        # corners (E, 2, 3) marks the corner of each of the two faces at which this end of the edge lies.
+        corners = faces[pairs] == edges[:, end][:, None, None]
         joined.append(3 * pairs + corners.argmax(axis=2))
     links = np.vstack(joined) if len(pairs) else np.empty((0, 2), dtype=int)
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
@@ -194,12 +197,12 @@ def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
-    """A stick figure: a ball at every joint of the paths, a bar to the next, a bar to the tip."""
+    """Build a stick figure: a ball at every joint of the paths, a bar to the next joint, a bar to the tip."""
     trimesh = need_trimesh()
     model, geometry, parts = robot.model, pin.GeometryModel(), []
     data = model.createData()
     pin.framesForwardKinematics(model, data, robot.rest)
-    ball = pin.GeometryObject  # only its placement is used
+    ball = pin.GeometryObject  # Only the placement of a ball is used.
 
     def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:
@@ -236,13 +239,13 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
 
 
 def grid_cell(radius: float) -> float:
-    """Cell width [m] of a grid, 1, 2 or 5 times a power of ten: about four cells per radius."""
+    """Return the cell width [m] of a grid with about four cells in `radius` [m]: 1, 2 or 5 times a power of ten."""
     unit = 10.0 ** np.floor(np.log10(radius / 4.0))
     return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
 
 
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> Shape:
-    """A tube through points (N, 3) [m] (WebGL draws lines only one pixel wide)."""
+    """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
@@ -252,14 +255,15 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)
     across[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
-    for k in range(1, len(P)):  # parallel transport, so that the tube does not twist
+    for k in range(1, len(P)):  # Parallel transport keeps the tube from twisting.
         side = across[k - 1] - along[k] * (along[k] @ across[k - 1])
         size = np.linalg.norm(side)
         across[k] = side / size if size > 1e-9 else across[k - 1]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(along, across)
     angle = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3)
+    # The points of the rings (10, N, 3).
+    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third
     vertices = (P + radius * ring).transpose(1, 0, 2).reshape(-1, 3)
     k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
     a, b = 10 * k + j, 10 * k + (j + 1) % 10

@@ -1,8 +1,8 @@
 """The live page: a robot with its solvers in one HTML file that needs no Python, no server and no network.
 
-The page's modules (folder `page`) are joined into one script. The robot's kinematics come from Pinocchio's model, as the screws
-of its joints; meshes are simplified, so that a page can be mailed. Names reach the page as text only: the data contain no `<`,
-and the page's content security policy lets no other script run.
+The page's modules (folder `page`) are joined into one script. The robot's kinematics come from Pinocchio's model, as
+the screws of its joints; meshes are simplified, so that a page can be mailed. Names reach the page as text only: the
+data contain no `<`, and the page's content security policy lets no other script run.
 """
 
 import base64
@@ -23,17 +23,19 @@ from ..robot.probe import screw
 from ..text import plain
 from .body import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
 
-Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3), faces (M, 3)
+Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # Vertices (N, 3) [m], normals (N, 3) and faces (M, 3).
 
-MODULES = ("robot", "solve", "draw", "hand", "main")  # in the order of their dependencies
-MOST_FACES = 40_000  # triangles per page: full meshes have up to 100 times as many and look the same at this size
-FINEST = 1 / 250  # of the robot's size: first cell size for merging vertices, enlarged until the faces are few enough
-GROW = 1.1
-STEPS = 65_535  # resolution of a coordinate over its shape: 16 bits
+MODULES = ("robot", "solve", "draw", "hand", "main")  # A module comes after those that it depends on.
+# Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on the page.
+MOST_FACES = 40_000
+# Vertices merge in cells that are at first 1/250 of the robot's size and grow until the faces are few enough.
+FINEST = 1 / 250
+GROW = 1.1  # The cell size grows by at least this factor in each round.
+STEPS = 65_535  # A coordinate has 16 bits over its shape.
 
 
 def page_html(robot: Joints, body: Body, title: str) -> str:
-    """HTML page of a robot whose drawn parts are `body`; needs no network."""
+    """Write the HTML page of a robot whose drawn parts are `body`; it needs no network."""
     data, blob = describe(robot, body)
     files = importlib.resources.files("ik_toolkit.show") / "page"
     code = "\n".join(joined((files / f"{name}.js").read_text(encoding="utf-8")) for name in MODULES)
@@ -49,16 +51,17 @@ def page_html(robot: Joints, body: Body, title: str) -> str:
         "CODE": code,
     }
     page = (files / "page.html").read_text(encoding="utf-8")
-    return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)  # one pass: inserted text is not scanned again
+    # One pass is enough, and inserted text is not scanned again.
+    return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)
 
 
 def joined(module: str) -> str:
-    """Text of a module without its imports and exports, to be joined into one script."""
+    """Return the text of a module without its imports and exports, to be joined into one script."""
     return re.sub(r"^export ", "", re.sub(r"^import [^;]*;\n", "", module, flags=re.M), flags=re.M)
 
 
 def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
-    """Data for the page's modules: joints, moving nodes, tips and parts; and all triangles."""
+    """Return the data for the page's modules (joints, moving nodes, tips and parts), and all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
 
@@ -79,7 +82,8 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
         {
             "reach": robot.reach,
             "room": room(bounds, body.floor),
-            "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],  # no limit: null
+            # A missing limit becomes null.
+            "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],
             "nodes": nodes,
             "base": at(base.parentJoint, base.placement),
             "tips": [
@@ -96,17 +100,17 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
 
 
 def room(bounds: np.ndarray, height: float) -> dict[str, Any]:
-    """Size and centre [m] of a box (2, 3), and the floor: its height [m], the grid's cell and extent."""
+    """Return size and centre [m] of a box (2, 3), and of the floor its height [m] and the grid's cell and extent [m]."""
     size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
     floor = {"z": height, "cell": grid_cell(size), "wide": 2.5 * size}
     return {"size": size, "centre": centre.tolist(), "floor": floor}
 
 
 def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:
-    """Joints that move with q, parents first, and for each joint of the model the node that carries it and its pose there.
+    """Return the joints that move with q, parents first, and for each joint of the model its node and its pose there.
 
-    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); fixed joints are part of the
-    placements.
+    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); fixed joints are
+    part of the placements.
     """
     model = robot.model
     data, zero = model.createData(), robot.to_pinocchio(np.zeros(robot.n))
@@ -138,12 +142,12 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
 
 
 def flat(T: pin.SE3) -> list[float]:
-    """Rows of [R | p]."""
+    """Return the 12 numbers of [R | p] of a pose, row by row."""
     return T.homogeneous[:3].ravel().tolist()
 
 
 def handles() -> dict[str, Shape]:
-    """Shapes for targets and the floor: of unit height and radius, upright at the origin."""
+    """Return the shapes for targets and the floor, of unit height and radius, upright at the origin."""
     make = need_trimesh().creation
     bar = make.cylinder(1.0, segment=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), sections=24)
     meshes = {
@@ -159,18 +163,19 @@ def handles() -> dict[str, Shape]:
 
 
 def thin(shapes: Sequence[Shape], size: float) -> list[Mesh]:
-    """Simplified vertices, normals and faces of a robot's shapes, at most MOST_FACES in all; size: of the robot [m]."""
+    """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most MOST_FACES together."""
     meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
     cell = FINEST * size
     while (count := sum(len(faces) for _, _, faces in meshes)) > MOST_FACES:
         if meshes is not whole:
-            cell *= max(GROW, np.sqrt(count / MOST_FACES))  # the number of faces falls with the square of the cell size
+            # The number of faces falls with the square of the cell size.
+            cell *= max(GROW, np.sqrt(count / MOST_FACES))
         meshes = [merged(*mesh, cell) for mesh in whole]
     return meshes
 
 
 def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
-    """Page data of shapes, and their triangles in order: 16-bit coordinates, 8-bit normals, indices (uint32)."""
+    """Return the page data of shapes, and their triangles in order: 16-bit coordinates, 8-bit normals, indices (uint32)."""
     told, blob = [], []
     for shape, (vertices, normal, faces) in zip(shapes, meshes, strict=True):
         low = vertices.min(axis=0) if len(vertices) else np.zeros(3)
@@ -194,7 +199,7 @@ def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[s
 
 
 def normals(shape: Shape) -> np.ndarray:
-    """Vertex normals (N, 3), weighted by the areas of the adjacent faces."""
+    """Compute vertex normals (N, 3), weighted by the areas of the adjacent faces."""
     a, b, c = (shape.vertices[shape.faces[:, k]].astype(float) for k in range(3))
     face = np.cross(b - a, c - a)
     total = np.zeros((len(shape.vertices), 3))
@@ -204,7 +209,7 @@ def normals(shape: Shape) -> np.ndarray:
 
 
 def merged(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray, cell: float) -> Mesh:
-    """Mesh with vertices merged per cell [m] if their normals point the same way (so that edges stay sharp)."""
+    """Merge vertices in the same cell [m] if their normals point the same way, so that edges stay sharp."""
     place = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     side = place.max(axis=0) + 1
     _, box = np.unique((place[:, 0] * side[1] + place[:, 1]) * side[2] + place[:, 2], return_inverse=True)

@@ -1,5 +1,6 @@
-"""Figures of motions: a tracking run (the arm along its path, errors, joints and speeds in shares of their limits), a path, a
-trajectory.
+"""Figures of motions: a tracking run, a path or a trajectory.
+
+A run shows the arm along its path, the errors, and joints and speeds as shares of their limits.
 """
 
 from typing import Any
@@ -13,11 +14,11 @@ from ..servo.result import TrackResult
 from ..style import COLOURS, DASHES, GREY, PALE
 from .plots import FLOOR, drawing, plain
 
-COLUMNS = 5  # of the legend of the joints, at most
+COLUMNS = 5  # Largest number of columns of the joints' legend.
 
 
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
-    """Points (k, 3) [m] of base, joints and tip at q in the base frame: the arm as a polyline."""
+    """Return the points (k, 3) [m] of base, joints and tip at q in the base frame: the arm as a polyline."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
     pin.updateFramePlacements(robot.model, data)
@@ -30,7 +31,7 @@ def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
 
 
 def plot_track(result: TrackResult, robot: Joints) -> Any:
-    """Draw a run. Raises MissingExtra without matplotlib."""
+    """Draw a tracking run. Raises MissingExtra without matplotlib."""
     slowed = result.added_time > 0.0
     with drawing() as plt:
         figure = plt.figure(figsize=(10.5, 8.2 if slowed else 6.8), layout="constrained")
@@ -48,7 +49,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
             ax.tick_params(labelbottom=False)
         axes[-1].set_xlabel("time [s]")
         joints = axes[2].get_legend_handles_labels()
-        for columns in range(COLUMNS, 0, -1):  # as many as fit: names may be long
+        for columns in range(COLUMNS, 0, -1):  # The legend gets as many columns as fit, because names may be long.
             legend = figure.legend(*joints, fontsize=7.5, ncols=columns, loc="outside lower right")
             if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
                 break
@@ -83,7 +84,8 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
     first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
     corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # so that a planar arm still gets a readable box
+    # No side is shorter than half the longest, because the box of a planar arm would be flat.
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
         getattr(ax, f"set_{name}lim")(middle - size, middle + size)
     ax.set_box_aspect(half, zoom=0.92)
@@ -111,7 +113,8 @@ def _errors(ax: Any, result: TrackResult) -> None:
     ax.axhline(result.position_tolerance, color=COLOURS[0], lw=0.8, ls=":", label="tolerance")
     if result.orientation_error is not None:
         ax.axhline(result.orientation_tolerance, color=COLOURS[4], lw=0.8, ls=":")
-    ax.set_title("error at the samples", loc="left", pad=20)  # room for the legend between title and curves
+    # The padding makes room for the legend between title and curves.
+    ax.set_title("error at the samples", loc="left", pad=20)
     ax.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0)
 
 
@@ -150,7 +153,7 @@ def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
 
 
 def plot_motion(what: Any) -> Any:
-    """Draw a PathResult or a Trajectory. Raises MissingExtra."""
+    """Draw a PathResult or a Trajectory. Raises MissingExtra without matplotlib."""
     timed = hasattr(what, "dq")
     with drawing() as plt:
         figure, axes = plt.subplots(
@@ -192,11 +195,11 @@ def _lines(ax: Any, x: np.ndarray, values: np.ndarray, robot: Joints) -> None:
 
 
 def _joints(ax: Any, robot: Joints, x: np.ndarray, Q: np.ndarray, breaks: list[float]) -> None:
-    """Draw joints relative to their limits; those without limits in half turns."""
+    """Draw joints relative to their limits, and those without limits in half turns."""
     bounded = np.isfinite(robot.lower + robot.upper)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
-    for k in breaks:  # no line across a change of branch
+    for k in breaks:  # No line is drawn across a change of branch.
         after = int(np.searchsorted(x, k))
         x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
     _lines(ax, x, shown, robot)

@@ -1,4 +1,4 @@
-"""`ik.plot`: a chart of any result in one call, with the figures of studies (benchmarks, tuning, workspaces)."""
+"""`ik.plot`: draws a chart of any result in one call, also of studies (benchmarks, tuning, workspaces)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,13 +23,24 @@ from .plots import SUFFIXES, convergence, drawing, plain, save, tracking_errors
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:
-    """Chart of a result as a matplotlib Figure, shown by a notebook cell that ends with it.
+    """Draw a chart of any result as a matplotlib Figure, which a notebook cell that ends with it shows.
 
-    what: a Result with history, or a dict label -> Result (error at every evaluation); a TrackResult (with robot), or a dict
-    label -> TrackResult (their errors); a PathResult or Trajectory (joints, speeds, bounds); a Benchmark; a TuneResult; a
-    Workspace (with robot); or, with robot, a configuration q (n,) or a dict label -> q: the arm as lines from the side and
-    from above, with a target (pose or position [m]) as a cross. file: also write it (.png, .pdf, .svg). Raises InvalidOption,
-    InvalidConfiguration, InvalidTarget, MissingExtra.
+    Args:
+        what: A Result with history, or a dict label -> Result, for the error at every evaluation; a TrackResult, or a
+            dict label -> TrackResult for their errors; a PathResult or Trajectory for joints, speeds and bounds; a
+            Benchmark, TuneResult or Workspace; a configuration q (n,) [rad or m] or a dict label -> q for the arm as
+            lines from the side and from above.
+        robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
+        target: Pose or position [m] in the base frame, drawn as a cross beside configurations.
+        file: File to which the chart is also written (.png, .pdf, .svg).
+
+    Returns:
+        The Figure.
+
+    Raises:
+        InvalidOption: There is no chart for this, the robot is missing, or the file has another suffix.
+        InvalidConfiguration, InvalidTarget: A configuration or the target is wrong.
+        MissingExtra: matplotlib is not installed.
     """
     if isinstance(robot, str | Path):
         meant = (
@@ -56,7 +67,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     else:
         figure = postures(what, _needed(robot, "configurations"), target)
     if file is not None:
-        with drawing():  # keeps text as text in an .svg
+        with drawing():  # The style keeps text as text in an .svg.
             save(figure, file)
     return figure
 
@@ -69,7 +80,7 @@ def _needed(robot: Joints | None, what: str) -> Joints:
 
 
 def postures(q: Any, robot: Joints, target: Any = None) -> Any:
-    """Draw the arm as lines through its joints at q (n,), or at each q of a dict label -> q, from the side and from above."""
+    """Draw the arm at q (n,) [rad or m], or at each q of a dict label -> q, as lines from the side and from above."""
     named = {str(label): one for label, one in q.items()} if isinstance(q, Mapping) else {"": q}
     with drawing() as plt:
         figure, axes = plt.subplots(1, 2, figsize=(8.2, 3.6), layout="constrained")
@@ -94,9 +105,9 @@ def postures(q: Any, robot: Joints, target: Any = None) -> Any:
 
 
 def plot_benchmark(found: Benchmark) -> Any:
-    """Draw, one row per robot, the success rate with its 95 % interval, and the share of targets solved over time."""
+    """Draw, one row for each robot, the success rate with its 95 % interval, and the share of targets solved over time."""
     robots = found.by_robot()
-    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # each solver has the same colour everywhere
+    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # A solver has the same colour everywhere.
     with drawing() as plt:
         height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
         figure, axes = plt.subplots(len(robots), 2, figsize=(9.0, height), layout="constrained", squeeze=False)
@@ -122,12 +133,12 @@ def plot_benchmark(found: Benchmark) -> Any:
         return figure
 
 
-LEAST_RATE = 1.0  # [%] least end of a map's colour scale, when hardly anything fails
-MARKED = 200  # most failures that are marked individually
+LEAST_RATE = 1.0  # Least end [%] of a map's colour scale, for when hardly anything fails.
+MARKED = 200  # At most this many failures are marked individually.
 
 
 def plot_tuning(result: TuneResult) -> Any:
-    """Draw cost over generations, with the held-out result in the title."""
+    """Draw the cost over generations, with the held-out result in the title."""
     with drawing() as plt:
         figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
         generation = np.arange(1, len(result.history) + 1)
@@ -147,7 +158,8 @@ def plot_tuning(result: TuneResult) -> Any:
 def plot_workspace(found: Workspace, robot: Joints) -> Any:
     """Draw, for each solver, the failure rate seen from above and from the side; failures are marked if they are few.
 
-    The scale ends at the largest rate of any cell, so that rare failures are visible. The robot is drawn at home for reference.
+    The scale ends at the largest rate of any cell, so that rare failures are visible. The robot is drawn at home for
+    reference.
     """
     arms = [skeleton(arm, robot.home[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
     with drawing() as plt:
@@ -173,7 +185,8 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
             row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
         for one in drawn:
-            one.set_clim(-0.15 * worst, worst)  # zero failures are pale, not white: white means no target
+            # Cells with zero failures are pale, because white means that there is no target.
+            one.set_clim(-0.15 * worst, worst)
         figure.colorbar(
             image,
             ax=axes,

@@ -1,4 +1,4 @@
-"""Charts in one style, readable in print, in grey and with colour blindness. Each returns a matplotlib Figure.
+"""Charts in one style, readable in print, in grey and with colour blindness; each is a matplotlib Figure.
 
 Lines differ in dashes as well as in colour, so that nothing depends on colour alone. `save` writes a figure to a file.
 """
@@ -15,13 +15,13 @@ from ..files import as_path, whole_file
 from ..style import COLOURS, DASHES, GREY, STYLE
 from .attempts import attempts
 
-FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
+FLOOR = 1e-12  # Smaller values [m, rad] are drawn here, because a logarithmic axis has no zero.
 SUFFIXES = (".png", ".pdf", ".svg")
 
 
 @contextmanager
 def drawing(style: Any = STYLE) -> Iterator[Any]:
-    """Matplotlib's pyplot in our style; figures made inside are not kept open. Raises MissingExtra."""
+    """Yield matplotlib's pyplot in our style; figures made inside are not kept open. Raises MissingExtra."""
     try:
         import matplotlib.pyplot as plt
     except ImportError:
@@ -35,7 +35,8 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
             interactive = plt.isinteractive()
-    if interactive != plt.isinteractive():  # the first figure loads the backend, and a notebook's changes this
+    # The first figure loads the backend, and a notebook's backend changes the mode.
+    if interactive != plt.isinteractive():
         plt.ion() if interactive else plt.ioff()
 
 
@@ -55,12 +56,12 @@ def save(figure: Any, path: str | Path) -> Path:
 
 
 def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -> Any:
-    """Error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
+    """Draw the error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
 
-    runs: a Result with history, its history, or a dict label -> either. Draws the attempt that found the result, up to it:
-    position [m] as a solid line, orientation [rad] dashed; the other attempts thin and grey, each from its own start. Labels and
-    title are drawn literally, never as formulas. tolerance [m, rad]: drawn as a line. Raises InvalidOption for a result without
-    history.
+    The attempt that found the result is drawn up to it, the position [m] as a solid line, the orientation [rad] dashed;
+    the other attempts are thin and grey. runs is a Result with history, its history, or a dict label -> either. Labels
+    and title are drawn literally, never as formulas. tolerance [m, rad] is drawn as a line. Raises InvalidOption for a
+    result without history.
     """
     named = _named(runs)
     with drawing() as plt:
@@ -92,10 +93,7 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
 
 
 def tracking_errors(runs: Any, *, title: str = "") -> Any:
-    """Position and orientation error over time of one or several tracking runs, on logarithmic scales.
-
-    runs: a TrackResult or a dict label -> TrackResult.
-    """
+    """Draw position and orientation error over time of a TrackResult, or a dict label -> TrackResult, on logarithmic scales."""
     named = runs if isinstance(runs, Mapping) else {getattr(runs, "method", ""): runs}
     turning = [run.orientation_error is not None for run in named.values()]
     with drawing() as plt:
@@ -129,9 +127,9 @@ def bars(
     log: bool = False,
     title: str = "",
 ) -> Any:
-    """Horizontal bars with intervals and numbers, in the given order (for benchmarks).
+    """Draw horizontal bars with intervals and numbers, in the given order, for benchmarks.
 
-    values: label -> value; intervals: label -> (low, high), drawn as a whisker; unit: axis label.
+    values maps a label to its value, intervals to (low, high), which is drawn as a whisker; unit is the axis label.
     """
     names = list(values)
     x = np.array([values[name] for name in names], dtype=float)
@@ -164,7 +162,7 @@ def _title(figure: Any, text: str) -> None:
 
 
 def _named(runs: Any) -> dict[str, tuple[Any, Any]]:
-    """Label -> history and result q (None if unknown), from anything `convergence` accepts."""
+    """Map each label to a history and the result q (None if unknown), from anything `convergence` accepts."""
     single = not isinstance(runs, Mapping) or "position_error" in runs
     named = {getattr(runs, "solver", ""): runs} if single else dict(runs)
     if not named:

@@ -1,4 +1,4 @@
-"""The 3-D view: robot, ghosts, targets, trails, clouds and animations; live in a browser, in a notebook, or as one file."""
+"""The 3-D view of a robot, ghosts, targets, trails, clouds and animations: in a browser, in a notebook, or as one file."""
 
 import base64
 import html
@@ -17,27 +17,27 @@ from .attempts import iterates
 from .body import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
 from .meshcat_server import Window, write_page
 
-# Colours of Okabe and Ito (2008), as in the plots.
+# The colours are those of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
 YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
-TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # of several tips
+TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # The trails of several tips have these colours in turn.
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
-AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
-FAR = 3.0  # extents; a target farther away is drawn but does not shrink the picture
-MAX_FRAMES = 400  # per animation; a longer run is thinned out
-BETWEEN = 6  # frames between two iterates, so that the eye can follow
+AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # The x axis is red, y is green, z is blue.
+FAR = 3.0  # A target further away, in extents of the picture, is drawn but does not shrink the picture.
+MAX_FRAMES = 400  # Limit on an animation's frames; a longer run is thinned out.
+BETWEEN = 6  # Number of frames between two iterates, so that the eye can follow.
 MAX_GHOSTS = 12
 
 
 def css(color: Sequence[float]) -> str:
-    """Colour of a page for (r, g, b) in 0..1."""
+    """Return the colour of a page for (r, g, b) in 0..1."""
     return "#" + "".join(f"{round(255 * c):02x}" for c in color)
 
 
 class Scene(Unique):
     """The drawing of one robot. Poses are in the robot's base axes [m], joint values as in `robot`.
 
-    title; lines (text on the page). `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.
+    `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.
     """
 
     def __init__(self, robot: Joints, title: str | None = None) -> None:
@@ -72,9 +72,8 @@ class Scene(Unique):
                     self.show(q)
                 for part, T in zip(self.body.parts, poses, strict=True):
                     same = np.allclose(T, self.window.transforms[f"robot/{part.name}"], rtol=0.0, atol=1e-9)
-                    for k in range(
-                        0 if same else len(part.shapes)
-                    ):  # parts that coincide with the robot are not drawn twice
+                    # Parts that coincide with the robot are not drawn twice.
+                    for k in range(0 if same else len(part.shapes)):
                         self.window.copy(f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}", color, opacity)
         for part, T in zip(self.body.parts, poses, strict=True):
             self.window.place(f"{name}/{part.name}", T)
@@ -94,7 +93,7 @@ class Scene(Unique):
         """Draw the axes (x red, y green, z blue) of a pose; of a position (3,) or an axis target only what it fixes."""
         trimesh = need_trimesh()
         size = size or 0.14 * self._extent()
-        r = 0.035  # in units of size, like everything below
+        r = 0.035  # This radius is in units of size, like everything below.
         free = isinstance(T_base, AxisTarget)
         T = np.eye(4)
         shapes = []
@@ -131,7 +130,7 @@ class Scene(Unique):
         self.window.say(names=self._names)
 
     def move(self, T_base: np.ndarray, name: str = "target") -> None:
-        """Move a drawn frame to another pose (4, 4)."""
+        """Move a drawn frame to another pose (4, 4) [m]."""
         self.window.place(name, self.body.T_world_base @ T_base)
 
     def trail(
@@ -142,7 +141,7 @@ class Scene(Unique):
         radius: float | None = None,
         label: str = "",
     ) -> None:
-        """Draw the tip path: points (N, 3) [m]."""
+        """Draw the path of a tip through points (N, 3) [m]."""
         P = self._world(points)
         self.window.delete(name)
         self.window.shape(name, tube(P, radius or 0.005 * self._extent(), color))
@@ -151,7 +150,7 @@ class Scene(Unique):
             self._say(css(color), label)
 
     def cloud(self, points: Any, success: Any = None, name: str = "cloud", size: float | None = None) -> None:
-        """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not)."""
+        """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not reached)."""
         P = self._world(points)
         good = np.ones(len(P), dtype=bool) if success is None else np.asarray(success, dtype=bool)
         if good.shape != (len(P),):
@@ -190,10 +189,9 @@ class Scene(Unique):
         )
 
     def converge(self, result: Any) -> None:
-        """Animate a solve: the iterates of the attempt that found the result, ending there.
+        """Animate a solve, a Result with history: the iterates of the attempt that found the result, ending there.
 
-        Also draws the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey. result: a Result
-        with history.
+        Also drawn are the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey.
         """
         Q, position, angle, others = iterates(result)
         rows = np.unique(np.linspace(0, len(Q) - 1, min(len(Q), MAX_FRAMES)).astype(int))
@@ -225,7 +223,7 @@ class Scene(Unique):
         rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
         wide = 0.005 * self._extent()
         ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
-        for k in range(ways.shape[1]):  # labels only for the first tip
+        for k in range(ways.shape[1]):  # Only the first tip gets labels.
             self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
             self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
         labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
@@ -239,22 +237,18 @@ class Scene(Unique):
         self.window.say(lines=[*notice, *lines])
 
     def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
-        """Aim the camera [m], world axes; without arguments, at everything drawn so far."""
+        """Aim the camera from `eye` at `target` [m], world axes; without arguments it sees everything drawn so far."""
         box = np.array([np.min([c[0] for c in self._corners], axis=0), np.max([c[1] for c in self._corners], axis=0)])
-        centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
+        centre, radius = box.mean(axis=0), max(0.5 * float(np.linalg.norm(box[1] - box[0])), 1e-3)
         to = centre if target is None else np.asarray(target, dtype=float)
-        at = (
-            to + 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
-            if eye is None
-            else np.asarray(eye, dtype=float)
-        )
-        cell = grid_cell(max(radius, 1e-3))
+        at = to + 1.6 * radius * np.array([0.66, -0.63, 0.41]) if eye is None else np.asarray(eye, dtype=float)
+        cell = grid_cell(radius)
         self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, self.body.floor])
         grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")
         self.window.say(legend=[*self._legend, grid])
 
     def html(self) -> str:
-        """The scene as one self-contained page: a single file that needs no network and opens from disk."""
+        """Return the scene as one self-contained page: a single file that needs no network and opens from disk."""
         if self.window.about["camera"] is None:
             self.look()
         return self.window.html()
@@ -266,7 +260,7 @@ class Scene(Unique):
     def page(self, path: str | Path) -> Path:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
 
-        Anything else in the scene (a result, ghosts, a cloud) is left out. Raises InvalidOption if the name does not end in .html.
+        A result, ghosts or a cloud are left out. Raises InvalidOption if the name does not end in .html.
         """
         from .live_page import page_html
 
@@ -279,20 +273,17 @@ class Scene(Unique):
         return self.window.serve(port)
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving the scene."""
         self.window.close()
 
     def _repr_html_(self) -> str:
-        """Notebook cell: embeds the whole page, so that it lives as long as the notebook."""
+        """Return the output of a notebook cell, which embeds the whole page so that it lives as long as the notebook."""
         page = html.escape(self.html(), quote=True)
         return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
 
     # ---------------------------------------------------------------------------------------------- for inspection
     def drawn(self) -> dict[str, np.ndarray]:
-        """World pose (4, 4) of everything drawn: 'robot/<part>', 'ghost_1/<part>', 'target', ...
-
-        Trails and clouds are already in world axes: identity.
-        """
+        """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
         found = {path: T.copy() for path, T in self.window.transforms.items()}
         for path in self.window.objects:
             if path.startswith(("trail", "path")) or path == "cloud":
@@ -305,7 +296,7 @@ class Scene(Unique):
         return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
 
     def _tips(self, q: np.ndarray) -> np.ndarray:
-        """Positions (tips, 3) [m] of the tips in base axes."""
+        """Return the positions (tips, 3) [m] of the tips in base axes."""
         world = self.body.tips(q)[:, :3, 3]
         base = self.body.T_world_base
         return (world - base[:3, 3]) @ base[:3, :3]
@@ -324,12 +315,22 @@ class Scene(Unique):
 
 
 def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
-    """Scene of a robot: at home, at q (n,), as a Result, TrackResult, PathResult, Trajectory, Solutions, or a list of q (ghosts).
+    """Show a robot in 3-D: at home, at a configuration, or with a result.
 
-    target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair (points,
-    success). A Result solved with history=True becomes an animation of the solve. The scene displays itself in a notebook cell;
-    `.save("x.html")` writes one file, `.page("x.html")` a page that includes the solvers, `.serve()` serves it to a browser.
-    Raises InvalidConfiguration, InvalidTarget, InvalidOption, MissingExtra.
+    A notebook cell displays the Scene; `.save("x.html")` writes one file, `.page("x.html")` a page that includes the
+    solvers, and `.serve()` serves it to a browser.
+
+    Args:
+        robot: The Robot or Tree.
+        what: A configuration q (n,) [rad or m], several of them, or a Result (animated if solved with history=True),
+            Solutions, TrackResult, PathResult or Trajectory; home by default.
+        target: Pose or position [m] in the base frame to mark; for a Tree by tip, or in the order of its tips.
+        cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
+        title: Title of the page, by default the robot's name.
+
+    Raises:
+        InvalidConfiguration, InvalidTarget, InvalidOption: An argument does not fit the robot.
+        MissingExtra: meshcat or trimesh is not installed.
     """
     scene = Scene(robot, title)
     run, motion = hasattr(what, "target_xyz"), motion_of(what)
@@ -374,12 +375,12 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
 
 
 def numbered(word: str, k: int) -> str:
-    """Scene path for tip k: the bare word for the first."""
+    """Return the scene path for tip k, which is the bare word for the first tip."""
     return f"{word}{k + 1 if k else ''}"
 
 
 def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
-    """Targets by tip, from a dict, a list in the order of the tips, or a single one. Raises FrameNotFound, InvalidTarget."""
+    """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
     if isinstance(target, Mapping):
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
@@ -391,7 +392,7 @@ def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
 
 
 def _rows(robot: Joints, what: Any) -> np.ndarray:
-    """Configurations (N, n) from q, several q, or several results."""
+    """Return configurations (N, n) from q, several q, or several results."""
     if isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what):
         return np.array([robot.check_q(getattr(item, "q", item)) for item in what]).reshape(-1, robot.n)
     if np.ndim(what) == 2:

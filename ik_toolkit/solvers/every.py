@@ -1,4 +1,4 @@
-"""Listing every solution of a target: from a closed form where one fits, otherwise from many starts."""
+"""Lists every solution of a target: from a closed form if one fits, otherwise from many starts."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ from .task import POSES, read_target
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
-    """Solutions of a target, or SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver: see `Solver.all`."""
+    """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count = whole(starts, "starts"), whole(count, "count")
     several = solver.robot.by_tip
     shape = getattr(target, "shape", ())
@@ -34,7 +34,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         found = _listed(plan, T, kinds, start[0], starts, count)
     else:
         found = search(plan, T, kinds, start, starts, count)
-    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin
+    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin, so it does not mean False.
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
         found = found.keep(free)
@@ -64,7 +64,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
 
 
 def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
-    """Any target -> (1, ...), kinds and notice; a plain valid pose costs next to nothing."""
+    """Return the target as an array (1, ...), its kinds and a notice; a plain valid pose costs next to nothing."""
     if type(target) is np.ndarray and target.dtype == np.float64 and target.shape == (4, 4) and target.flags.carray:
         if not robot.by_tip and is_rigid(target):
             return target[None], POSES, ""
@@ -72,7 +72,7 @@ def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
 
 
 def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Options of the kernel, parameters of the closed form, and the box of limits, reference and weights (4, n); kept."""
+    """Return the kernel's options, the closed form's parameters, and the box (4, n) of limits, reference and weights."""
     kept = plan.memo
     if kinds not in kept:
         robot = plan.robot
@@ -85,7 +85,7 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
-    """All branches of a closed form within limits, evaluated, nearest to start (n,) first."""
+    """List all branches of a closed form within limits, evaluated, nearest to start (n,) first."""
     robot = plan.robot
     opt, p, box = _prepared(plan, kinds)
     box = box.copy()
@@ -121,7 +121,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
 
 
 def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
-    """Solutions of a closed form that misses some, completed by a search."""
+    """Complete the solutions of a closed form that misses some by a search."""
     both = Solutions(
         first.robot,
         np.vstack([first.q, other.q]),

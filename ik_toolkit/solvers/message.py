@@ -1,4 +1,4 @@
-"""How a solve ended, as one sentence that says what to try."""
+"""Says how a solve ended, in one sentence with what to try."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ BROKEN = "every branch violates a joint limit"
 
 
 def sentence(result: Any) -> str:
-    """One sentence on how a result ended and what to try; of several tips a failure says what is left at each."""
+    """Say in one sentence how a result ended and what to try; of several tips a failure says what is left at each."""
     row, status, plan = result._of.row, result.status, result._of.plan
     left, starts = _left(result), result.restarts + 1
     if status == Status.CONSTRAINT_OPEN:
@@ -66,7 +66,7 @@ def sentence(result: Any) -> str:
 
 
 def _left(result: Any) -> str:
-    """Errors left at q, in words."""
+    """Say how far the tip at q is from the target."""
     left = _length(result.position_error)
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"
@@ -82,7 +82,7 @@ def _starts(count: int) -> str:
 
 
 def _at_each_tip(result: Any) -> str:
-    """Errors left at each of several tips that have a target, or ''."""
+    """Say the errors left at each of several tips that have a target, or return ''."""
     if len(result.robot.tips) == 1:
         return ""
     left = []
@@ -109,7 +109,7 @@ def _closed_form_says(result: Any, left: str) -> str:
 
 
 def _failure(result: Any, left: str, starts: int) -> str:
-    """Sentence on a failed search, without the advice."""
+    """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
         beyond = [f"{tip} by {_length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]

@@ -11,21 +11,23 @@ import numpy as np
 from ..errors import InvalidOption, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
 
-# Options that choose or finish one answer, left out where a plan is varied to search for more of them.
+# The options in PLAIN choose or finish one answer, so a plan that is varied to search for more answers leaves them out.
 PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
-MAX_ITERATIONS = 1_000_000
-SLICE = 256  # evaluations that a timed solve makes before it looks at the clock: about a quarter of a millisecond
-FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows
-OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/null_space.py
+MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
+SLICE = 256  # A timed solve makes this many evaluations before it looks at the clock, about a quarter of a millisecond.
+FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
+# kernel/null_space.py knows the objectives by these numbers.
+OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
-OTHERWISE = {  # names from other packages that mean something else here
+OTHERWISE = {  # Other packages use these names, which mean something else here.
     "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
-COUNTING = ("mask", "slack", "free_turn", "frame")  # what counts: one value for every tip, or a dict by tip
+# The options in COUNTING say what counts of the errors; each is one value for every tip, or a dict by tip.
+COUNTING = ("mask", "slack", "free_turn", "frame")
 FRAMES = ("base", "tip", "target")
 
 
@@ -33,25 +35,39 @@ FRAMES = ("base", "tip", "target")
 class Options:
     """How to run a solver.
 
-    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
-    restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
-    attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
-    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. limits: keep joints inside their
-    limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair of arrays (see `robot.narrowed`).
-    wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
-    otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
-    notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
-    left), along the axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then
-    slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it); then mask (6,), weights (0 =
-    free). Each is one value for every tip or a dict by tip, and the tolerances hold for what is left. relative_to: of a Tree,
-    a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as
-    usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for
-    redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
-    history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the robot's own
-    links), a margin [m] to keep between them, or a CollisionModel: only answers that touch nothing count, and the search goes
-    on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further than this
-    [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed
-    forms, closest, restarts or objective.
+    Three options say what counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
+    left) along the axes of `frame`: free_turn applies first, then slack, then mask. Each is one value for every tip or
+    a dict by tip, and the tolerances hold for what is left.
+
+    Attributes:
+        position_tolerance, orientation_tolerance: Both errors [m], [rad] must be below theirs.
+        max_iterations: Steps of an attempt.
+        restarts: Further attempts from other starts; None is the solver's own number.
+        max_evaluations: Limit on the FK evaluations of all attempts.
+        timeout: The same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
+            found. The first slice, of 256 evaluations, is always made.
+        seed: Seed of the random starts.
+        limits: Whether joints stay inside their limits. Calls also take narrower ones, a dict from joints to (lower,
+            upper) or a pair of arrays (see `robot.narrowed`).
+        wrap: Whether a bounded joint with a full turn or more may continue from the other end of its range. None is the
+            solver's own way: the default search wraps, the published methods stop at the limit.
+        q0_outside: 'clamp' moves a q0 outside the limits inside, with a notice; 'refuse' raises an error.
+        mask: Weights (6,) of the errors; 0 frees one.
+        slack: Half widths (6,) inside which there is no error; inf, and pi for a rotation, frees one.
+        free_turn: Axis (3,) of the tip about which rotation is free.
+        frame: 'base', 'tip' or 'target'.
+        relative_to: For a Tree, a dict from a tip to the tip in whose frame its target is given.
+        joint_weights: How freely each joint (n,) moves; 1 is usual, 0 holds it where q0, or home, has it.
+        closest: Whether the solution nearest q0 is returned if there are several.
+        objective: What to improve in the null space of a redundant task: 'mid-range', 'reference' (near q0) or
+            'manipulability'.
+        history: Whether errors and q of every evaluation are kept.
+        check: Whether Pinocchio checks the answer again.
+        avoid_collisions: True (the robot's own links), a margin [m] between them, or a CollisionModel. Only answers
+            that touch nothing count, and the search continues until one is found.
+        follow: For control loops, one attempt from q0 (required) in which no joint moves further than this [rad;
+            prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It does not
+            go with closed forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6
@@ -77,14 +93,14 @@ class Options:
     avoid_collisions: Any = False
     follow: float = 0.0
 
-    @functools.cached_property  # asked at every check of an answer
+    @functools.cached_property  # Every check of an answer needs this, so it is computed once.
     def in_part(self) -> bool:
         """Whether only part of the errors counts, or targets are relative to another tip."""
         return any(getattr(self, name) is not None for name in (*COUNTING[:3], "relative_to"))
 
     @property
     def budget(self) -> int | None:
-        """FK evaluations of one run of the kernel: with a timeout a slice, after which it is run again with more."""
+        """FK evaluations of one run of the kernel; with a timeout this is a slice, after which it runs again with more."""
         return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 
@@ -92,7 +108,7 @@ NAMES = tuple(field.name for field in fields(Options))
 Numbers = Sequence[float] | np.ndarray
 
 
-End = float | None  # of a range that is narrowed; None: as it is
+End = float | None  # An end of a narrowed range; None leaves it as it is.
 Limits = bool | Mapping[str, tuple[End, End] | Sequence[End]] | Sequence[Numbers | None] | np.ndarray
 
 
@@ -124,7 +140,7 @@ class BatchOptions(PathOptions, total=False):
     objective: Literal["mid-range", "reference", "manipulability"] | None
     avoid_collisions: Any
     follow: bool | float
-    # parameters
+    # The parameters of our solvers follow.
     damping: float
     hold: bool
     gain: float
@@ -143,21 +159,21 @@ class BatchOptions(PathOptions, total=False):
 
 
 class AllOptions(BatchOptions, total=False):
-    """What `solve_all` takes by keyword; the `check` of a batch is a share."""
+    """What `solve_all` takes by keyword; its `check` is True or False, whereas that of a batch is a share."""
 
     check: bool
     history: bool
 
 
 class SolveOptions(AllOptions, total=False):
-    """What `solve` and `Solver` take by keyword; the `starts` of `solve_all` is a number."""
+    """What `solve` and `Solver` take by keyword; their `starts` are a table, whereas those of `solve_all` are a number."""
 
     starts: Any
     timeout: float | None
 
 
 def avoided(value: Any) -> bool | float | CollisionModel:
-    """Value of `avoid_collisions`: False (as is None), True, a margin [m] or a model. Raises InvalidOption for anything else."""
+    """Return the value of `avoid_collisions`: False (also for None), True, a margin [m] or a model. Raises InvalidOption."""
     if isinstance(value, CollisionModel):
         return value
     if value is None or isinstance(value, bool | np.bool_):
@@ -166,9 +182,9 @@ def avoided(value: Any) -> bool | float | CollisionModel:
 
 
 def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
-    """Validate keyword options. `tolerance` sets both tolerances. Raises InvalidOption naming the option.
+    """Validate keyword options; `tolerance` sets both tolerances. Raises InvalidOption naming the option.
 
-    parameters: names of a solver's own, one of which may have been meant by an unknown name.
+    `parameters` are names of a solver's own, one of which may have been meant by an unknown name.
     """
     values = dict(given)
     if "tolerance" in values:
@@ -185,7 +201,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             values[name] = _number(name, value, 0.0, math.inf)
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
-            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # other packages call the start a seed
+            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # Other packages call the start a seed.
                 raise InvalidOption("seed is the random seed of the restarts; the start is q0")
             if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
@@ -203,8 +219,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
                 continue
             raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
         elif name in ("limits", "history", "check", "closest") or (name == "wrap" and value is not None):
-            if not isinstance(value, bool | np.bool_):  # "no" would count as true
-                hint = " (what it is nearest to is q0)" if name == "closest" else ""
+            if not isinstance(value, bool | np.bool_):  # A text such as "no" would count as true.
+                hint = " (q0 is what the solution is nearest to)" if name == "closest" else ""
                 raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
             values[name] = bool(value)
         elif name == "follow":
@@ -233,7 +249,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
 
 
 def counting(name: str, value: Any) -> Any:
-    """One value of mask, slack, free_turn or frame, validated. Raises InvalidOption."""
+    """Validate one value of mask, slack, free_turn or frame. Raises InvalidOption."""
     if name == "frame":
         if not (isinstance(value, str) and value in FRAMES):
             raise InvalidOption(f"frame must be one of {', '.join(FRAMES)}, not {value!r}")
@@ -253,13 +269,13 @@ def counting(name: str, value: Any) -> Any:
             )
         return tuple(array.tolist())
     length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
-    if not 1e-9 < length < math.inf:  # a shorter one has no usable direction
+    if not 1e-9 < length < math.inf:  # A shorter vector has no usable direction.
         raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")
     return tuple((array / length).tolist())
 
 
 def _weights(name: str, value: Any) -> tuple[float, ...]:
-    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True is 1 here
+    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True counts as 1 here.
     if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
         raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
     return tuple(array.tolist())

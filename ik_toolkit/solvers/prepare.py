@@ -1,4 +1,4 @@
-"""Compiling ahead of the first call."""
+"""Compiles solvers ahead of the first call."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,11 +15,16 @@ from .solve import Solver
 
 
 def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> None:
-    """Compile what single calls and batches of `solvers` need; kernels already on disk are only loaded.
+    """Compile what single calls and batches of solvers need, some ten seconds each; kernels already on disk are only loaded.
 
-    solvers: names, default 'auto': everything that `ik.solve`, `Solver` and `solve_batch` take by default, several tips included.
-    progress(words) is called before each part. Some ten seconds a solver when nothing is on disk. Raises UnknownSolver,
-    InvalidOption.
+    Args:
+        solvers: Names of solvers. The default 'auto' is everything that `ik.solve`, `Solver` and `solve_batch` take by
+            default, several tips included.
+        progress: Function that is called with a text before each part.
+
+    Raises:
+        UnknownSolver: There is no solver of this name.
+        InvalidOption: `progress` cannot be called.
     """
     check_progress(progress, "a text")
     for name in solvers or ("auto",):
@@ -34,7 +39,7 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 
 def _call(robot: Any, name: str) -> bool:
-    """Call a solver for a pose and for a position, alone and in a batch; False when it fits neither."""
+    """Call a solver for a pose and for a position, alone and in a batch; return False if it fits neither."""
     at_home, fits = robot.fk(robot.home), False
     T = np.array([pose.homogeneous for pose in (at_home.values() if robot.by_tip else [at_home])])
     calls: list[Callable[[], Any]] = []

@@ -1,4 +1,4 @@
-"""A user's solver in a file, given as FILE.py:CLASS."""
+"""Loads a user's solver from a file, given as FILE.py:CLASS."""
 
 import functools
 import hashlib
@@ -11,14 +11,14 @@ from ..errors import InvalidOption, near_match
 
 
 def is_file(text: str) -> bool:
-    """Whether a solver is given as FILE.py:CLASS."""
+    """Return whether a solver is given as FILE.py:CLASS."""
     return ".py:" in text or text.endswith(".py")
 
 
 def from_file(text: str) -> type:
-    """The class of FILE.py:CLASS, run as Python runs a script: files beside it can be imported.
+    """Return the class of FILE.py:CLASS; the file is run as Python runs a script, so files beside it can be imported.
 
-    Raises InvalidOption when there is no such file or class, when it does not run, or when the class is not a solver.
+    Raises InvalidOption if there is no such file or class, if it does not run, or if the class is not a solver.
     """
     name, _, wanted = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
     path = Path(name).expanduser().resolve()
@@ -38,11 +38,11 @@ def from_file(text: str) -> type:
     raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
 
 
-@functools.cache  # a file is run once per process
+@functools.cache  # The cache makes a file run once per process.
 def _classes(path: Path) -> dict[str, type]:
-    """Classes that a file makes, by name. Raises InvalidOption when it does not run."""
-    # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was
-    # compiled for a file that moved is found again.
+    """Return the classes that a file makes, by name. Raises InvalidOption if it does not run."""
+    # The module gets a name of its own, so that a file called as a module (numpy.py) hides nothing.
+    # The name depends on the content, so that what was compiled for a file that moved is found again.
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -54,7 +54,7 @@ def _classes(path: Path) -> dict[str, type]:
     sys.path.insert(0, str(path.parent))
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a script may end itself
+    except (Exception, SystemExit) as error:  # A script may call sys.exit().
         del sys.modules[module_name]
         at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = getattr(error, "lineno", None) or (at[-1] if at else None)

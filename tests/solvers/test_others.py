@@ -99,7 +99,7 @@ def test_listing_in_a_new_process_imports_nothing_heavy(tmp_path):
         ({"half-step": "rows:HALF"}, "1 / 0", "division by zero"),
         ({"half-step": "rows:NONE"}, ROW, "NONE"),
         ({"half-step": "rows:HALF"}, "HALF = 'half'", "is a str, not a Row"),
-        ({"half": "rows:HALF"}, ROW, "its row is called 'half-step'"),
+        ({"half": "rows:HALF"}, ROW, "its row has the name 'half-step'"),
         ({"half,step": "rows:HALF"}, ROW.replace("half-step", "half,step"), "lowercase letters"),
         ({"auto": "rows:HALF"}, ROW.replace("half-step", "auto"), "not be 'auto'"),
         ({"lm": "rows:HALF"}, ROW.replace("half-step", "lm"), "has a solver of that name"),

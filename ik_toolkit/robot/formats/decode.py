@@ -1,18 +1,20 @@
-"""Bytes of an XML file -> text, by its byte order mark or the encoding that it declares."""
+"""Decodes the bytes of an XML file to text, by its byte order mark or by the encoding that it declares."""
 
 import codecs
 import re
 
 from ...errors import ModelError
 
-MARKS = (  # byte order marks; UTF-32 first, because its mark begins with that of UTF-16
+MARKS = (  # Byte order marks. UTF-32 comes first because its mark begins with that of UTF-16.
     (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
     (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
 )  # fmt: skip
-ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names that Python does not know
+# The encoding names windows-31j and x-sjis occur in files, but Python does not know them.
+ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}
 DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
-# Encodings of text that Python decodes in time proportional to the input; no codec that unpacks, such as zip or hex.
+# TEXTS has the encodings of text that Python decodes in time proportional to the input.
+# TEXTS has no codec that unpacks data, such as zip or hex.
 TEXTS = re.compile(
     r"utf-8|ascii|iso8859-\d+|cp(125\d|437|85\d|866|932|936|949|950|1361)|koi8-[rtu]|mac-(roman|cyrillic|greek|latin2)|"
     r"shift_jis(_2004|x0213)?|euc_(jp|kr|jis_2004|jisx0213)|iso2022_(jp|kr)(_\w+)?|gb2312|gbk|gb18030|hz|big5(hkscs)?|"
@@ -21,7 +23,10 @@ TEXTS = re.compile(
 
 
 def decode(raw: bytes, name: str) -> str:
-    """Text of a file's bytes, without an encoding in its XML declaration. name: of the file, for messages. Raises ModelError."""
+    """Decode a file and return its text, without an encoding in the XML declaration.
+
+    The name of the file appears in error messages. Raises ModelError if the bytes are not text in the encoding found.
+    """
     codec = next((codec for mark, codec in MARKS if raw.startswith(mark)), None)
     head = DECLARED.match(raw[:1024].decode("latin-1")) if codec is None else None
     codec = codec or (_codec(head[2]) if head else "utf-8")
@@ -39,15 +44,15 @@ def decode(raw: bytes, name: str) -> str:
 
 
 def undeclared(text: str) -> str:
-    """Text whose XML declaration names no encoding but UTF-8: it is decoded already, and later readers would do it again."""
+    """Remove an encoding other than UTF-8 from an XML declaration, so that no later reader decodes the text again."""
     head = DECLARED.match(text[:1024])
     return text if head is None or head[2].lower() == "utf-8" else head[1] + text[head.end() :]
 
 
 def _codec(declared: str) -> str:
-    """Python's codec for a declared encoding; UTF-8 where it is not one of TEXTS.
+    """Return Python's codec for a declared encoding, or UTF-8 if the declared one is not in TEXTS.
 
-    That may be right even if UTF-16 is declared: a declaration that can be read is not in UTF-16.
+    UTF-8 may be right even if UTF-16 is declared, because a declaration that could be read is not in UTF-16.
     """
     try:
         codec = codecs.lookup(ALIASES.get(declared.lower(), declared)).name if declared.isascii() else ""

@@ -1,7 +1,7 @@
-"""Names in a URDF that no reader knows: misspelled elements and attributes of what moves and where, which are dropped in silence.
+"""Finds misspelled elements and attributes of a URDF, which every reader would silently ignore.
 
-Extensions (of Gazebo, Drake, ROS, exporters) are no mistakes. An unknown element is reported only if its name is near one that
-URDF defines, or if it has an attribute that only such an element has.
+Extensions (of Gazebo, Drake, ROS, exporters) are no mistakes. An unknown element is reported only if its name is near
+one that URDF defines, or if it has an attribute that only such an element has.
 """
 
 import difflib
@@ -13,7 +13,7 @@ from .urdf import ITEMS, Item, Part
 
 ADVICE = "correct the name; as it is, every reader of URDF ignores it"
 ROOT = ("link", "joint", "material")
-ELEMENTS: Mapping[str, tuple[str, ...]] = {  # item or element -> elements that it may hold
+ELEMENTS: Mapping[str, tuple[str, ...]] = {  # An item or element of a URDF may hold these elements.
     "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
     "link": ("inertial", "visual", "collision"),
     "visual": ("origin", "geometry", "material"),
@@ -35,15 +35,16 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "capsule": ("radius", "length"),
     "mesh": ("filename", "scale"),
 }
-CLOSED = ("origin", "axis", "mimic", "parent", "child")  # elements to which no program adds attributes of its own
+CLOSED = ("origin", "axis", "mimic", "parent", "child")  # No program adds attributes of its own to these elements.
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
-MOST = 500  # different unknown names of a file that are compared: each takes up to 0.1 ms
-NEAR = 0.82  # likeness from which a name counts as misspelled: "gear_velocity" of some files is no "velocity"
+MOST = 500  # At most this many different unknown names of a file are compared, because each takes up to 0.1 ms.
+# A name is misspelled from a likeness of 0.82 on, as difflib computes it; "gear_velocity" is no "velocity".
+NEAR = 0.82
 
 
 def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
-    """Warnings for unknown elements and attributes of links and joints, and for a joint's elements that are given twice."""
+    """Yield warnings for unknown elements and attributes of links and joints, and for elements that a joint has twice."""
     seen: set[str] = set()
     for item in items:
         if item.tag in ("link", "joint"):
@@ -85,7 +86,7 @@ def _attributes(item: Item, part: Part, seen: set[str]) -> Iterator[Finding]:
         if key in known or key.startswith("xmlns"):
             continue
         near = _near(key, known, seen)
-        # An attribute of a namespace is an extension unless it has one of our names.
+        # An attribute with a namespace is an extension unless its name is near one that URDF defines.
         if near or (":" not in key and part.tag in CLOSED):
             yield _unknown(item, f"{key}= of <{part.tag}>", f"{near}=" if near else "", part.line)
 
@@ -95,17 +96,17 @@ def _twice(joint: Item) -> Iterator[Finding]:
         several = joint.own(tag)
         if len(several) > 1:
             lines = " and ".join(str(part.line) for part in several[:2])
-            told = f"it has {len(several)} <{tag}> (lines {lines}): the first counts"
+            told = f"it has {len(several)} <{tag}> (lines {lines}): only the first is read"
             yield odd(joint, told, "remove the others", several[1].line, at_load=True)
 
 
 def _unknown(element: object, name: str, near: str, line: int) -> Finding:
-    told = f"{name} is not known and is ignored" + (f"; {near} is meant?" if near else "")
+    told = f"{name} is not known and is ignored" + (f"; did you mean {near}?" if near else "")
     return odd(element, told, ADVICE, line, at_load=True)
 
 
 def _near(name: str, known: tuple[str, ...], seen: set[str]) -> str:
-    """The known name that another one is like, or ''. seen: names of this file looked up so far."""
+    """Return the known name that an unknown one resembles, or ''; `seen` has the names of this file looked up so far."""
     if len(seen) >= MOST and name not in seen:
         return ""
     seen.add(name)

@@ -1,8 +1,8 @@
-"""Checks a URDF must pass before Pinocchio sees it, and the findings of `ik check`, element by element.
+"""Checks a URDF before Pinocchio sees it, and finds what `ik check` reports, element by element.
 
 Pinocchio's parser accepts zero axes, reversed limits and negative sizes, rejects an invalid tree without naming the
-element, and crashes the process on a very long chain. So every file first goes through our own streaming parse: capped,
-with no DOCTYPE, no entity expanded and nothing fetched.
+element, and crashes the process on a very long chain. So every file first goes through our own streaming parse, which
+has size limits, rejects a DOCTYPE, expands no entity and fetches nothing.
 """
 
 import functools
@@ -18,16 +18,16 @@ from .spelling import misspelled
 from .urdf import Item, is_text, parse, safe_read
 from .urdf_values import joint_values, link_values, still, unversioned
 
-HINTS = 10  # near matches searched for in one file: each compares a name with every other
+HINTS = 10  # At most this many near matches are searched for in a file, because each compares a name with all others.
 
 
 def check_urdf(
     source: str | Path, package_dirs: Iterable[str | Path] = (), *, file: Path | None = None
 ) -> list[Finding]:
-    """Everything wrong with a URDF (path or text): errors, which prevent loading, then warnings.
+    """Return everything wrong with a URDF (path or text): errors, which prevent loading, then warnings.
 
-    file: the file a text came from. Meshes are searched for only in the file's folder, its ROS package and package_dirs;
-    network addresses are never opened.
+    `file` is the file that a text comes from. Meshes are searched for only in the file's folder, its ROS package and
+    package_dirs; network addresses are never opened.
     """
     try:
         text = safe_read(source)
@@ -51,9 +51,10 @@ def check_urdf(
 
 
 def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
-    """Raise ModelError naming the first invalid element of a URDF's kinematics (`check_urdf` lists all).
+    """Return the sentences that loading reports about a URDF.
 
-    Returns what loading says about the others; lines: whether those of the text are the file's.
+    Raises ModelError, which names the first invalid element of the kinematics, if there is one (`check_urdf` lists
+    all). `lines` tells whether lines of the text are lines of the file.
     """
     found = findings(text)
     errors = [finding for finding in found if finding.severity == "error"]
@@ -65,7 +66,7 @@ def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
 
 @functools.lru_cache(maxsize=4)
 def findings(text: str) -> tuple[Finding, ...]:
-    """Errors and warnings about a text that `safe_read` has accepted, without those about its meshes."""
+    """Return the errors and warnings about a text that `safe_read` has accepted, without those about its meshes."""
     return tuple(_findings(text))
 
 
@@ -103,7 +104,7 @@ def _findings(text: str) -> Iterator[Finding]:
 
 
 def _near(name: str, options: Iterable[str], before: int) -> str:
-    """Return '. Did you mean ...?' or '', without the list of all names; before: number of hints searched for so far."""
+    """Return '. Did you mean ...?' or ''; nothing is searched for after `before` has reached HINTS."""
     found = did_you_mean(name, options) if before < HINTS else ""
     return f".{found}" if found else ""
 
@@ -127,7 +128,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # wrong roots and cycles would only repeat the above
+        return  # Findings on roots and cycles would only repeat the broken joints.
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"
@@ -150,7 +151,7 @@ def _some(names: Iterable[str]) -> str:
 
 
 def _loose(text: str, joints: list[Item]) -> Iterator[Finding]:
-    """Warnings about mimic joints that stay fixed because they cannot follow their leaders."""
+    """Yield warnings about mimic joints that stay fixed because they cannot follow their leaders."""
     names = {joint.name: joint.line for joint in reversed(joints)}
     for count, (joint, why) in enumerate(followers(text).loose.items()):
         leader = re.search("'(.*)'", why)

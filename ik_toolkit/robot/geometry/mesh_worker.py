@@ -1,8 +1,9 @@
 """Subprocess that reads mesh files for `meshes.py`, so that a file that crashes its reader crashes only this process.
 
-It imports nothing from the toolkit. Job (JSON on stdin): kind 'surface' (triangles by coal, for collisions) or 'look' (triangles
-and colours by trimesh), out (folder), folders (the only ones referenced files are read from), files, and the caps. It prints
-"begin K", then one line of JSON per file, and writes OUT/K.npz with v0, f0, c0 (vertices [m], faces, colour or empty), v1, ...
+It imports nothing from the toolkit. Its job (JSON on stdin) has kind, 'surface' (triangles by coal, for collisions) or
+'look' (triangles and colours by trimesh), out (a folder), folders (the only ones referenced files are read from),
+files, and the limits. It prints "begin K", then one line of JSON per file, and writes OUT/K.npz with v0, f0, c0
+(vertices [m], faces, colour or empty), v1, ...
 """
 
 import base64
@@ -16,29 +17,30 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.parsers import expat
 
-FAR = 1e6  # [units of the file]; a coordinate beyond this is taken for corrupt
-REPEATED = 100_000  # nodes that one node may expand to
-# Lines of coal's message around the actual reason.
+FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
+REPEATED = 100_000  # Limit on the nodes that one node may expand to.
+# Lines of coal's message that surround the actual reason.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# What trimesh loads if it is there, and reading does without: it takes three times as long to import as all the rest.
+# trimesh loads scipy, networkx and shapely if they are installed, although reading a mesh does not need them.
+# Importing UNUSED takes three times as long as importing everything else.
 UNUSED = ("scipy", "networkx", "shapely")
-DEEP = 200  # nesting of nodes in a .dae or .gltf; exporters nest a few
+DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 
 
 class Refused(Exception):
-    """A file that is not read; the message says why."""
+    """A file is not read; the message says why."""
 
 
 class References:
-    """Files referenced by a mesh file: read only from inside the folders, and only regular files up to the cap."""
+    """Reads files that a mesh file refers to, only from inside the folders, and only regular files up to the size limit."""
 
     def __init__(self, file: Path, job: dict) -> None:
         self.file, self.job = file, job
-        self.refused: list[str] = []  # files outside the folders
+        self.refused: list[str] = []  # Sentences on the files refused so far because they lie outside the folders.
         self.last = ""
 
     def get(self, name: str) -> bytes:
-        """Bytes of a referenced file; Refused if it lies outside or does not exist."""
+        """Return the bytes of a referenced file. Raises Refused if it lies outside the folders or does not exist."""
         shown, inside = repr(name)[:100], False
         try:
             if "://" in name:
@@ -63,7 +65,7 @@ class References:
 def check_xml(raw: bytes) -> None:
     """Reject a .dae that declares entities, nests nodes too deep or has one that contains itself: readers crash on these."""
     stack: list[str] = []
-    inside: dict[str, list] = {}  # id of a node or scene -> the nodes below it or instanced by it
+    inside: dict[str, list] = {}  # Each node or scene, by id, has the nodes below it or instanced by it.
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict) -> None:
@@ -112,7 +114,7 @@ def check_instances(inside: dict[str, list]) -> None:
 
 
 def inline(raw: bytes, references: References) -> bytes:
-    """Text of a .gltf with its buffers embedded (readers would open any path written there)."""
+    """Return the text of a .gltf with its buffers embedded, because a reader would open any path written there."""
     tree = json.loads(raw)
     for buffer in tree.get("buffers", []):
         uri = buffer.get("uri", "")
@@ -140,14 +142,14 @@ def check_gltf(raw: bytes) -> None:
 
 
 def surface(file: Path, raw: bytes, references: References, out: Path):
-    """Triangles of a mesh file by coal (assimp), used for collision tests."""
+    """Yield the triangles of a mesh file, read by coal (assimp), for collision tests."""
     import coal
     import numpy as np
 
     path, kind = file, file.suffix.lower()
     if kind in (".obj", ".gltf"):
         path = out / f"copy{kind}"
-        if kind == ".obj":  # vertices and faces only: other lines name files
+        if kind == ".obj":  # Only vertices and faces are kept, because other lines name files.
             lines = raw.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
             path.write_bytes(b"\n".join(line for line in lines if line.split()[:1] in ([b"v"], [b"f"])))
         else:
@@ -158,7 +160,7 @@ def surface(file: Path, raw: bytes, references: References, out: Path):
 
 
 def look(file: Path, raw: bytes, references: References, out: Path):
-    """Triangles and colour of every material of a mesh file by trimesh, used for drawing."""
+    """Yield the triangles and the colour of every material of a mesh file, read by trimesh, for drawing."""
     import numpy as np
 
     sys.modules.update(dict.fromkeys(UNUSED))  # type: ignore[arg-type]  None: not found
@@ -172,7 +174,7 @@ def look(file: Path, raw: bytes, references: References, out: Path):
         get = __getitem__ = staticmethod(references.get)  # pyright: ignore[reportAssignmentType]
         write = namespaced = keys = lambda *_: None  # pyright: ignore[reportAssignmentType]
 
-    warnings.simplefilter("ignore")  # trimesh warns about materials that do not matter here
+    warnings.simplefilter("ignore")  # trimesh warns about materials that do not matter here.
     scene = trimesh.load_scene(io.BytesIO(raw), file_type=file.suffix.lower()[1:], resolver=Resolver())
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
@@ -200,7 +202,7 @@ def read(file: Path, references: References, job: dict, out: Path, number: int) 
         count += len(faces)
         if count > job["triangles"]:
             raise Refused(f"it has more than {job['triangles']:,} triangles")
-        if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # NaN too
+        if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # The comparison is false for NaN too.
             raise Refused(f"it has vertices that are not finite numbers up to {FAR:g}")
         arrays |= {f"v{k}": vertices, f"f{k}": faces, f"c{k}": np.empty(0) if color is None else color}
     if not count:
@@ -209,7 +211,7 @@ def read(file: Path, references: References, job: dict, out: Path, number: int) 
 
 
 def limit(what: str, value: int) -> None:
-    """Cap a resource of this process where the system supports it."""
+    """Limit a resource of this process where the system supports it."""
     with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
         import resource
 
@@ -219,14 +221,14 @@ def limit(what: str, value: int) -> None:
 
 
 def main() -> None:
-    """Read the job from stdin and the files one by one."""
+    """Read the job from stdin, then read the files one by one."""
     job = json.load(sys.stdin)
     out = Path(job["out"])
     limit("CORE", 0)
     limit("AS", job["memory"])
     for number, (name, seconds) in enumerate(job["files"]):
         print(f"begin {number}", flush=True)
-        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # the system kills the process beyond it
+        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # The system kills the process if it takes more time.
         file = Path(name)
         references = References(file, job)
         said = ""
@@ -238,7 +240,7 @@ def main() -> None:
             said = "it needs too much memory"
         except RecursionError:
             said = "its parts are nested too deep"
-        except Exception as error:  # readers can raise anything on a broken file
+        except Exception as error:  # Readers can raise any exception on a broken file.
             lines = [line for line in str(error).splitlines() if not line.startswith(COAL)]
             said = references.last or " ".join(" ".join(lines).split())[:120] or type(error).__name__
         notes = [] if said else list(dict.fromkeys(references.refused))[:3]

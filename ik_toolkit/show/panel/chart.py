@@ -1,4 +1,4 @@
-"""The convergence chart in the panel: the error at every evaluation."""
+"""The convergence chart in the panel shows the error at every evaluation."""
 
 from typing import Any
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from ...style import COLOURS
 
-FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
-CURVES: Any = (  # the abscissa, then errors
+FLOOR = 1e-12  # Smaller values [m, rad] are drawn here, because a logarithmic axis has no zero.
+CURVES: Any = (  # The first curve is the abscissa, the others are errors.
     {"label": "evaluation"},
     {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
     {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
@@ -15,7 +15,7 @@ CURVES: Any = (  # the abscissa, then errors
 
 
 class Chart:
-    """Errors of a solve over its evaluations. client: a viser client."""
+    """A chart of a solve's errors over its evaluations, in the page of a viser client."""
 
     def __init__(self, client: Any) -> None:
         """Build the chart, empty and hidden."""
@@ -43,7 +43,7 @@ class Chart:
         rows = np.arange(len(position))
         if result.restarts:
             rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
-        known = [position, angle] if np.isfinite(angle).all() else [position]  # a position has no angle
+        known = [position, angle] if np.isfinite(angle).all() else [position]  # A position has no angle.
         curves = [np.log10(np.maximum(values[rows], FLOOR)) for values in known]
         with self.client.atomic():
             self.plot.series = CURVES[: 1 + len(curves)]

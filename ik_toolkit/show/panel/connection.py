@@ -26,7 +26,7 @@ class Worker:
         threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
 
     def post(self, name: str, job: Callable[[], None]) -> None:
-        """Queue a job."""
+        """Queue a job under a name."""
         with self._wake:
             self._jobs[name] = job
             self._wake.notify_all()
@@ -38,14 +38,14 @@ class Worker:
                 self._wake.notify_all()
                 self._wake.wait_for(lambda: self._jobs or self.ended)
                 if self.ended:
-                    self._jobs.clear()  # they keep references to the visitor's scene
+                    self._jobs.clear()  # Jobs keep references to the visitor's scene.
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
                 self._busy = True
             job()
 
     def idle(self, timeout: float = 30.0) -> bool:
-        """Wait until all jobs are done."""
+        """Wait until all jobs are done; return whether they are."""
         with self._wake:
             return self._wake.wait_for(lambda: not self._jobs and not self._busy, timeout)
 
@@ -57,13 +57,13 @@ class Worker:
 
 
 PLAIN = "#37424f"
-LONGEST = 600  # characters of a status message
+LONGEST = 600  # Limit on the characters of a status message.
 STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see stage.FREE */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
 
 
 class Visit:
-    """Interaction between a visitor and the controls of a page; Desk builds them."""
+    """Interaction between a visitor and the controls of a page, which Desk builds."""
 
     def __init__(
         self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
@@ -72,7 +72,7 @@ class Visit:
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.stage: Any = None
         self.chart: Any = None
-        self.aspect = 0.0  # of the picture when the camera was last aimed
+        self.aspect = 0.0  # Width over height of the picture when the camera was last aimed.
         self.files = files
         self.session = Session(source, tips)
         self.kinds: dict[str, str] = {}
@@ -84,7 +84,7 @@ class Visit:
         self.status: Any = None
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
-        if hasattr(client, "camera"):  # a server has no camera
+        if hasattr(client, "camera"):  # A server has no camera.
             client.camera.on_update(lambda _: self._resized())
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ class Visit:
         self.worker.end()
 
     def _guard(self, job: Callable[[], None]) -> Callable[[], None]:
-        """Wrap a job to report user errors as messages, and anything else as a bug. Never ends the thread."""
+        """Wrap a job so that user errors become messages and anything else is reported as a bug; the thread never ends."""
 
         def run() -> None:
             try:
@@ -102,13 +102,13 @@ class Visit:
                 words = str(error)
             except Exception as error:
                 words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
-            if not self.worker.ended:  # after a visitor has left, the handles no longer exist
+            if not self.worker.ended:  # After a visitor has left, the handles no longer exist.
                 self.say(words, BAD)
 
         return run
 
     def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
-        """Run a job when the visitor (not this program) changes or clicks something."""
+        """Run a job when the visitor, not this program, changes or clicks something."""
         listen = getattr(handle, "on_click", None) or handle.on_update
 
         @listen
@@ -147,5 +147,5 @@ class Visit:
             self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
 
     def build(self) -> None:
-        """Rebuild the robot and its controls."""
+        """Build the robot and its controls anew."""
         raise NotImplementedError

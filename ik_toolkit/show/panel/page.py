@@ -1,4 +1,4 @@
-"""The page of one panel visitor: controls and 3-D view (viser) for a Session."""
+"""The page of one panel visitor: controls and a 3-D view (viser) for a Session."""
 
 import html
 from collections.abc import Sequence
@@ -22,18 +22,18 @@ from .target_widget import Goal
 from .undo import Past
 from .viser_scene import Stage
 
-QUIET = (71, 85, 105)  # colour of secondary buttons
-STEPS = 500  # least number of slider steps
-PUSH = 3.0  # [rad, or reaches] of self-motion from the middle of the slider to its end
-MOST_TIPS = 4  # tips that can be chosen on the page
+QUIET = (71, 85, 105)  # Colour of secondary buttons.
+STEPS = 500  # Least number of slider steps.
+PUSH = 3.0  # Self-motion [rad, or reaches] from the middle of the slider to its end.
+MOST_TIPS = 4  # Limit on the tips that can be chosen on the page.
 
 
 class Desk(Visit):
-    """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be loaded by path."""
+    """Controls and view of one visitor, who is a viser client; `files` tells whether robots may be loaded by path."""
 
     # -------------------------------------------------------------------------------------------------------- build
     def build(self) -> None:
-        """Rebuild the robot and its controls (after a change of robot, tip or units)."""
+        """Build the robot and its controls anew, after a change of robot, tip or units."""
         s = self.session
         body = Body(s.robot)
         with self.client.atomic():
@@ -87,7 +87,7 @@ class Desk(Visit):
             self._build_robot()
 
     def _build_tips(self) -> None:
-        """A drop-down list for each tip solved for, and one more to add another."""
+        """Add a drop-down list for each tip solved for, and one more to add another."""
         s = self.session
         chosen, every = s.robot.tips, list(dict.fromkeys([*s.robot.tips, *s.tips]))
         if len(every) < 2:
@@ -195,7 +195,7 @@ class Desk(Visit):
         if self.learn is not None:
             self.learn.show(s.q)
         self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
-        self.client.flush()  # at once, not at the end of viser's next interval
+        self.client.flush()  # The messages are sent at once, not at the end of viser's next interval.
 
     # ------------------------------------------------------------------------------------------------------ actions
     def _switch(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -212,7 +212,7 @@ class Desk(Visit):
         self._again()
 
     def _again(self) -> None:
-        """Rebuild the controls, keeping the kinds of orientation."""
+        """Build the controls anew, but keep for each tip how its orientation is given."""
         self.kinds = {goal.tip: goal.kind for goal in self.goals}
         self.build()
 
@@ -220,7 +220,7 @@ class Desk(Visit):
         s = self.session
         q = s.q.copy()
         for i, slider in enumerate(self.sliders):
-            if slider.value != self.shown[i]:  # shown values are rounded: an untouched joint keeps its exact value
+            if slider.value != self.shown[i]:  # Shown values are rounded, so an untouched joint keeps its exact value.
                 q[i] = slider.value / s.scale(i)
         if not np.isfinite(q).all():
             raise InvalidConfiguration("a joint value is not a finite number")
@@ -228,13 +228,13 @@ class Desk(Visit):
         self.show()
 
     def _push(self) -> None:
-        """Move through the self-motion by the slider's push, holding the tips' orientations only where they are targeted."""
+        """Move through the self-motion as far as the slider says; the tips' orientations are held only where they are targeted."""
         s, value = self.session, float(np.clip(self.push.value, -1.0, 1.0))
         turns = any(goal.posed for goal in self.goals)
         if not np.isfinite(value) or not len(freedom(s.robot, s.q, turns)):
             self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
-        along = np.cos(np.arange(s.robot.n))  # practically never orthogonal to an arm's self-motion
+        along = np.cos(np.arange(s.robot.n))  # This direction is practically never orthogonal to an arm's self-motion.
         s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)
         self.pushed = value
         self.show()
@@ -259,7 +259,7 @@ class Desk(Visit):
         self.say("undone")
 
     def _limits(self, limits: bool) -> None:
-        """Switch joint limits on or off; when on, move back inside them."""
+        """Switch joint limits on or off; when they are switched on, move back inside them."""
         s = self.session
         s.limits = limits
         s.q = np.clip(s.q, s.robot.lower, s.robot.upper) if limits else s.q
@@ -322,7 +322,7 @@ class Desk(Visit):
         return self._joined({goal.tip: goal.typed() for goal in self.goals})
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
-        """Targets in the form the robot expects, without the tips that have none."""
+        """Return targets in the form the robot expects, without the tips that have none."""
         return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
 
     def _solve(self) -> None:

@@ -1,7 +1,7 @@
-"""The panel: drive a robot by hand in a browser, with sliders, pose, target and solver.
+"""The panel drives a robot by hand in a browser, with sliders, pose, target and solver.
 
-Every visitor has their own robot (a Session) and one worker thread that runs their requests, newest first, so that drags
-never queue up and visitors do not disturb each other.
+Every visitor has their own robot (a Session) and one worker thread that runs their requests, newest first, so that
+drags never queue up and visitors do not disturb each other.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from ..access import guarded, is_loopback, new_token
 from .page import Desk
 from .session import Session
 
-HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows and rings, the camera
+HEARD = (  # These messages are accepted from a visitor's page: controls, the target's arrows and rings, the camera.
     "GuiUpdateMessage",
     "TransformControlsUpdateMessage",
     "TransformControlsDragStartMessage",
@@ -30,7 +30,10 @@ HEARD = (  # messages accepted from a visitor's page: controls, the target's arr
 
 
 class Panel(Unique):
-    """The panel's server. url: its address, including the access token; `close()` stops it. Several browsers may be open."""
+    """The panel's server; `url` is its address with the access token, and `close()` stops it.
+
+    Several browsers may be open.
+    """
 
     def __init__(
         self,
@@ -41,33 +44,33 @@ class Panel(Unique):
         port: int = 0,
         desk: type[Desk] = Desk,
     ) -> None:
-        """Serve a robot given by name or path. tips: one or several, default all known ones. port 0: a free one.
+        """Serve a robot given by name or path.
 
-        desk: what each visitor sees.
-
-        Raises MissingExtra, InvalidOption, RobotNotFound, ...
+        tips is one or several, by default all known ones; port 0 takes a free port; desk is the page that each visitor
+        sees. Raises MissingExtra without viser, InvalidOption if it cannot listen there, and what loading a robot
+        raises.
         """
         try:
             import viser
         except ImportError:
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
-        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
-        session = Session(source, tips)  # raises now if the robot is invalid
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # viser warns of visitors who leave.
+        session = Session(source, tips)  # This raises for an invalid robot.
         here = session.joined(session.poses())
-        session.solve(here)  # compile now if necessary, so that no visitor has to wait
+        session.solve(here)  # It compiles now if necessary, so that no visitor has to wait.
         session.follow(here)
         token = new_token()
-        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner.
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, self.server.get_port()
         if port not in (0, self.port):
             self.close()
             raise InvalidOption(f"port {port} is in use")
-        name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
+        name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - The server does not bind to it.
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
-        _hear_only(self.server.gui._websock_interface, ())  # messages are accepted only by a visitor's desk
+        _hear_only(self.server.gui._websock_interface, ())  # Messages are accepted only by a visitor's desk.
         self.desks: dict[int, Desk] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")
@@ -78,7 +81,7 @@ class Panel(Unique):
     def _welcome(self, client: Any, source: str, tips: str | Sequence[str] | None, local: bool) -> None:
         _hear_only(client.gui._websock_interface, HEARD)
         self.desks[client.client_id] = self._desk(client, source, tips, files=local)
-        if client.client_id not in self.server.get_clients():  # left before it was admitted
+        if client.client_id not in self.server.get_clients():  # The visitor left before being admitted.
             self._goodbye(client)
 
     def _goodbye(self, client: Any) -> None:
@@ -109,7 +112,7 @@ class Panel(Unique):
 
 
 def _check_address(host: str, port: int) -> None:
-    """Reject an address that cannot be listened on; viser would try one port after another for ever."""
+    """Reject an address that cannot be listened on, because viser would try one port after another for ever."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
@@ -123,7 +126,7 @@ def _check_address(host: str, port: int) -> None:
 
 
 def _hear_only(interface: Any, names: tuple[str, ...]) -> None:
-    """Accept only some kinds of message from a page: viser would store files, broadcast form values and open tunnels."""
+    """Accept only some kinds of message from a page, because viser would store files, broadcast form values and open tunnels."""
     for kind in list(interface._incoming_handlers):
         if kind.__name__ not in names:
             interface.unregister_handler(kind)

@@ -10,10 +10,10 @@ from .session import Session
 from .tables import note_html
 
 GO = "Go to this solution"
-TALL = 230  # height [pixels] of the list; the rest scrolls
+TALL = 230  # Height [pixels] of the list; the rest scrolls.
 SIGNS = {1: "+", -1: "\N{MINUS SIGN}", 0: "0"}
 CELL = "padding:2px 10px 2px 0;white-space:nowrap;font-variant-numeric:tabular-nums;text-align:right"
-STAY = "position:sticky;top:0;background:#fff"  # header stays visible while rows scroll
+STAY = "position:sticky;top:0;background:#fff"  # The header stays visible while rows scroll.
 # Pointing at a row enters its number into the field below, as typing would; a click also presses the button.
 POINT = (
     "const e=document.getElementById('{field}');"
@@ -24,7 +24,7 @@ CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()=
 
 
 class Found:
-    """Solutions found. ghost(q or None) shows one, go(k) moves there; listen(handle, name, job) runs a job on a change."""
+    """The solutions found, with their controls."""
 
     def __init__(
         self,
@@ -34,7 +34,10 @@ class Found:
         ghost: Callable[[np.ndarray | None], None],
         go: Callable[[int], None],
     ) -> None:
-        """Build the controls, hidden until there are solutions."""
+        """Build the controls, hidden until there are solutions.
+
+        ghost(q or None) shows a solution, go(k) moves there, and listen(handle, name, job) runs a job on a change.
+        """
         self.session, self.ghost = session, ghost
         self.folder = gui.add_folder("Solutions", visible=False)
         with self.folder:
@@ -48,7 +51,7 @@ class Found:
 
     @property
     def chosen(self) -> int:
-        """Index of the chosen solution, from 0."""
+        """Index of the chosen solution, counted from 0."""
         value = self.number.value if np.isfinite(self.number.value) else 1
         return int(np.clip(value, 1, max(len(self.session.solutions), 1))) - 1
 
@@ -70,7 +73,7 @@ class Found:
         self.ghost(None)
 
     def rows(self) -> str:
-        """Table of solutions: number, branch, distance, joint values under their names and units."""
+        """Write the table of solutions: number, branch, distance, joint values under their names and units."""
         s = self.session
         signs = s.branches if s.branches is not None and np.any(s.branches) else None
         branch = ["branch"] if signs is not None else []

@@ -10,7 +10,7 @@ from .viser_scene import Handle
 
 
 class Goal:
-    """The target of one tip, typed or dragged. kind: one of KINDS, or NONE if the tip has no target."""
+    """The target of one tip, typed or dragged; `kind` is one of KINDS, or NONE if the tip has no target."""
 
     def __init__(self, gui: Any, session: Session, tip: str, kind: str, listen: Callable[..., None]) -> None:
         """Build the controls; listen(handle, name, job) runs a job when the visitor changes one."""
@@ -22,8 +22,9 @@ class Goal:
         orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
         listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
-        self.written = xyz, rotation  # texts that stand for the handle's target, which has more digits
-        self.handle: Handle  # from `join` on
+        # While the fields hold these texts, the handle's target is used, which has more digits.
+        self.written = xyz, rotation
+        self.handle: Handle  # The handle is set by `join`.
 
     @property
     def posed(self) -> bool:
@@ -55,7 +56,10 @@ class Goal:
         return names.get(self.kind, f"r p y [{'deg' if self.session.degrees else 'rad'}]")
 
     def typed(self) -> np.ndarray | None:
-        """Read the target from the fields and move the arrows there; None without a target. Raises InvalidTarget."""
+        """Read the target from the fields and move the arrows there; return None without a target.
+
+        Raises InvalidTarget.
+        """
         if self.kind == NONE:
             return None
         if self.written == (self.xyz.value, self.rotation.value if self.posed else ""):
@@ -66,7 +70,7 @@ class Goal:
         return target
 
     def dragged(self) -> np.ndarray | None:
-        """Target to which the arrows were dragged, also written into the fields."""
+        """Return the target to which the arrows were dragged, after writing it into the fields."""
         if self.kind == NONE:
             return None
         T = self.handle.read()
@@ -74,7 +78,7 @@ class Goal:
         return T if self.posed else T[:3, 3]
 
     def put(self, T: np.ndarray) -> None:
-        """Set arrows and fields to a pose (4, 4)."""
+        """Set arrows and fields to a pose (4, 4) [m]."""
         self.handle.put(T)
         self._write(T)
 

@@ -1,4 +1,4 @@
-"""Targets of a batch, read part by part in whatever form they come: arrays, dicts by tip, lists, iterators."""
+"""Reads the targets of a batch part by part, in any form: arrays, dicts by tip, lists, iterators."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -11,29 +11,30 @@ from ...robot.pose import check_target
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
-ROUGH, RIGID = 1e-12, 1e-6  # deviations from orthonormal between which a rotation has few digits and is replaced
+# A rotation off orthonormal by 1e-12 to 1e-6 has few digits and is replaced by the nearest exact one.
+ROUGH, RIGID = 1e-12, 1e-6
 
 
 class Block(NamedTuple):
-    """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None where it is free."""
+    """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None if it is free."""
 
     parts: tuple[np.ndarray | None, ...]
     by_tip: bool
 
     @property
     def kinds(self) -> tuple:
-        """Kind of target of each tip."""
+        """The kind of target of each tip."""
         return tuple(FREE if part is None else SHAPES[part.shape[1:]] for part in self.parts)
 
     @property
     def rows(self) -> int:
-        """How many targets these are."""
+        """The number of targets."""
         return next(len(part) for part in self.parts if part is not None)
 
     def poses(self, a: int, b: int) -> np.ndarray:
-        """Targets a to b as the kernel takes them, a copy: (m, 4, 4), or of several tips (m, F, 4, 4).
+        """Return targets a to b as the kernel takes them, a copy: (m, 4, 4), or of several tips (m, F, 4, 4).
 
-        Rotations of few digits are replaced by the nearest exact ones; worse ones, and NaN, are returned by the kernel.
+        Rotations of few digits are replaced by the nearest exact ones; worse ones, and NaN, are refused by the kernel.
         """
         T = np.tile(np.eye(4), (max(0, min(b, self.rows) - a), len(self.parts), 1, 1))
         for f, part in enumerate(self.parts):
@@ -61,7 +62,7 @@ def _straighten(T: np.ndarray) -> None:
 
 
 def known(targets: Any) -> Any:
-    """Targets as one array or a dict of arrays; None for an iterator."""
+    """Return targets as one array or a dict of arrays, or None for an iterator."""
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
@@ -79,7 +80,7 @@ def known(targets: Any) -> Any:
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
-    """Targets of one tip as `read` returns them. Raises InvalidTarget naming the tip."""
+    """Return the targets of one tip as `read` returns them. Raises InvalidTarget, which names the tip."""
     try:
         return read(part)
     except InvalidTarget as error:
@@ -87,14 +88,14 @@ def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
 
 
 def _plain(target: Any) -> np.ndarray:
-    """One target of a list, or the list of those of several tips, as numbers."""
+    """Return one target of a list, or the list of those of several tips, as numbers."""
     if isinstance(target, list | tuple) and any(hasattr(one, "homogeneous") for one in target):
         return np.array([_numbers(getattr(one, "homogeneous", one)) for one in target])
     return _numbers(getattr(target, "homogeneous", target))
 
 
 def _numbers(targets: Any) -> np.ndarray:
-    """Targets as an array of real numbers, see `errors.floats`; a view where they are one."""
+    """Return targets as an array of real numbers (see `errors.floats`), a view if they are one."""
     if masked(targets):
         raise InvalidTarget("targets must be numbers, and some of these are masked")
     try:
@@ -107,7 +108,7 @@ def _numbers(targets: Any) -> np.ndarray:
 
 
 def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
-    """Chunks as blocks; refuses the wrong shape, or another kind than the first. Their numbers are checked in the kernel."""
+    """Turn chunks into blocks, and refuse a wrong shape, or another kind than the first; the kernel checks their numbers."""
     kinds = None
     for chunk in chunks:
         if isinstance(chunk, Mapping):
@@ -155,7 +156,10 @@ def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
-    """Target T (4, 4) or (F, 4, 4) that the kernel refused, made exact. Raises InvalidTarget naming the target and the tip."""
+    """Make a target T (4, 4) or (F, 4, 4) that the kernel refused exact.
+
+    Raises InvalidTarget naming the target and the tip.
+    """
     good = T.copy().reshape(-1, 4, 4)
     for tip, kind, one in zip(tips, kinds, good, strict=True):
         if kind == FREE:
