@@ -327,9 +327,18 @@ def split(rows: Array, ends: Array, n: int) -> list[Array]:
     return np.split(rows, np.cumsum(ends[:, -n - 1].astype(int))[:-1])
 
 
-def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> TreeChain:
-    """Join chains; places[f][i] is the shared coordinate of coordinate i of chain f. lower, upper, home (n,) [rad or m]."""
+def pack_tree(
+    chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array
+) -> Chain | TreeChain:
+    """Join chains; places[f][i] is the shared coordinate of coordinate i of chain f. lower, upper, home (n,) [rad or m].
+
+    A single one stays a Chain, with another home.
+    """
     n, F = len(lower), len(chains)
+    if F == 1:
+        ends = chains[0].ends.copy()
+        ends[POINTS + 6 * n : POINTS + 7 * n] = home / chains[0].unit
+        return chains[0]._replace(ends=ends)
     scale = max(chain.scale for chain in chains)
     parts = []
     for chain, place in zip(chains, places, strict=True):  # back to metres (scales are powers of two, so exactly)

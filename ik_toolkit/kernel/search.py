@@ -62,13 +62,13 @@ def _problem_on(block, rows, ends, tasks, n, orders):
     return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
 
 
-def by_tip(ends, T, tips):
+def shaped(ends, T, tips):
     """Ends as Serial or Tree take them, by the shape of the targets."""
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 
 
-@overload(by_tip, jit_options=INLINE)
-def _by_tip(ends, T, tips):
+@overload(shaped, jit_options=INLINE)
+def _shaped(ends, T, tips):
     if T.ndim == 3:
         return lambda ends, T, tips: ends
     return lambda ends, T, tips: fold(ends, np.float64, tips, ends.shape[0] // tips)
@@ -320,7 +320,7 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
     if following:
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
-    p = problem_on(block, rows, by_tip(near_ends, T, tips), orders[HEAD:first], n, o)
+    p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
     # What belongs to the coordinates is the same for every tip, and stands first.
     box, near = Ends(ends, n), Ends(near_ends, n)
     table = make_table(block, seeds, features, tips)

@@ -133,7 +133,7 @@ def rank_groups(p, table):
 
 
 @inner
-def begin_by_tips(p, table, k, q):
+def begin_each_tip(p, table, k, q):
     """Each coordinate as its tip chose it; if its tip has no target, it stays where the search starts."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])

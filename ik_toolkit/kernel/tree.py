@@ -32,7 +32,7 @@ from .problem import (
 )  # fmt: skip
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
-from .starts import begin_by_tips, choose_moves, draw_some, rank_groups
+from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
 ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is close enough to its target to keep its joints
 
@@ -230,7 +230,7 @@ class Tree(NamedTuple):
         rank_groups(self, table)
 
     def begin(self, table, k, q):
-        begin_by_tips(self, table, k, q)
+        begin_each_tip(self, table, k, q)
 
     def arrived(self, f):
         return int(self.tasks[f, WHAT.kind]) != FREE and self.tips[f, 1] < ARRIVED

@@ -122,7 +122,7 @@ def densify(
 def settle(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Move rows q (M, n) onto targets T (M, F, 4, 4) with minimal motion; returns them and whether each is solved (M,)."""
     q, good = np.array(q, dtype=float), np.zeros(len(q), dtype=bool)
-    settle_rows(*plan.chain[:2], targets(plan.robot, T), q, plan.orders(kinds, True), good)
+    settle_rows(*plan.chain[:2], np.ascontiguousarray(T).reshape(-1, *plan.robot.pose_shape), q, plan.orders(kinds, True), good)
     return q, good
 
 
@@ -130,11 +130,6 @@ def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tup
     """As `settle`, for interpolated poses: an arm that cannot reach them is brought as near as it comes."""
     q, good = settle(plan, kinds, q, T)
     return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
-
-
-def targets(robot: Any, T: np.ndarray) -> np.ndarray:
-    """Targets T (M, F, 4, 4) in the kernel's form: without the axis F for a single tip."""
-    return np.ascontiguousarray(T if robot.by_tip else T[:, 0])
 
 
 # --------------------------------------------------------------------------------------------------------- between poses

@@ -12,7 +12,7 @@ import numpy as np
 from ..kernel.counted_error import FREE, POSITION
 from ..robot.pose import angles_between
 from .certificate import Continuity
-from .continuity import check, densify, targets
+from .continuity import check, densify
 from .interpolate import interpolate
 from .path_problem import Problem
 from .path_search import Found, Search
@@ -147,7 +147,7 @@ def smooth(
     window = WINDOW
     for _ in range(ROUNDS):
         made, good = q.copy(), np.zeros(len(q), dtype=bool)
-        arrays = (targets(robot, T), made, held, plan.orders(kinds, True))
+        arrays = (T.reshape(-1, *robot.pose_shape), made, held, plan.orders(kinds, True))
         taken, _, _ = smooth_rows(*plan.chain[:2], *arrays, *cost, step, STEPS, good)
         if not taken or not good.all():
             return q

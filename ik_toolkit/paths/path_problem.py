@@ -44,7 +44,7 @@ class Problem:
         """Pack the kernel arrays."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
-        self.poses = T if robot.by_tip else T[:, None]
+        self.poses = T.reshape(len(T), -1, 4, 4)
         self.at = np.arange(float(len(T))) if at is None else at
         self.deviation = np.array(deviation)
         self.single: Plan = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT)

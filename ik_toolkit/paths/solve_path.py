@@ -102,14 +102,14 @@ def solve_path(
     asked = avoided(avoid_collisions)
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
-    turns = HalfTurns(T if robot.by_tip else T[:, None], kinds, solver.options.orientation_tolerance)
+    turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh() -> Search:
         poses, at = turns.poses(), None
         if not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
-        problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0, at)
+        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 

@@ -58,7 +58,7 @@ def read_poses(
     try:
         if path.suffix.lower() in (".npz", ".json"):
             if tips:
-                poses = _read_arrays_by_tip(path, tips)
+                poses = _read_tip_arrays(path, tips)
                 return len(next(iter(poses.values()))), iter([Block(None, poses)])
             block = _read_arrays(path, times)
             return len(block.poses), iter([block])
@@ -146,7 +146,7 @@ def _read_arrays(path: Path, times: bool) -> Block:
     return Block(t, xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row"))
 
 
-def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
+def _read_tip_arrays(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
     """Targets (N, 4, 4) or (N, 3) of each tip."""
     with _arrays(path, ("targets", "tips", *tips)) as file:
         named = {tip: file[tip] for tip in tips if tip in file}

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
-from ..kernel.chain import TreeChain, pack_tree
+from ..kernel.chain import Chain, TreeChain, pack_tree
 from .formats.srdf import Srdf, srdf_of
 from .joints import Joints, values_by_joint
 from .load import default_base, read_both
@@ -123,7 +123,7 @@ class Tree(Joints):
         self.lower, self.upper = lower, upper
         self._path = JointPath([], 0, [], self.n, {}, idx_q, circle)
         self.home = self.check_home(np.clip(middle, lower, upper) if home is None else home)
-        self.chain: TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
+        self.chain: Chain | TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
         self._seal()
@@ -185,8 +185,7 @@ class Tree(Joints):
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
         """T_base_tip of every tip by name [m], computed by Pinocchio."""
-        q = self.check_q(q)
-        return {arm.tip: arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)}
+        return dict(zip(self.tips, self.tip_poses(self.check_q(q)), strict=True))
 
     def jacobian(self, q: Any) -> np.ndarray:
         """Stacked Jacobian (6 F, n): six rows per tip in the order of `tips`, base axes, linear rows first, by Pinocchio."""

@@ -362,7 +362,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         scene.say(f"{what.solver}: {what.status.name}", what.message)
     if target is not None:
         size = 0.14 * scene._extent()
-        for k, (tip, T) in enumerate(_by_tip(robot, target).items()):
+        for k, (tip, T) in enumerate(_each(robot, target).items()):
             scene.frame(T, numbered("target", k), size, label="" if k else "targets" if len(tips) > 1 else "target")
             if len(tips) > 1:
                 scene.name(numbered("target", k), f"target of {tip}")
@@ -378,13 +378,13 @@ def numbered(word: str, k: int) -> str:
     return f"{word}{k + 1 if k else ''}"
 
 
-def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
+def _each(robot: Joints, target: Any) -> dict[str, Any]:
     """Targets by tip, from a dict, a list in the order of the tips, or a single one. Raises FrameNotFound, InvalidTarget."""
     if isinstance(target, Mapping):
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
     if not robot.by_tip:
-        return {robot.tips[0]: target}
+        return robot.each_tip(target)
     if len(target) != len(robot.tips):
         raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
     return dict(zip(robot.tips, target, strict=True))

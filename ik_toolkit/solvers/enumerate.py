@@ -43,7 +43,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     Q0[:, plan.held] = start[0, plan.held]
     out = _attempts(single, T, kinds, Q0)
-    if not plan.robot.by_tip and not counts_in_part(kinds, o) and not len(plan.held):
+    if len(kinds) == 1 and not counts_in_part(kinds, o) and not len(plan.held):
         _finish_close(single, T, kinds, out)
     out = out[out[:, AT.status] == CONVERGED]
     answers = out[:, ANSWER : ANSWER + n]

@@ -21,12 +21,12 @@ from .task import POSES, read_target
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     """Solutions of a target, or SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver: see `Solver.all`."""
     starts, count = whole(starts, "starts"), whole(count, "count")
-    several = solver.robot.by_tip
+    places = len(solver._pose) - 2  # axes of an array of targets before those of one
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
-    if len(shape) == 3 + several or (len(shape) == 2 + several and shape[len(shape) - 1] == 3):
+    if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1] == 3):
         return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
-    T, kinds, notice = _read(solver.robot, target)
+    T, kinds, notice = _read(solver, target)
     plan = solver.plan_for(kinds)
     o = plan.options
     start = plan.home if q0 is None else plan.check_start(q0)[0]
@@ -63,12 +63,12 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     return found
 
 
-def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
+def _read(solver: Any, target: Any) -> tuple[np.ndarray, Any, str]:
     """Any target -> (1, ...), kinds and notice; a plain valid pose costs next to nothing."""
-    if type(target) is np.ndarray and target.dtype == np.float64 and target.shape == (4, 4) and target.flags.carray:
-        if not robot.by_tip and is_rigid(target):
-            return target[None], POSES, ""
-    return read_target(robot, target)
+    plain = type(target) is np.ndarray and target.dtype == np.float64 and target.flags.carray
+    if plain and target.shape == solver._pose == (4, 4) and is_rigid(target):
+        return target[None], POSES, ""
+    return read_target(solver.robot, target)
 
 
 def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

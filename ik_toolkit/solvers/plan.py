@@ -54,7 +54,7 @@ class Plan:
         self.kernel = with_search(self, loop) if row.closed else loop
         chain = robot.chain
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
-        self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
+        self.width = ANSWER + robot.n + MISS * (len(robot.tips) if len(robot.tips) > 1 else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
         self.memo: dict[Any, Any] = {}  # cache for callers that keep something with the plan

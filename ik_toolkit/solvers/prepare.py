@@ -35,11 +35,9 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 def _call(robot: Any, name: str) -> bool:
     """Call a solver for a pose and for a position, alone and in a batch; False when it fits neither."""
-    at_home, fits = robot.fk(robot.home), False
-    T = np.array([pose.homogeneous for pose in (at_home.values() if robot.by_tip else [at_home])])
+    T, fits = robot.chain.forward(robot.home)[0][0], False
     calls: list[Callable[[], Any]] = []
-    for target in (T, T[:, :3, 3].copy()):
-        one = target if robot.by_tip else target[0]
+    for one in (T, T[..., :3, 3].copy()):
         calls += [lambda one=one: Solver(robot, name)(one), lambda one=one: solve_batch(robot, one[None], name)]
     for call in calls:
         try:

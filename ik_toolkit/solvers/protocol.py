@@ -197,7 +197,7 @@ def _filled(cls: Any, protocol: Any) -> Any:
 # -------------------------------------------------------------------------------------------------------------- asking
 def misfit(row: Row, solver: Any, robot: Any) -> str:
     """Why a solver cannot run on a robot, whatever the target; or ''."""
-    if row.one_tip and robot.by_tip:
+    if row.one_tip and len(robot.tips) > 1:
         return f"solver '{row.name}' is for one tip; for several use '{GENERAL}'"
     if row.closed and (reason := solver.recognise(robot.chain).reason):
         return f"solver '{row.name}' does not fit robot '{robot.name}': {reason}"

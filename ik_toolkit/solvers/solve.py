@@ -60,7 +60,8 @@ class Solver(ReadOnly):
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)
+        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)  # of an array that needs no reading
+        self._stacked = (1, *robot.pose_shape)
         self._kinds = POSES * len(robot.tips)
         self._seal()
 
@@ -88,7 +89,7 @@ class Solver(ReadOnly):
         started = perf_counter()
         notice = ""
         if type(target) is np.ndarray and target.dtype is FLOAT and target.shape == self._pose and target.flags.carray:
-            T, kinds = target[None], self._kinds
+            T, kinds = target.reshape(self._stacked), self._kinds
         else:
             T, kinds, notice = read_target(self.robot, target)
         plan = self._plans.get(kinds, self.plan) if self._plans else self.plan
@@ -183,8 +184,6 @@ def is_auto(solver: Any) -> bool:
 
 def automatic(robot: Any, kind: int, options: Mapping[str, Any]) -> str:
     """Name of the solver that 'auto' stands for: a closed form where one fits and no preference is given, else the search."""
-    if robot.by_tip:
-        return GENERAL
     preferences = {name: value for name, value in options.items() if name not in EXACT}
     if preferences.keys() <= set(NAMES) and make_options(preferences) == Options():
         return fits(robot, kind) or GENERAL

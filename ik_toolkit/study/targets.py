@@ -18,7 +18,7 @@ POOL = 200_000  # random configurations that fill the voxels
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
     """The tip to use: the one given, or a Robot's own. Raises InvalidOption (a Tree, and none given), FrameNotFound."""
-    if tip is None and robot.by_tip:
+    if tip is None and len(robot.tips) > 1:
         raise InvalidOption(f"this needs a single tip; choose it with tip=: {', '.join(robot.tips)}")
     tip = robot.tips[0] if tip is None else tip
     robot.check_tips([tip])

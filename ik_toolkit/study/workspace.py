@@ -151,7 +151,7 @@ def workspace(
     interrupted = finished = False
     try:
         for part in stream_targets(robot, targets, seed, how=how, position_only=position_only, tip=tip):
-            asked = {tip: part} if robot.by_tip else part
+            asked = {tip: part}
             xyz = part if part.ndim == 2 else part[:, :3, 3]
             columns, seconds = [], []
             for solver in named.values():

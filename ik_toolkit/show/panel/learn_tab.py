@@ -137,7 +137,7 @@ class Learn:
         session: Session = desk.session
         self.session = session
         self.robot: Any = session.robot
-        self.alone = not self.robot.by_tip
+        self.alone = len(self.robot.tips) == 1
         if self.alone:
             self._build()
         else:

@@ -98,7 +98,7 @@ class Around:
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
         values = []
         for tip, size in s.manipulability().items():
-            values.append(f"manipulability{f' of {tip}' if s.robot.by_tip else ''} {size:.3g}")
+            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {size:.3g}")
         words = html.escape("; ".join([words, *values]))
         return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
 

@@ -40,6 +40,6 @@ def pose_html(T: np.ndarray, s: Session, tip: str) -> str:
         (f"rpy [{'deg' if s.degrees else 'rad'}]", s.words(T, KINDS[0])[1]),
         ("quaternion xyzw", s.words(T, "quaternion")[1]),
     ]
-    name = html.escape(tip) if s.robot.by_tip else "the tip"
+    name = html.escape(tip) if len(s.robot.tips) > 1 else "the tip"
     head = f'<div style="padding:6px 12px 0;font-size:12px;font-weight:600">Pose of {name}, T_base_tip</div>'
     return head + table_html(matrix).replace(f"color:{MUTED}", "") + table_html(lines)

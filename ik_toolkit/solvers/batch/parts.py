@@ -51,7 +51,7 @@ def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
     """Loop that solves eight targets side by side (kernel.lanes), where the rule has one and the options allow it."""
     o = plan.options
     plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
-    plain = plain and not (o.closest or o.follow) and not plan.robot.by_tip
+    plain = plain and not (o.closest or o.follow)
     compiled = not config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return plan.rule.lanes() if compiled and plain and plan.robot.chain.plain else None
 

@@ -46,10 +46,9 @@ def explain(result: Any) -> Explanation:
         iterations = _iterations(of if not plan.row.closed else _search(of), type(result))
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))
-    each = of.T[0] if robot.by_tip else of.T
     targets = {
         tip: T if kind == POSE else T[:3, 3]
-        for tip, T, kind in zip(robot.tips, each, of.kinds, strict=True)
+        for tip, T, kind in zip(robot.tips, of.T.reshape(-1, 4, 4), of.kinds, strict=True)
         if kind != FREE
     }
     tables = {arm.tip: dh_of(arm) for arm in robot.arms}
@@ -64,7 +63,7 @@ def _form_of(of: Outcome) -> tuple[Plan | None, str]:
     plan, robot = of.plan, of.plan.robot
     if plan.row.closed:
         return plan, ""
-    if robot.by_tip:
+    if len(robot.tips) > 1:
         return None, "Closed forms are for one tip; several tips are solved together by iteration."
     if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (POSE, POSITION):
         return (
