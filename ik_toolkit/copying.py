@@ -42,7 +42,7 @@ class Holds:
         return super().__reduce_ex__(protocol)
 
 
-class Blocks(Holds):
+class CopiesViews(Holds):
     """Something that keeps views of blocks of numbers: its copy has blocks of its own, of which `_cut` takes the views.
 
     `copy.copy` shares only what does not change: of a tracker the robot, and the things around it.

@@ -30,7 +30,7 @@ def positive(value: Any, name: str) -> float:
     return found
 
 
-def parts_of(dt: float, longest: float) -> int:
+def parts_of_step(dt: float, longest: float) -> int:
     """Return in how many parts a step of dt [s] is taken, none over longest [s]. Raises InvalidOption for more than MOST_PARTS."""
     if dt > MOST_PARTS * longest:
         whole = f"{longest:g} s, {LATE:g} times the first one"

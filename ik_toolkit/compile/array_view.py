@@ -298,7 +298,7 @@ def _pieces(typing, block, kind, shapes):
 
 # --------------------------------------------------------------------------------------------------------- numbers in a row
 @intrinsic
-def numbers(typing, A, start, count):
+def counted_part(typing, A, start, count):
     """The `count` numbers of A (K,) from place `start` on; `count` is known when this is compiled."""
     if not isinstance(count, types.IntegerLiteral):
         return None

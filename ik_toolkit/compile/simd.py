@@ -1,6 +1,6 @@
 """A value of eight float64 for compiled kernels: its arithmetic is SIMD, and code written for numbers accepts it.
 
-`full`, `load` and `store` make and move such values, comparisons give masks for `choose` and `bits`; operators, `abs`,
+`full`, `lane_load` and `store` make and move such values, comparisons give masks for `lane_select` and `bits`; operators, `abs`,
 `math.sqrt` and `np.rint` work as on numbers. Only inside compiled functions.
 """
 
@@ -144,7 +144,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> A
 
 
 @intrinsic
-def load(typing, array, start):
+def lane_load(typing, array, start):
     """Vector of array[start : start + WIDTH]."""
 
     def generate(context, builder, sig, args):
@@ -171,7 +171,7 @@ def full(typing, number):
 
 
 @intrinsic
-def choose(typing, condition, yes, no):
+def lane_select(typing, condition, yes, no):
     """`yes` where the mask is true, else `no`."""
     return vector(mask, vector, vector), lambda context, builder, sig, args: builder.select(*args)
 

@@ -24,7 +24,7 @@ LEAST_REACH = 1e-10  # m; offsets below are what a CAD program left of 0, and a 
 
 
 @cached
-def forward(rows, ends, Q, unit, T, J) -> None:
+def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
     """Tip poses T (N, 4, 4) [m] in base axes and Jacobians J (N, 6, n) at Q (N, n); J may be (0, 6, n) to skip them."""
     n = Q.shape[1]
     box = Ends(ends, n)
@@ -55,18 +55,18 @@ def forward(rows, ends, Q, unit, T, J) -> None:
                 J[t, 3, i], J[t, 4, i], J[t, 5, i] = v.x, v.y, v.z
 
 
-def run(rows, ends, Q, unit, jacobian=False):
-    """T (N, 4, 4) and, when asked, J (N, 6, n) at Q (N, n) by `forward`."""
+def poses_at(rows, ends, Q, unit, jacobian=False):
+    """T (N, 4, 4) and, when asked, J (N, 6, n) at Q (N, n) by `forward_kinematics`."""
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
-    forward(rows, ends, Q, unit, T, J)
+    forward_kinematics(rows, ends, Q, unit, T, J)
     return T, J
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """What `run` returns, by array arithmetic over all of Q (N, n) at once: starts no compiler.
+    """What `poses_at` returns, by array arithmetic over all of Q (N, n) at once: starts no compiler.
 
-    It serves where a robot is loaded; `run`, which the tests hold to the same numbers, is some ten times as fast.
+    It serves where a robot is loaded; `poses_at`, which the tests hold to the same numbers, is some ten times as fast.
     """
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
@@ -132,7 +132,7 @@ class Chain(NamedTuple):
     def forward(self, Q: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """T_base_tip (N, 4, 4) and, when asked, Jacobians (N, 6, n; base axes, linear rows first) at Q (N, n)."""
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
-        return run(self.rows, self.ends, Q, self.unit, jacobian)
+        return poses_at(self.rows, self.ends, Q, self.unit, jacobian)
 
 
 def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -146,7 +146,9 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
     return lengths
 
 
-def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def start_range(
+    lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Where to draw starts (kernel units): inside the limits, one turn or one reach where there are none (or practically none)."""
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
@@ -156,10 +158,10 @@ def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndar
     return low, np.where(wide, low + TAU, high)
 
 
-def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = run) -> np.ndarray:
-    """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (seeds.nearest).
+def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
+    """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (starts.nearest_seeds).
 
-    kinematics: `run`, or `evaluate` where nothing may be compiled yet.
+    kinematics: `poses_at`, or `evaluate` where nothing may be compiled yet.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
@@ -254,7 +256,7 @@ def pack(
     low_k, high_k = lower / unit, upper / unit
     # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(low_k, high_k, slides, turns)
+    low, high = start_range(low_k, high_k, slides, turns)
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
@@ -265,7 +267,7 @@ def pack(
 
 
 @cached
-def levers(rows, ends, Q, unit, D) -> None:
+def joint_levers(rows, ends, Q, unit, D) -> None:
     """Distances D (N, L) [m] of the tip from the axis of each joint on the path at Q (N, n)."""
     n = Q.shape[1]
     size, angles = room(rows.shape[0])
@@ -312,24 +314,22 @@ class TreeChain(NamedTuple):
     @property
     def parts(self) -> list[Array]:
         """Rows of each chain."""
-        return split(self.rows, self.ends, len(self.lower))
+        return split_rows(self.rows, self.ends, len(self.lower))
 
     def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
         """T_base_tip (N, F, 4, 4) and, when asked, stacked Jacobians (N, 6 F, n; base axes, linear first) at Q (N, n)."""
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
         parts = zip(self.parts, self.ends, strict=True)
-        poses, stack = zip(*(run(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
+        poses, stack = zip(*(poses_at(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
         return np.stack(poses, axis=1), np.concatenate(stack, axis=1)
 
 
-def split(rows: Array, ends: Array, n: int) -> list[Array]:
+def split_rows(rows: Array, ends: Array, n: int) -> list[Array]:
     """Rows of each chain of a tree over n coordinates."""
     return np.split(rows, np.cumsum(ends[:, -n - 1].astype(int))[:-1])
 
 
-def pack_tree(
-    chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array
-) -> Chain | TreeChain:
+def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> Chain | TreeChain:
     """Join chains; places[f][i] is the shared coordinate of coordinate i of chain f. lower, upper, home (n,) [rad or m].
 
     A single one stays a Chain, with another home.
@@ -357,7 +357,7 @@ def pack_tree(
     for chain, place in zip(chains, places, strict=True):
         turns[place] &= chain.turns > 0.0
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(lower / unit, upper / unit, slides, turns)
+    low, high = start_range(lower / unit, upper / unit, slides, turns)
     inside = [
         np.where(endless, -WINDING, lower / unit),
         np.where(endless, WINDING, upper / unit),

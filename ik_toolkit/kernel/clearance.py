@@ -27,7 +27,7 @@ def travelled(start, change, f):
 
 
 @dual
-def speeds(Q, R, k, j, gamma, h):
+def speed_and_growth(Q, R, k, j, gamma, h):
     """Speed of joint j at the start of piece k and its growth [per piece], as the methods assume (see `interpolate`)."""
     move = Q[k + 1, j] - Q[k, j]
     start = move if gamma == 1.0 else h * R[k, j]
@@ -37,7 +37,7 @@ def speeds(Q, R, k, j, gamma, h):
 @dual
 def position(Q, R, L, k, j, gamma, h, f):
     """Value of joint j a fraction f into piece k, and how far it has gone by then."""
-    start, change = speeds(Q, R, k, j, gamma, h)
+    start, change = speed_and_growth(Q, R, k, j, gamma, h)
     return Q[k, j] + start * f + 0.5 * change * f * f, L[k, j] + travelled(start, change, f)
 
 
@@ -134,7 +134,7 @@ def rows(V, coordinates, by_a, by_b, ks, points, gap, rate, deceleration, slope,
 
 
 @dual
-def bend(turn, lever, moved, length):
+def second_order_motion(turn, lever, moved, length):
     """How far a part may be from where its velocities now would take it, after the joints went `length` (second order)."""
     total, before = 0.0, 0.0
     for e in range(length.shape[0]):
@@ -191,9 +191,11 @@ def free_until(
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
                 # Between two places the motion leaves the straight line by up to an eighth of the speed's change.
-                curve += 0.125 * abs(speeds(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
+                curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
-            bent = bend(turn, levers[p], by_a[p], length) + bend(turn, levers[p], by_b[p], length)
+            bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(
+                turn, levers[p], by_b[p], length
+            )
             if way < distances[r] or (not flat and max(closing, before) + curve + bent < distances[r]):
                 before, done = closing, k + f
                 k, f0 = (k + 1, 0.0) if f == 1.0 else (k, f)

@@ -84,7 +84,7 @@ def log_manipulability(p, ends):
 
 
 @inline
-def wanted(what, ends, ref, i):
+def objective_goal(what, ends, ref, i):
     """Where the objective wants joint i."""
     return ends.low(i) + 0.5 * ends.span(i) if what == MID_RANGE else ref[i] / ends.unit(i)
 
@@ -140,7 +140,7 @@ def objective(p, what, ends, box, ref):
         return -log_manipulability(p, ends)
     total = 0.0
     for i in range(ref.shape[0]):
-        total += box.counted(i) * 0.5 * ((p.desk.q[i] - wanted(what, ends, ref, i)) / ends.span(i)) ** 2
+        total += box.counted(i) * 0.5 * ((p.desk.q[i] - objective_goal(what, ends, ref, i)) / ends.span(i)) ** 2
     return total
 
 
@@ -153,7 +153,7 @@ def downhill(p, what, ends, box, ref, value, z):
     q = p.desk.q
     n = q.shape[0]
     for i in range(n):
-        z[i] = box.counted(i) * (wanted(what, ends, ref, i) - q[i])
+        z[i] = box.counted(i) * (objective_goal(what, ends, ref, i) - q[i])
     for i in range(n + 1):  # the last time with q as it is, for the Jacobian there
         if i < n:
             if what != MANIPULABILITY:
@@ -178,7 +178,7 @@ def secant(old, before, way, dq, gain):
 
 
 @inline
-def improve(rows, ends, T, row, ref, orders, what, steps, block):
+def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     """`refine` on views, with its scratch."""
     n = ref.shape[0]
     o = read(Orders, orders)
@@ -247,5 +247,5 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
     """
     n, tips = ref.shape[0], ends.size // ends.shape[-1]
     block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
-    improve(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
+    refine_on_views(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
     keep(block)

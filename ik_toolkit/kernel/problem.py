@@ -1,4 +1,4 @@
-"""What a search runs on: one tip (`serial.Serial`) or several with shared joints (`tree.Tree`). Both answer the same calls.
+"""What a search runs on: one tip (`serial.Serial`) or several with shared joints (`tree.TreeProblem`). Both answer the same calls.
 
     aim(T, orders)     take a target: by how much it is out of reach [kernel units], -1 when it is not a pose
     evaluate(q)        the errors there, as a look: e.ee the squared norm of all of them, e.good inside the tolerances

@@ -87,7 +87,7 @@ def _problem(rows, ends, tasks, n, orders):
 
 
 @compiled
-class Table(NamedTuple):
+class StartTable(NamedTuple):
     """Known configurations to start from, and scratch to choose among them."""
 
     seeds: Array
@@ -107,7 +107,7 @@ def make_table(block, seeds, features, tips):
     best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
     (total,) = cut(block, np.float64, (BEST,))
     (state,) = cut(block, np.uint64, (1,))
-    return Table(seeds, features, score, val, best, choice, total, state)
+    return StartTable(seeds, features, score, val, best, choice, total, state)
 
 
 @compiled
@@ -120,7 +120,7 @@ class Spent(NamedTuple):
 
 
 @inline
-def verdict(e, k, most, count, c, o):
+def judge_evaluation(e, k, most, count, c, o):
     """What an evaluation means for an attempt in its iteration k: a status, or GOING."""
     if e.good:
         return CONVERGED
@@ -166,7 +166,7 @@ def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, ne
                 least = e.ee
                 copy(q, best)
                 p.keep(e, BEST_OF_ALL)
-            status = verdict(e, k, most, count, c, o)
+            status = judge_evaluation(e, k, most, count, c, o)
             if status != GOING:
                 break
         if needs_jacobian or most < 0.0:
@@ -303,7 +303,7 @@ def start_attempt(p, o, table, k, start):
 
 
 @inline
-def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
+def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     """The search of a rule for all targets, on views: arguments as of `entry`, and scratch."""
     rows, ends, seeds, features = part(chain)
     N, n = T.shape[0], seeds.shape[1]
@@ -373,7 +373,7 @@ def entry(cls: type) -> Callable:
 
     def solve(chain, T, Q0, out, orders):
         block = np.empty(scratch(view(chain)))
-        run(step, needs_jacobian, view(chain), view(T), view(Q0), view(out), view(orders), view(block))
+        run_search(step, needs_jacobian, view(chain), view(T), view(Q0), view(out), view(orders), view(block))
         keep(block)
 
     ENTRIES[cls] = cached(solve, cls, step.step)

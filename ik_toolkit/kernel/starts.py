@@ -22,7 +22,7 @@ LOW = np.uint64(0xFFFFFFFF)
 
 
 @inline
-def product(a, b):
+def product_64(a, b):
     """a b modulo 2^64 of two uint64, by halves: uncompiled, numpy warns of an overflow."""
     low = (a & LOW) * (b & LOW)
     cross = (((a & LOW) * (b >> HALF)) & LOW) + (((a >> HALF) * (b & LOW)) & LOW)
@@ -32,11 +32,11 @@ def product(a, b):
 @inline
 def sow(state, seed):
     """Begin the random sequence of `state` (1,): it depends on the seed only, not on neighbours or the thread."""
-    state[0] = np.uint64(88172645463325252) ^ product(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
+    state[0] = np.uint64(88172645463325252) ^ product_64(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
 
 
 @inner
-def nearest(feat, goal, wp, wr, score, val, best):
+def nearest_seeds(feat, goal, wp, wr, score, val, best):
     """Fill `best` (BEST,) with the nearest seed of each interleaved group, nearest first.
 
     wp, wr in {0, 1} switch position and rotation off (targets that leave one of them free).
@@ -92,7 +92,7 @@ def rnd(state):
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
     state[0] = x
-    return float(product(x, np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return float(product_64(x, np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @inner
@@ -116,7 +116,7 @@ def rank_groups(p, table):
         table.total[g] = 0.0
     for f in range(F):
         wp, wr = counts(p.tasks[f])
-        nearest(
+        nearest_seeds(
             table.features[FEATURES * f : FEATURES * (f + 1)], p.goals[f], wp, wr, table.score, table.val, table.best
         )
         for k in range(BEST):

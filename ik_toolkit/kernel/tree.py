@@ -46,7 +46,7 @@ class Looks(NamedTuple):
 
 
 @compiled
-class Tree(NamedTuple):
+class TreeProblem(NamedTuple):
     """Several tips over shared coordinates: as Serial for tip f, the rows of all chains one after the other."""
 
     desk: Desk
@@ -327,7 +327,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
-    return Tree(
+    return TreeProblem(
         make_desk(block, n, 6 * F), rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips,
         orders, boxed,
     )  # fmt: skip

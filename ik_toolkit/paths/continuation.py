@@ -61,7 +61,7 @@ def within(q, old, most):
 
 
 @spliced
-def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
+def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
     """Move p.desk.q from a solution of pose a to one of pose b; False where there is no continuous motion."""
     q = p.desk.q
     copy(q, old)
@@ -97,7 +97,7 @@ def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, n
 
 
 @cached
-def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
+def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Carry seeds (M, n), solutions of the poses at (M,), along all poses T (N, 4, 4) or (N, F, 4, 4), both ways.
 
     Kernel units throughout: limits (3, n) lower, upper, whether there are both; most (n,): largest step of a joint.
@@ -122,7 +122,7 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q
             copy(seeds[m], q)
             t = start
             while 0 <= t + way < N:
-                if not advance(p, o, weights, box, flat, pose, sheet, t, t + way, most, deviation, old, new):
+                if not advance_to_pose(p, o, weights, box, flat, pose, sheet, t, t + way, most, deviation, old, new):
                     break
                 t += way
                 for i in range(n):
@@ -198,7 +198,7 @@ class Tracks:
 
         def carry(a: int) -> None:
             part = slice(a, a + CHUNK)
-            extend(
+            carry_along(
                 p.rows, p.ends, p.T, p.orders, p.room, p.most, p.deviation, seeds[part], at[part],
                 columns[part], self._Q, self._span,
             )  # fmt: skip

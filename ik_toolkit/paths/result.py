@@ -211,7 +211,7 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]
 
 
-def sentence(path: PathResult, needed: int, allowed: float) -> str:
+def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
     """One sentence. needed: reconfigurations of the best path found through all poses; allowed: largest number allowed."""
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:

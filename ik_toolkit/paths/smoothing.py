@@ -246,8 +246,8 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
 
 
 @cached
-def settle(rows, ends, T, Q, orders, good):
-    """Bring each of Q (N, n) [rad or m] onto its target, in place; rows, ends, T, orders, good as of `smooth`."""
+def settle_rows(rows, ends, T, Q, orders, good):
+    """Bring each of Q (N, n) [rad or m] onto its target, in place; rows, ends, T, orders, good as of `smooth_rows`."""
     N, n = Q.shape
     o = read(Orders, orders)
     begin = HEAD + TASK * (ends.size // ends.shape[-1])

@@ -29,7 +29,7 @@ from .finish import collapsed, finished, gaps, inserted
 from .freedom import freedom
 from .path_problem import STEP, Problem
 from .path_search import Search
-from .result import PathResult, PathStatus, Reconfiguration, sentence
+from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
 TOLERANCE = (1e-3, math.radians(1.0))  # [m], [rad] deviation of a tip between poses
 OTHER_WAYS = 4  # more searches, with rotations of 180 degrees taken the other way round where the path breaks there
@@ -239,7 +239,7 @@ def _result(
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip
-    result = replace(result, message=sentence(result, needed, allowed))
+    result = replace(result, message=path_sentence(result, needed, allowed))
     o = problem.single.options
     broken = first_open(problem.robot, q, o.position_tolerance, o.orientation_tolerance) if result.success else None
     if broken is None:

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ..errors import ModelError
 from .formats.mimic import mimic_limits
-from .probe import Path, limits
+from .probe import JointPath, limits
 
 STEPS, TRIES = 40, 5  # Gauss-Newton steps and starts for closing a loop with the joints off the path
 CLOSED = 1e-10  # residual [m or rad] at which closing ends
@@ -37,7 +37,7 @@ class Loop(NamedTuple):
     weld: bool
 
 
-class Length(NamedTuple):
+class LinearLength(NamedTuple):
     """A number that depends on q: sum of joint values times factors, and of distances between points times factors.
 
     zero: the value from which it is counted; metres: its unit (else radians); known: False for a tendon around a shape, whose
@@ -55,8 +55,8 @@ class Relation(NamedTuple):
     """low <= y - (c0 + c1 x + c2 x^2 + ...) <= high, without x: low <= y - c0 <= high; both counted from their zero."""
 
     name: str
-    y: Length
-    x: Length | None
+    y: LinearLength
+    x: LinearLength | None
     curve: tuple[float, ...]
     low: float = 0.0
     high: float = 0.0
@@ -92,7 +92,7 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
     return None
 
 
-class Group(NamedTuple):
+class CoupledConstraints(NamedTuple):
     """Constraints that share joints off the path, and those joints: ids, limits (m,)."""
 
     constraints: list[Constraint]
@@ -125,18 +125,18 @@ class Closure:
             groups.append((own, depends))
         self.groups = [self._group(own, sorted(ids - moving - locked)) for own, ids in groups if ids & moving]
 
-    def _group(self, constraints: list[Constraint], joints: list[int]) -> Group:
+    def _group(self, constraints: list[Constraint], joints: list[int]) -> CoupledConstraints:
         model = self.model
         place = {j: i for i, j in enumerate(joints)}
         owner = {j: place[leader] for j, (leader, ratio, _) in self.ratio.items() if leader in place and ratio != 0.0}
         idx_q = np.array([model.joints[j].idx_q for j in joints], dtype=int)
         circle = np.array([model.joints[j].nq == 2 for j in joints], dtype=bool)
-        path = Path([], 0, joints, len(joints), owner, idx_q, circle)
+        path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
             lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
         except ModelError:  # a joint that has no legal position cannot help
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
-        return Group(constraints, joints, lower, upper)
+        return CoupledConstraints(constraints, joints, lower, upper)
 
     def _joints(self, constraint: Constraint) -> Iterator[int]:
         """Ids of the joints whose motion changes a constraint."""
@@ -222,7 +222,7 @@ class Closure:
             slope = 0.0 * slope
         return np.array([beyond]), slope[None]
 
-    def _length(self, one: Length, full: np.ndarray) -> tuple[float, np.ndarray]:
+    def _length(self, one: LinearLength, full: np.ndarray) -> tuple[float, np.ndarray]:
         model, slope = self.model, np.zeros(self.model.nv)
         total = -one.zero if one.known else np.nan
         for name, factor in one.joints:
@@ -242,7 +242,7 @@ class Closure:
         return float(np.arctan2(full[i + 1], full[i])) if self.model.joints[j].nq == 2 else float(full[i])
 
     # -------------------------------------------------------------------------------------------- closing
-    def _close(self, group: Group, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
+    def _close(self, group: CoupledConstraints, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
         """Move the joints of a group in `full` (nq,) so that its constraints are open the least: name and value of each."""
         if not group.joints:
             return []
@@ -259,13 +259,13 @@ class Closure:
         self._write(group, full, best)
         return [(self.model.names[j], float(x)) for j, x in zip(group.joints, best, strict=True)]
 
-    def _write(self, group: Group, full: np.ndarray, x: np.ndarray) -> None:
+    def _write(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> None:
         for j, value in zip(group.joints, x, strict=True):
             joint = self.model.joints[j]
             i = joint.idx_q
             full[i : i + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else value
 
-    def _stack(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _stack(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals of a group, and their derivatives with respect to its joints."""
         self._write(group, full, x)
         pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
@@ -276,7 +276,7 @@ class Closure:
             return np.zeros(1), np.zeros((1, len(x)))
         return np.concatenate([off for off, _ in parts]), np.vstack([slope[:, columns] for _, slope in parts])
 
-    def _descend(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
+    def _descend(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
         """Levenberg-Marquardt within the limits: where it ends (m,), and the residual's norm there."""
         damping = 1e-6
         off, J = self._stack(group, full, x)

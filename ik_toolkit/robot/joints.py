@@ -25,7 +25,7 @@ from ..readonly import ReadOnly
 from .base import Given
 from .formats.srdf import Srdf
 from .narrow import narrowed
-from .probe import Path
+from .probe import JointPath
 
 LOG = logging.getLogger("ik_toolkit")
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # rows of each tip's Jacobian
@@ -95,7 +95,7 @@ class Joints(ReadOnly):
     notes: tuple[str, ...]
     srdf: Srdf
     by_tip = False  # whether poses and targets go by tip, as a tree's do even with a single tip
-    _path: Path
+    _path: JointPath
     _given: Given | None
     _original: pin.Model | None
     _wide: Any = None  # the robot of which this is a variant with narrower limits

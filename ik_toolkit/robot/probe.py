@@ -31,7 +31,7 @@ PARALLEL = 1e-14  # sine between two axes below which they are parallel up to th
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
-class Path(NamedTuple):
+class JointPath(NamedTuple):
     """The joints between base and tip, and the places of their coordinates in Pinocchio's configuration."""
 
     joints: list[int]  # joint ids, base to tip
@@ -47,7 +47,7 @@ class Motionless(ModelError):
     """No joint moves the tip."""
 
 
-def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> Path:
+def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> JointPath:
     """Joints from the base frame to the tip frame (frame ids).
 
     The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints of that
@@ -94,7 +94,7 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: S
     }
     idx_q = np.array([model.joints[j].idx_q for j in leaders])
     circle = np.array([model.joints[j].nq == 2 for j in leaders])
-    return Path(joints, len(up), leaders, own, owner, idx_q, circle)
+    return JointPath(joints, len(up), leaders, own, owner, idx_q, circle)
 
 
 def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
@@ -112,7 +112,7 @@ def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple
 
 
 def limits(
-    model: pin.Model, path: Path, followers: Mapping[str, tuple[str, float, float, float, float]]
+    model: pin.Model, path: JointPath, followers: Mapping[str, tuple[str, float, float, float, float]]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Lower and upper limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
@@ -161,7 +161,7 @@ def limits(
     return lower, upper, notes
 
 
-def middle(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
+def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
     """Mid-range (n,), or as near 0 as the limits allow: for joints without two limits and where not `centred` (n,)."""
     found = np.clip(0.0, lower, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper) & centred
@@ -179,7 +179,7 @@ def kinds(chain: Chain) -> tuple[str, ...]:
     )
 
 
-def speeds(model: pin.Model, path: Path, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
+def speed_limits(model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
     """Velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
 
     followers: as returned by `mimic_speeds`: each keeps its leader slow enough for its own limit.
@@ -228,7 +228,7 @@ def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.nda
 
 def probe(
     model: pin.Model,
-    path: Path,
+    path: JointPath,
     rest: np.ndarray,
     base: int,
     tip: int,
@@ -295,7 +295,7 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
     return Q
 
 
-def difference(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
+def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
     """Largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q), see `configurations`.
 
     Lengths are divided by the robot's size, the largest of its reach, its largest offset and FAR times the distance `far` [m] of

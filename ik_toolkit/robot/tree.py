@@ -12,8 +12,7 @@ from ..kernel.chain import Chain, TreeChain, pack_tree
 from .formats.srdf import Srdf, srdf_of
 from .joints import Joints, values_by_joint
 from .load import default_base, read_both
-from .probe import Motionless, find_path
-from .probe import Path as JointPath
+from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
 
@@ -123,7 +122,9 @@ class Tree(Joints):
         self.lower, self.upper = lower, upper
         self._path = JointPath([], 0, [], self.n, {}, idx_q, circle)
         self.home = self.check_home(np.clip(middle, lower, upper) if home is None else home)
-        self.chain: Chain | TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
+        self.chain: Chain | TreeChain = pack_tree(
+            [arm.chain for arm in arms], list(self.places), lower, upper, self.home
+        )
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
         self._seal()

@@ -14,7 +14,7 @@ from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
 from .animation import animate, motion_of
 from .attempts import iterates
-from .body import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
+from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
 
 # Colours of Okabe and Ito (2008), as in the plots.
@@ -114,7 +114,7 @@ class Scene(Unique):
             shapes += [(shaft, color), (cone, color)]
         self.window.delete(name)
         for k, (mesh, color) in enumerate(shapes):
-            self.window.shape(f"{name}/{k}", Shape(*smooth(mesh, size), color))
+            self.window.shape(f"{name}/{k}", DrawnShape(*split_sharp_edges(mesh, size), color))
         self.move(T, name)
         point = (self.body.T_world_base @ T)[:3, 3]
         if self._corners and np.linalg.norm(point - np.mean(self._corners, axis=(0, 1))) > FAR * self._extent():

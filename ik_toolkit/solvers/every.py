@@ -8,9 +8,9 @@ from ..errors import whole
 from ..kernel.checks import is_rigid
 from ..kernel.counted_error import POSITION
 from ..kernel.records import WEIGHTS
-from .closed_form.polish import listed
+from .closed_form.polish import list_branches
 from .collision_free import collision_model
-from .enumerate import distinct_rows, sample, search
+from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
 from .solutions import Solutions, SolutionsBatch
@@ -24,7 +24,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     places = len(solver._pose) - 2  # axes of an array of targets before those of one
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
-    if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1] == 3):
+    if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
         return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
     T, kinds, notice = _read(solver, target)
     plan = solver.plan_for(kinds)
@@ -33,7 +33,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
     else:
-        found = search(plan, T, kinds, start, starts, count)
+        found = search_solutions(plan, T, kinds, start, starts, count)
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
@@ -94,7 +94,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     found = len(made.q)
     table, signs = np.empty((found, 3 + robot.n)), np.empty((found, 3), dtype=np.int8)
     rows, ends = plan.chain[:2]
-    kept, legal = listed(
+    kept, legal = list_branches(
         rows, ends, opt, T[0], start, made.fixed, made.steps, made.q, made.broken, made.marks, table, signs
     )
     table, signs = table[:kept], signs[:kept]
@@ -111,11 +111,11 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         robot, table[:, 3:], table[:, 2], (table[:, 0], orientation), complete, plan.row.name, message, families, signs
     )
     if made.partial:
-        result = _with_search(result, search(plan, T, kinds, start[None], starts, count), plan)
+        result = _with_search(result, search_solutions(plan, T, kinds, start[None], starts, count), plan)
     if families or made.steps or made.partial:
         result = distinct_rows(result, plan)
     if len(result) > count:
-        result = sample(result, count)
+        result = spread_rows(result, count)
         result._put(complete=False)
     return result
 

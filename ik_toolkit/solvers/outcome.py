@@ -13,7 +13,7 @@ Errors = list[tuple[float, float | None]]  # position [m] and rotation angle [ra
 SPOKEN = (POSITION, FREE)  # kinds of target that leave the orientation free
 
 
-class Outcome(NamedTuple):
+class SolveRecord(NamedTuple):
     """One solve as it ended; a Result reads it. Finishing steps (see `finish`) return a changed copy."""
 
     plan: Plan
@@ -46,4 +46,6 @@ class Outcome(NamedTuple):
         return self.row[ANSWER + self.plan.robot.n :].reshape(-1, MISS)
 
 
-make_outcome = partial(tuple.__new__, Outcome)  # from all its fields: a fifth of a microsecond faster than Outcome(...)
+make_outcome = partial(
+    tuple.__new__, SolveRecord
+)  # from all its fields: a fifth of a microsecond faster than Outcome(...)

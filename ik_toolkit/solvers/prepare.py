@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from ..errors import InvalidOption, UnknownSolver, check_progress
 from ..robot.library import shipped_robots
 from ..robot.robot import Robot

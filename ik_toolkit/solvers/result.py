@@ -12,7 +12,7 @@ from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from .message import sentence
-from .outcome import SPOKEN, Outcome
+from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors
@@ -39,7 +39,7 @@ class Result(ReadOnly):
     __slots__ = ("_of",)
     _sealed = True
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: SolveRecord) -> None:
         """Store the record; everything else is computed on demand."""
         keep(self, outcome)
 
@@ -203,9 +203,9 @@ class Result(ReadOnly):
         `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no
         target, and MissingExtra without SymPy where a closed form has formulas to show.
         """
-        from .explain.explain import explain  # which reads this file
+        from .explain.explain import explain_result  # which reads this file
 
-        return explain(self)
+        return explain_result(self)
 
     def to_ros(self) -> dict[str, Any]:
         """Fields of a ROS sensor_msgs/JointState at q, without velocities and efforts."""

@@ -159,7 +159,7 @@ def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
 _SOLVERS_LOCK = threading.Lock()
 
 
-def bound(robot: Any, solver: Any, options: Any) -> Solver:
+def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
     """Return a Solver for these arguments, the same one each time they can be hashed."""
     robot = narrowed_for(robot, options)
     kept = robot.memo.setdefault("solvers", {})
@@ -212,4 +212,4 @@ def solve(
         if q0 is not None:
             raise InvalidOption("give closest=q_ref or q0, not both: the search starts at q_ref")
         q0, options["closest"] = options["closest"], True
-    return bound(robot, "auto" if solver is None else solver, options)(target, q0)
+    return bound_solver(robot, "auto" if solver is None else solver, options)(target, q0)

@@ -20,9 +20,9 @@ def one_tip(robot: Robot | Tree, tip: str | None) -> str:
     """The tip to use: the one given, or a Robot's own. Raises InvalidOption (a Tree, and none given), FrameNotFound."""
     if tip is None and len(robot.tips) > 1:
         raise InvalidOption(f"this needs a single tip; choose it with tip=: {', '.join(robot.tips)}")
-    tip = robot.tips[0] if tip is None else tip
-    robot.check_tips([tip])
-    return tip
+    chosen = robot.arms[0].tip if tip is None else tip
+    robot.check_tips([chosen])
+    return chosen
 
 
 def sample_targets(

@@ -30,7 +30,7 @@ FAILURES = 1000  # failures kept in memory
 
 
 @dataclass
-class Outcome:
+class SolverCounts:
     """Counts of one solver over the workspace; iterations: sum over solved targets; worst: largest error among failures [m]."""
 
     solver: str
@@ -76,7 +76,7 @@ class Workspace:
     radius: tuple[float, float]
     cell: float
     tip: str
-    outcomes: dict[str, Outcome]
+    outcomes: dict[str, SolverCounts]
     map: dict[str, np.ndarray]
     failures: dict[str, np.ndarray]
     points: np.ndarray
@@ -192,7 +192,7 @@ class _Tally:
         self.low, self.high, self.radius = envelope(robot, tip=tip)
         self.cell = float(max((self.high - self.low).max() / GRID, 1e-9))
         self.shape = np.maximum(np.ceil((self.high - self.low) / self.cell), 1).astype(int)
-        self.outcomes = {name: Outcome(name) for name in names}
+        self.outcomes = {name: SolverCounts(name) for name in names}
         self.maps = {name: np.zeros((2, *self.shape), np.int64) for name in names}
         self.failures: dict[str, list[np.ndarray]] = {name: [] for name in names}
         self.points: list[np.ndarray] = []
@@ -248,7 +248,7 @@ def _named(solvers: list[Any]) -> dict[str, Any]:
     return named
 
 
-def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
+def _count(outcome: SolverCounts, part: dict[str, np.ndarray]) -> None:
     good = part["success"]
     outcome.targets += len(good)
     outcome.solved += int(good.sum())

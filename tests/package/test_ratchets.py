@@ -8,7 +8,7 @@ from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
     "files": 284,
-    "public names defined in two files or more": 101,
+    "public names defined in two files or more": 17,
     "file names used twice": 4,
     "functions of more than 9 parameters": 62,
     "constants of the most laden file of kernel and servo": 27,

@@ -10,7 +10,7 @@ import trees
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import AXIS, POSE, POSITION
-from ik_toolkit.paths.continuity import bounds, check, densify, interpolate, settle
+from ik_toolkit.paths.continuity import bounds, check, densify, interpolate, settle_on_targets
 from ik_toolkit.solvers.options import make_options
 from ik_toolkit.solvers.plan import Plan
 from ik_toolkit.solvers.registry import find_row
@@ -141,7 +141,7 @@ def followed(plan, T):
     """Joints (N, n) along poses, each solved from the last."""
     q, rows = plan.robot.home[None], []
     for pose in T:
-        q, good = settle(plan, (POSE,), q, pose[None])
+        q, good = settle_on_targets(plan, (POSE,), q, pose[None])
         assert good.all()
         rows.append(q[0])
     return np.array(rows)

@@ -73,11 +73,11 @@ def test_a_corner_is_rounded_within_the_tolerance():
     T[:11, 0, 0, 3] -= np.linspace(0.0, 0.2, 11)
     T[11:, 0, 0, 3] -= 0.2
     T[11:, 0, 1, 3] += np.linspace(0.02, 0.2, 10)
-    from ik_toolkit.paths.continuity import settle
+    from ik_toolkit.paths.continuity import settle_on_targets
 
     q, rows = robot.home[None], []
     for pose in T:
-        q, good = settle(plan, (POSITION,), q, pose[None])
+        q, good = settle_on_targets(plan, (POSITION,), q, pose[None])
         assert good.all()
         rows.append(q[0])
     result = motions.as_result(robot, np.array(rows), kind=POSITION)

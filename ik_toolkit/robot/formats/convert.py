@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from ...errors import ModelError
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
-from ..load import read
+from ..load import read_source
 from .urdf import plain_origin
 
 
@@ -32,7 +32,7 @@ def convert(
     folder: where it will be saved: meshes below it are named relative to it, all others by their absolute path. Meshes that are
     not found keep their name. Raises as `Robot.load` does.
     """
-    made = read(source, package_dirs, xacro_args)[1]
+    made = read_source(source, package_dirs, xacro_args)[1]
     home = None if folder is None else Path(folder).expanduser().resolve()
     root = ET.fromstring(made["urdf"], ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     for origin in root.iter("origin"):

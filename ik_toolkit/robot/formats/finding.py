@@ -25,7 +25,7 @@ class Finding:
         return f"{self.element}: {self.problem}"
 
 
-def wrong(element: object, problem: str, advice: str, line: int) -> Finding:
+def error_finding(element: object, problem: str, advice: str, line: int) -> Finding:
     """Return an error."""
     return Finding("error", str(element), problem, advice, line)
 

@@ -46,7 +46,7 @@ class Read(NamedTuple):
     constraints: tuple[Constraint, ...] = ()
 
 
-def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
+def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
     """URDF text of an MJCF text (path: its file). Raises MissingExtra (mujoco), ModelError."""
     if importlib.util.find_spec("mujoco") is None:
         raise MissingExtra("mujoco", "formats")

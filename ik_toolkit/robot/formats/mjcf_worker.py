@@ -20,7 +20,7 @@ SITE = 6  # MuJoCo's number of an equality between sites
 MOST = 20_000  # largest number of bodies, joints, geoms, sites, equalities or tendons
 
 
-def at(pos: Any, quat: Any) -> dict:
+def pose_dict(pos: Any, quat: Any) -> dict:
     """Pose as a dict."""
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
@@ -30,7 +30,7 @@ def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
     return [one(i) for i in range(count)]
 
 
-def ties(m: Any) -> dict:
+def equalities(m: Any) -> dict:
     """Equalities and tendons of a compiled model."""
     return {
         "equalities": listed(
@@ -72,7 +72,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.body(i).name,
                 "parent": int(m.body_parentid[i]),
-                **at(m.body_pos[i], m.body_quat[i]),
+                **pose_dict(m.body_pos[i], m.body_quat[i]),
             },
         ),
         "joints": listed(
@@ -94,7 +94,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "type": GEOMS[m.geom_type[i]] if m.geom_type[i] < len(GEOMS) else "other",
                 "body": int(m.geom_bodyid[i]),
-                **at(m.geom_pos[i], m.geom_quat[i]),
+                **pose_dict(m.geom_pos[i], m.geom_quat[i]),
                 "size": m.geom_size[i].tolist(),
                 "touches": bool(m.geom_contype[i] or m.geom_conaffinity[i]),
                 "group": int(m.geom_group[i]),
@@ -106,7 +106,7 @@ def describe(m: Any) -> dict:
             m.nmesh,
             lambda i: {
                 "name": m.mesh(i).name,
-                **at(m.mesh_pos[i], m.mesh_quat[i]),
+                **pose_dict(m.mesh_pos[i], m.mesh_quat[i]),
                 "scale": m.mesh_scale[i].tolist(),
             },
         ),
@@ -115,10 +115,10 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.site(i).name,
                 "body": int(m.site_bodyid[i]),
-                **at(m.site_pos[i], m.site_quat[i]),
+                **pose_dict(m.site_pos[i], m.site_quat[i]),
             },
         ),
-        **ties(m),
+        **equalities(m),
         "keys": listed(m.nkey, lambda i: {"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()}),
     }
 

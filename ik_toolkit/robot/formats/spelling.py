@@ -9,7 +9,7 @@ import functools
 from collections.abc import Iterable, Iterator, Mapping
 
 from .finding import Finding, odd
-from .urdf import ITEMS, Item, Part
+from .urdf import ITEMS, InnerElement, Item
 
 ADVICE = "correct the name; as it is, every reader of URDF ignores it"
 ROOT = ("link", "joint", "material")
@@ -47,7 +47,7 @@ def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
     seen: set[str] = set()
     for item in items:
         if item.tag in ("link", "joint"):
-            yield from _attributes(item, Part(item.tag, item.attributes, item.line), seen)
+            yield from _attributes(item, InnerElement(item.tag, item.attributes, item.line), seen)
             for part in item.inside:
                 yield from _part(item, part, seen)
             if item.tag == "joint":
@@ -56,7 +56,7 @@ def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
             yield _unknown("robot", f"<{item.tag}>", f"<{near}>", item.line)
 
 
-def _part(item: Item, part: Part, seen: set[str]) -> Iterator[Finding]:
+def _part(item: Item, part: InnerElement, seen: set[str]) -> Iterator[Finding]:
     inside = part.above[-1] if part.above else item.tag
     if inside == "inertial" or (len(part.above) > 1 and part.above[-1] != "geometry"):
         return
@@ -79,7 +79,7 @@ def _part(item: Item, part: Part, seen: set[str]) -> Iterator[Finding]:
         yield _unknown(item, f"<{part.tag}>", "", part.line)
 
 
-def _attributes(item: Item, part: Part, seen: set[str]) -> Iterator[Finding]:
+def _attributes(item: Item, part: InnerElement, seen: set[str]) -> Iterator[Finding]:
     known = ATTRIBUTES.get(part.tag, ())
     for key in part.attributes if known else ():
         if key in known or key.startswith("xmlns"):

@@ -207,7 +207,7 @@ def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
     return found
 
 
-def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
+def group_chain(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
     """Base (None: the root) and tip of a group for a Robot; tip: the one chosen. Raises InvalidOption, FrameNotFound."""
     base, (end, *more) = srdf.ends(group, model)
     if tip is None and more:
@@ -218,7 +218,7 @@ def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[
     return base, tip or end
 
 
-def held_joints(
+def passive_joints(
     srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
 ) -> dict[str, tuple[float, bool]]:
     """Value [rad or m] at which each locked or passive joint is held, and whether it counts as locked.

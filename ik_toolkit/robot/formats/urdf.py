@@ -50,7 +50,7 @@ SHAPES = ("visual", "collision")
 NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements whose attributes are names
 
 
-class Part(NamedTuple):
+class InnerElement(NamedTuple):
     """An element below a link, joint or material: its tag, attributes and line, and the tags between the two, outermost first."""
 
     tag: str
@@ -70,7 +70,7 @@ class Item:
     tag: str
     attributes: Mapping[str, str]
     line: int
-    inside: list[Part] = field(default_factory=list)
+    inside: list[InnerElement] = field(default_factory=list)
     shapes: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -82,7 +82,7 @@ class Item:
         """Kind and name, for messages."""
         return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
 
-    def own(self, tag: str) -> list[Part]:
+    def own(self, tag: str) -> list[InnerElement]:
         """Return the elements with this tag that are not inside another one."""
         return [part for part in self.inside if part.tag == tag and not part.above]
 
@@ -172,7 +172,7 @@ def parse(text: str) -> list[Item]:
                 raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
         elif above[1] in ITEMS:
-            items[-1].inside.append(Part(tag, attributes, line, tuple(above[2:])))
+            items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
                 _shape(items[-1].shapes, above[2:], tag, attributes)
 
@@ -249,7 +249,7 @@ def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attribu
             shapes[-1].setdefault("geometry", (tag, attributes))
 
 
-def numbers(text: str) -> list[float] | None:
+def attribute_numbers(text: str) -> list[float] | None:
     """Read the numbers of an attribute; None if anything else is in it."""
     try:
         return [float(word) for word in text.split()] if "_" not in text else None
@@ -259,7 +259,7 @@ def numbers(text: str) -> list[float] | None:
 
 def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     """Attributes of an <origin> with its quaternion as rpy; unchanged if it has none, has both, or it is no rotation."""
-    quaternion = numbers(origin.get("quat_xyzw", "")) or []
+    quaternion = attribute_numbers(origin.get("quat_xyzw", "")) or []
     if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
         return origin
     unit = [x / math.hypot(*quaternion) for x in quaternion]
@@ -269,7 +269,7 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}
 
 
-def span(joint: Item) -> tuple[float, float]:
+def limits_of_joint(joint: Item) -> tuple[float, float]:
     """Lower and upper limit [rad or m] of a joint: 0 where its <limit> has none, as URDF says, and ENDLESS at most, either way.
 
     A follower whose <limit> is missing, or has neither, is held by its leader's limits alone.

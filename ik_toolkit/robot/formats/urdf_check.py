@@ -12,11 +12,11 @@ from pathlib import Path
 
 from ...errors import ModelError
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
-from .finding import Finding, did_you_mean, notes, odd, wrong
+from .finding import Finding, did_you_mean, error_finding, notes, odd
 from .mimic import followers
 from .spelling import misspelled
 from .urdf import Item, is_text, parse, safe_read
-from .urdf_values import joint_values, link_values, still, unversioned
+from .urdf_values import check_all_zero, check_joint, link_values, unversioned
 
 HINTS = 10  # near matches searched for in one file: each compares a name with every other
 
@@ -32,7 +32,7 @@ def check_urdf(
     try:
         text = safe_read(source)
     except ModelError as error:
-        return [wrong("file", str(error), "give a plain URDF file", 0)]
+        return [error_finding("file", str(error), "give a plain URDF file", 0)]
     items = parse(text)
     file = file if is_text(source) else Path(source)
     names = [part.attributes.get("filename", "") for item in items for part in item.inside if part.tag == "mesh"]
@@ -46,7 +46,7 @@ def check_urdf(
             build_model(text)
         except Exception as error:
             said = str(error).strip().splitlines()[-1]
-            errors.append(wrong("robot", f"Pinocchio rejects it: {said}", "this is Pinocchio's own message", 0))
+            errors.append(error_finding("robot", f"Pinocchio rejects it: {said}", "this is Pinocchio's own message", 0))
     return [*errors, *(finding for finding in found if finding.severity == "warning")]
 
 
@@ -74,23 +74,23 @@ def _findings(text: str) -> Iterator[Finding]:
     links = [item for item in items if item.tag == "link"]
     joints = [item for item in items if item.tag == "joint"]
     if not links:
-        yield wrong("robot", "it has no link", "a robot has at least a base link", items[0].line)
+        yield error_finding("robot", "it has no link", "a robot has at least a base link", items[0].line)
     for group in (links, joints):
         seen: dict[str, Item] = {}
         for item in group:
             if not item.name:
-                yield wrong(item, "it has no name", "give it a unique name", item.line)
+                yield error_finding(item, "it has no name", "give it a unique name", item.line)
             elif item.name in seen:
                 lines = f"lines {seen[item.name].line} and {item.line}"
-                yield wrong(item, f"the name is used twice ({lines})", "rename one of them", item.line)
+                yield error_finding(item, f"the name is used twice ({lines})", "rename one of them", item.line)
             seen.setdefault(item.name, item)
     for joint in joints:
         if joint.name == "universe":
-            yield wrong(joint, "Pinocchio reserves this name for the world", "rename it", joint.line)
-        yield from joint_values(joint)
+            yield error_finding(joint, "Pinocchio reserves this name for the world", "rename it", joint.line)
+        yield from check_joint(joint)
     if links:
         yield from _tree(links, joints)
-    yield from still(joints)
+    yield from check_all_zero(joints)
     yield from unversioned(items)
     yield from misspelled(items)
     for link in links:
@@ -119,11 +119,11 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             link = ends[role] = (joint.first(role) or {}).get("link", "")
             if link not in links:
                 said = f"it has no {role} link" if not link else f"its {role} link '{link}' does not exist"
-                yield wrong(joint, said, f"name an existing link{_near(link, names, broken)}", joint.line)
+                yield error_finding(joint, said, f"name an existing link{_near(link, names, broken)}", joint.line)
                 broken += 1
         if ends["child"] in parent_of and ends["child"] in links:
             told = f"joint '{joint.name}' is a second parent joint"
-            yield wrong(f"link '{ends['child']}'", told, "a link has exactly one parent joint", joint.line)
+            yield error_finding(f"link '{ends['child']}'", told, "a link has exactly one parent joint", joint.line)
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
@@ -131,7 +131,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"
-        yield wrong("robot", told, "connect them by joints to one root", min(lines[link] for link in done))
+        yield error_finding("robot", told, "connect them by joints to one root", min(lines[link] for link in done))
     for link in names:
         walk: dict[str, None] = {}
         while link not in done and link not in walk:
@@ -140,7 +140,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
         if link in walk:
             loop = list(walk)[list(walk).index(link) :]
             told = f"it is its own ancestor: {_some(loop)} form a loop"
-            yield wrong(f"link '{link}'", told, "a URDF is a tree: remove one joint", lines[link])
+            yield error_finding(f"link '{link}'", told, "a URDF is a tree: remove one joint", lines[link])
         done.update(walk)
 
 

@@ -313,7 +313,7 @@ def _weight(value: Any, so_far: int, depth: int) -> int:
     if isinstance(value, str | range):
         so_far += len(value)
     elif isinstance(value, int):
-        whole(value.bit_length())
+        check_bits(value.bit_length())
         so_far += value.bit_length() // 32
     elif isinstance(value, list | tuple | set | frozenset) or type(value) is dict:
         if depth > DEEP:
@@ -334,7 +334,7 @@ def small(size: int) -> None:
         raise Refused(f"a value has more than {LARGEST:,} characters or members")
 
 
-def whole(bits: int) -> None:
+def check_bits(bits: int) -> None:
     """Raise Refused for a whole number of so many bits."""
     if bits > BITS:
         raise Refused(f"a whole number has more than {BITS:,} bits")
@@ -343,11 +343,11 @@ def whole(bits: int) -> None:
 def power(base: Any, exponent: Any) -> Any:
     """A power of moderate size."""
     if isinstance(base, int) and isinstance(exponent, int) and exponent > 0:
-        whole((base.bit_length() - 1) * exponent if abs(base) > 1 else 0)
+        check_bits((base.bit_length() - 1) * exponent if abs(base) > 1 else 0)
     return base**exponent
 
 
-def product(left: Any, right: Any) -> Any:
+def multiply(left: Any, right: Any) -> Any:
     """A product; a text or list is repeated a moderate number of times."""
     for one, times in ((left, right), (right, left)):
         if isinstance(one, str | list | tuple) and isinstance(times, int):
@@ -380,12 +380,12 @@ def remainder(left: Any, right: Any) -> Any:
 def shifted(left: Any, right: Any) -> Any:
     """A whole number moved to the left by a moderate number of bits."""
     if isinstance(left, int) and isinstance(right, int):
-        whole(left.bit_length() + right)
+        check_bits(left.bit_length() + right)
     return left << right
 
 
 BINARY: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: product, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: multiply, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
     ast.Mod: remainder, ast.Pow: power, ast.LShift: shifted, ast.RShift: operator.rshift, ast.BitOr: operator.or_,
     ast.BitAnd: operator.and_, ast.BitXor: operator.xor,
 }  # fmt: skip

@@ -34,7 +34,7 @@ DEFAULTS = re.compile(
 )
 
 
-def load(place: str) -> ModuleType:
+def module_at(place: str) -> ModuleType:
     """The module at a path from the folder of the robot room; a script cannot import it from the package."""
     spec = importlib.util.spec_from_file_location(Path(place).stem, Path(__file__).parents[1] / f"{place}.py")
     assert spec is not None and spec.loader is not None
@@ -43,11 +43,11 @@ def load(place: str) -> ModuleType:
     return module
 
 
-values = load("formats/xacro_values")
+values = module_at("formats/xacro_values")
 Refused = values.Refused
 
 
-class Asked(dict):
+class GivenArguments(dict):
     """Arguments that note the names they were asked for, so that a misspelled one shows."""
 
     def __init__(self, given: dict[str, str]) -> None:
@@ -80,9 +80,9 @@ class Expansion:
         import xacro.substitution_args as substitution
 
         self.job, self.xacro = job, xacro
-        self.files = load("formats/xacro_files").Files(values, job["folders"])
-        self.evaluator, self.arguments = values.Evaluator(), Asked(job["arguments"])
-        self.packages, self.known = load("packages"), dict[str, str]()
+        self.files = module_at("formats/xacro_files").Files(values, job["folders"])
+        self.evaluator, self.arguments = values.Evaluator(), GivenArguments(job["arguments"])
+        self.packages, self.known = module_at("packages"), dict[str, str]()
         self.written = 0
         for module in (xacro, substitution):
             for name in REPLACED[module.__name__]:
@@ -92,7 +92,7 @@ class Expansion:
         self._all, self._text = xacro.eval_all, xacro.eval_text
         self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
         self.bodies: dict[int, tuple[Any, int]] = {}  # of macros, by their id, with what a copy costs
-        plain = load("formats/xacro_library").library(values, self.evaluator)
+        plain = module_at("formats/xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
         own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
         self.symbols |= own
@@ -291,7 +291,7 @@ def _converted(text: str) -> Any:
     return {"true": True, "false": False}.get(text.lower(), text)
 
 
-def expand(job: dict) -> dict:
+def run_job(job: dict) -> dict:
     """Run a job."""
     stack: list[str] = []
     try:
@@ -332,12 +332,12 @@ def told(cause: BaseException, stack: list[str]) -> str:
 def main() -> None:
     """Read the job from stdin, write the answer to stdout."""
     job = json.load(sys.stdin)
-    limit = load("geometry/mesh_worker").limit
+    limit = module_at("geometry/mesh_worker").limit
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
     sys.setrecursionlimit(3000)  # loops of xacro are macros that call themselves, ten calls here a turn
-    print(json.dumps(expand(job)))
+    print(json.dumps(run_job(job)))
 
 
 if __name__ == "__main__":

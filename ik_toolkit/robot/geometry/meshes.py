@@ -33,7 +33,7 @@ KEPT = 256  # files whose triangles are cached
 WORKER = Path(__file__).with_name("mesh_worker.py")
 
 
-class Piece(NamedTuple):
+class MeshPiece(NamedTuple):
     """Triangles of one material: vertices (N, 3) [units of the file], faces (M, 3), color (3,) in 0..1 or None."""
 
     vertices: np.ndarray
@@ -45,7 +45,7 @@ class Piece(NamedTuple):
 class Mesh:
     """Contents of a mesh file, or why it was not read (refused), and what was left out (notes)."""
 
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[MeshPiece, ...] = ()
     refused: str = ""
     notes: tuple[str, ...] = ()
 
@@ -194,10 +194,10 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
         return meshes
 
 
-def _pieces(file: Path) -> tuple[Piece, ...]:
+def _pieces(file: Path) -> tuple[MeshPiece, ...]:
     with np.load(file) as arrays:
         pieces = []
         for k in range(len(arrays.files) // 3):
             vertices, faces, color = (arrays[f"{letter}{k}"] for letter in "vfc")
-            pieces.append(Piece(vertices, faces, tuple(color.tolist()) or None))
+            pieces.append(MeshPiece(vertices, faces, tuple(color.tolist()) or None))
     return tuple(pieces)

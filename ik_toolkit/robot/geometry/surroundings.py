@@ -15,7 +15,7 @@ from .shape import Shape, is_shape
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedShape:
     """A shape around the robot (arm None) or held by an arm: its pose in base or tip frame; names of parts it may touch."""
 
     shape: Shape
@@ -37,7 +37,7 @@ class Surroundings(ReadOnly):
     def __init__(self) -> None:
         """Start with no shapes."""
         self.version = 0
-        self._placed: dict[str, Placed] = {}
+        self._placed: dict[str, PlacedShape] = {}
         self._hulls: dict[Any, Any] = {}  # see clearance.hulls
 
     def _rebuild(self) -> None:
@@ -48,7 +48,7 @@ class Surroundings(ReadOnly):
         """Update after a shape was moved."""
         raise NotImplementedError
 
-    def _object(self, name: str, one: Placed) -> pin.GeometryObject:
+    def _object(self, name: str, one: PlacedShape) -> pin.GeometryObject:
         """Pinocchio geometry object of an added shape."""
         arm = self.robot.arms[one.arm or 0]
         held = one.arm is not None
@@ -94,7 +94,7 @@ class Surroundings(ReadOnly):
     def add(self, shape: Shape, pose: Any, name: str | None = None) -> Self:
         """Add a shape at a pose (4, 4), pin.SE3 or position (3,) in the base frame. Raises InvalidOption, InvalidTarget."""
         form, T = is_shape(shape).form(), as_matrix(pose)
-        self._placed[self._new_name(shape, name)] = Placed(shape, form, T)
+        self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T)
         self._rebuild()
         return self
 
@@ -153,7 +153,7 @@ class Surroundings(ReadOnly):
             self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
         else:
             form, T = is_shape(shape).form(), np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape)
-            self._placed[self._new_name(shape, name)] = Placed(shape, form, T, arm, touch)
+            self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T, arm, touch)
         self._rebuild()
         return self
 
@@ -165,7 +165,7 @@ class Surroundings(ReadOnly):
         if q is None:
             return self.remove(name)
         T = self._tip(one.arm, q).homogeneous @ one.T
-        self._placed[name] = Placed(one.shape, one.form, T)
+        self._placed[name] = PlacedShape(one.shape, one.form, T)
         self._rebuild()
         return self
 

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from ...copying import Unique
 from ...errors import InvalidOption, MissingExtra
 from ..access import guarded, is_loopback, new_token
-from .page import Desk
+from .page import PanelPage
 from .session import Session
 
 HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows and rings, the camera
@@ -39,7 +39,7 @@ class Panel(Unique):
         *,
         host: str = "127.0.0.1",
         port: int = 0,
-        desk: type[Desk] = Desk,
+        desk: type[PanelPage] = PanelPage,
     ) -> None:
         """Serve a robot given by name or path. tips: one or several, default all known ones. port 0: a free one.
 
@@ -68,7 +68,7 @@ class Panel(Unique):
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
         _hear_only(self.server.gui._websock_interface, ())  # messages are accepted only by a visitor's desk
-        self.desks: dict[int, Desk] = {}
+        self.desks: dict[int, PanelPage] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")
         local = is_loopback(host)

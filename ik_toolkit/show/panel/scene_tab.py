@@ -109,7 +109,7 @@ CORRECTIONS = 3  # Newton steps, each of which squares the remaining error
 LEFT = 1e-7  # [m, rad] largest tip error that counts as staying in place
 
 
-def freedom(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
+def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
     """Null-space directions (k, n) at q (n,): no tip moves; turns: whether the tips' rotations are held, too."""
     J = _rows(robot, q, turns)
     _, sizes, V = np.linalg.svd(J, full_matrices=True)
@@ -124,7 +124,7 @@ def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool,
     start, unit = q, np.where(robot.slides, robot.reach, 1.0)
     done, at = 0.0, along / unit
     while done < abs(far):
-        free = freedom(robot, q, turns) / unit
+        free = null_directions(robot, q, turns) / unit
         free = np.linalg.qr(free.T)[0].T if len(free) else free
         at = free.T @ (free @ at)
         if np.linalg.norm(at) < THIN:

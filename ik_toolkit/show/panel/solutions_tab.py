@@ -23,7 +23,7 @@ POINT = (
 CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()==='{GO}').click()"
 
 
-class Found:
+class SolutionsTab:
     """Solutions found. ghost(q or None) shows one, go(k) moves there; listen(handle, name, job) runs a job on a change."""
 
     def __init__(

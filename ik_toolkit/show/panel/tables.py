@@ -9,14 +9,14 @@ from ...style import MUTED
 from .session import KINDS, Session
 
 
-def sentence(text: str) -> str:
+def as_sentence(text: str) -> str:
     """Text with a capital letter and a full stop."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
 def note_html(text: str) -> str:
     """A sentence in small print, or nothing."""
-    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(sentence(text))}</p>' if text else ""
+    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(as_sentence(text))}</p>' if text else ""
 
 
 def table_html(rows: Any, head: Any = None) -> str:

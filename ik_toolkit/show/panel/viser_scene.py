@@ -244,7 +244,7 @@ class Stage:
         return FREE if self.widest < NARROW else 1.0
 
     def _look(self, camera: Any, box: np.ndarray, view: np.ndarray) -> None:
-        eye, to = look(box, view, camera.image_width / max(camera.image_height, 1), self._free())
+        eye, to = camera_for(box, view, camera.image_width / max(camera.image_height, 1), self._free())
         camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
 
 
@@ -258,7 +258,7 @@ def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
     return np.linalg.inv(T_world_base) @ T
 
 
-def look(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
+def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera stands, and the point (3,) [m] it looks at, to see a box (2, 3) as large as fits.
 
     view: direction (3,) in which it looks, not straight up or down; aspect: width over height of the picture; free: share of its

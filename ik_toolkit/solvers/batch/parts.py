@@ -17,7 +17,7 @@ from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ...kernel.limits import LARGEST
 from ...kernel.records import ANSWER, AT
 from ...kernel.simd_search import LEFT
-from ..outcome import Outcome
+from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import confirmed, mark_open
 from ..task import counts_in_part
@@ -93,7 +93,7 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
     if plan.improving:
         for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
             one = part.rows(slice(k, k + 1))
-            outcome = Outcome(plan, one.T, kinds, one.start, given, out[k].copy(), 0.0)
+            outcome = SolveRecord(plan, one.T, kinds, one.start, given, out[k].copy(), 0.0)
             for step in plan.improving:
                 outcome = step(outcome)
             out[k] = outcome.row

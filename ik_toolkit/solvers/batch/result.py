@@ -8,7 +8,7 @@ from ...errors import IKError, Portable
 from ...kernel.records import ANSWER, AT, MISS
 from ...readonly import ReadOnly
 from ..collision_free import collision_model
-from ..outcome import SPOKEN, Outcome
+from ..outcome import SPOKEN, SolveRecord
 from ..plan import Plan
 from ..result import Result
 from ..status import Status, count_statuses
@@ -74,7 +74,7 @@ class BatchResult(ReadOnly):
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
             touching = next(iter(model.collisions(self.q[k])), None)  # None: the colliding obstacle has been moved away
         nothing = np.empty(0)  # a batch keeps neither targets nor starts
-        return Result(Outcome(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
+        return Result(SolveRecord(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
 
     @property
     def position_only(self) -> bool:

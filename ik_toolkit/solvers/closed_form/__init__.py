@@ -19,7 +19,7 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
     return robot.memo["closed forms"].get(kind)
 
 
-def describe(robot: Any) -> str:
+def describe_fit(robot: Any) -> str:
     """One sentence on the closed form that fits a robot and how well, or ''."""
     from ...kernel.counted_error import POSE, POSITION
     from .geometry import FIT

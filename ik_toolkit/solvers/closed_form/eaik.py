@@ -18,7 +18,7 @@ STEPS = (
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)  # axes, steps from one to the next, tip's orientation at q = 0
 
 
-def recognise(chain: Chain) -> Fit:
+def recognise_six_axes(chain: Chain) -> Fit:
     """Read the axes of the arm at q = 0."""
     if chain.n != N:
         return no_fit(f"it has {chain.n} joints on the path, not 6")
@@ -67,7 +67,7 @@ def joint_values(angles, box, q):
 
 
 @cached
-def every_branch(Q, box, out, broken):
+def eaik_branches(Q, box, out, broken):
     """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with the limit each breaks."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
@@ -82,11 +82,11 @@ class EAIK(NamedTuple):
     inverse kinematics".
     """
 
-    recognise = staticmethod(recognise)
+    recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """All answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
         Q = branches(p, T)
         out, broken = np.empty_like(Q), np.empty(len(Q))
-        every_branch(Q, box, out, broken)
+        eaik_branches(Q, box, out, broken)
         return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)

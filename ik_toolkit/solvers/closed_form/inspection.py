@@ -124,7 +124,7 @@ def recognise(chain: Chain) -> Fit:
 
 
 @cached
-def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Arguments of `kernel.search.entry`: the branch inside the limits nearest Q0, or how far none is."""
     n = seeds.shape[1]
     p = opt[WEIGHTS + n :]
@@ -248,4 +248,4 @@ class Inspection(NamedTuple):
 
     def loop(self, robot: Any) -> Callable:
         """The compiled solve."""
-        return solve
+        return solve_inspection

@@ -36,7 +36,7 @@ def joint_values(p, angles, box, q):
 
 
 @cached
-def every_branch(p, T, box, out, broken, marks):
+def list_planar(p, T, box, out, broken, marks):
     """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with the limit each breaks, marks (2, 3) with their signs.
 
     Returns how many, and whether the links fold back onto the base, where the first angle is free.

@@ -9,7 +9,7 @@ from ...errors import InvalidTarget, MissingExtra
 from ...kernel.counted_error import FREE, POSE, POSITION
 from ...kernel.records import AT, WEIGHTS
 from ..closed_form import fits
-from ..outcome import Outcome
+from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import record
 from ..protocol import Asked, refusal
@@ -24,7 +24,7 @@ NEARLY = 1e-3  # of the reach: what the finish on the real chain mends, EAIK's a
 SAME = 1e-6  # rad, or of the reach: how far the answer may be from the branch it is (a near fit is finished on the real chain)
 
 
-def explain(result: Any) -> Explanation:
+def explain_result(result: Any) -> Explanation:
     """Explain a result. Raises InvalidTarget for one that keeps no target (a row of a batch), MissingExtra (sympy)."""
     of = result._of
     if not of.T.size:
@@ -58,7 +58,7 @@ def explain(result: Any) -> Explanation:
     )
 
 
-def _form_of(of: Outcome) -> tuple[Plan | None, str]:
+def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
     """The closed form to show, as a plan: the one that solved, or one that fits; or None, and why there is none."""
     plan, robot = of.plan, of.plan.robot
     if plan.row.closed:
@@ -80,7 +80,7 @@ def _form_of(of: Outcome) -> tuple[Plan | None, str]:
     return Plan(robot, row, row.load()(), plan.options), ""
 
 
-def _derived(form: Plan, of: Outcome, q: np.ndarray) -> WorkedSolution:
+def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
     """The closed form worked out for the target; free joints stay as they are at the answer q (n,)."""
     robot = form.robot
     free = np.full(robot.n, np.inf)
@@ -102,12 +102,12 @@ def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | N
     return best if far and far[best] < SAME else None
 
 
-def _search(of: Outcome) -> Outcome:
+def _search(of: SolveRecord) -> SolveRecord:
     """The search that answered after a closed form."""
     return _run(of, of.plan.search())
 
 
-def _beside(of: Outcome, name: str) -> Outcome:
+def _beside(of: SolveRecord, name: str) -> SolveRecord:
     """Another solver on the same target, from the same start, in one attempt; the general one where it does not take the task."""
     robot, options = of.plan.robot, replace(of.plan.options, restarts=0, history=False)
     row = find_row(name)
@@ -120,12 +120,12 @@ def _beside(of: Outcome, name: str) -> Outcome:
     return made
 
 
-def _run(of: Outcome, plan: Plan) -> Outcome:
+def _run(of: SolveRecord, plan: Plan) -> SolveRecord:
     row = plan.solve(of.T, of.kinds, of.start, of.given)
     return of._replace(plan=plan, row=row, notice="", errors=None, history=None)
 
 
-def _iterations(of: Outcome, read: Any) -> Iterations:
+def _iterations(of: SolveRecord, read: Any) -> Iterations:
     """The attempt that counts, evaluation by evaluation."""
     made = of if of.history is not None else record(of)
     history, result = made.history, read(made)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from ...style import BAD, MUTED
-from .worked_solution import Step
+from .worked_solution import WorkedStep
 
 WIDTH = 80  # columns of the text
 UNITS = {"m": "mm", "rad": "deg", "": ""}  # the units in which values [m, rad or 1] are shown
@@ -41,8 +41,8 @@ class Table(NamedTuple):
 class Equations(NamedTuple):
     """Steps of a calculation; before: the steps whose numbers may stand in them; places: decimals of a millimetre."""
 
-    steps: tuple[Step, ...]
-    before: tuple[Step, ...]
+    steps: tuple[WorkedStep, ...]
+    before: tuple[WorkedStep, ...]
     places: int
 
 
@@ -61,15 +61,14 @@ def unit_of(kind: str) -> str:
     return "m" if kind == "prismatic" else "rad"
 
 
-def number(value: float, unit: str, places: int) -> str:
+def digits(value: float, unit: str, places: int) -> str:
     """Digits of a value [m, rad or 1] in millimetres (with `places` decimals), degrees or as it is."""
-    digits = {"m": places, "rad": 4}.get(unit, 6)
-    text = f"{SCALES[unit] * value:.{digits}f}"
+    text = f"{SCALES[unit] * value:.{ {'m': places, 'rad': 4}.get(unit, 6) }f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 # --------------------------------------------------------------------------------------------------------------- equations
-def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]]:
+def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
     """Equations that stand together, each as its sides in a form of `expression.written`, and the first step of them.
 
     A formula stands alone: symbol, formula, formula with numbers, value with unit. Given numbers without words join those before.
@@ -77,7 +76,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]
     from .expression import quantity, with_numbers, written  # SymPy, which only explanations need
 
     texts = {
-        step.name: number(step.value, step.unit, block.places) + " deg" * (step.unit == "rad")
+        step.name: digits(step.value, step.unit, block.places) + " deg" * (step.unit == "rad")
         for step in (*block.before, *block.steps)
     }
     group: list[list[str]] = []
@@ -100,7 +99,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]
 
 
 # -------------------------------------------------------------------------------------------------------------- plain text
-def to_text(blocks: Iterable[Block]) -> str:
+def blocks_to_text(blocks: Iterable[Block]) -> str:
     """Plain text, 80 columns wide."""
     lines: list[str] = []
     for block in blocks:
@@ -235,7 +234,7 @@ def _html_cell(text: str, column: int) -> str:
     return f'<td style="{style}">{html.escape(text)}</td>'
 
 
-def _html_lines(step: Step, group: list[list[str]]) -> str:
+def _html_lines(step: WorkedStep, group: list[list[str]]) -> str:
     """Given numbers on one line; a formula, the same with numbers, and its value on a line each."""
     from .expression import BREAK
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Step(NamedTuple):
+class WorkedStep(NamedTuple):
     """One line of a calculation.
 
     symbol: the SymPy symbol that gets a value; formula: a SymPy expression in the symbols of earlier steps, or None where the
@@ -35,7 +35,7 @@ class Branch(NamedTuple):
     label: str
     q: np.ndarray
     outside: tuple[str, ...] = ()
-    steps: tuple[Step, ...] = ()
+    steps: tuple[WorkedStep, ...] = ()
 
 
 class Free(NamedTuple):
@@ -59,14 +59,14 @@ class WorkedSolution(NamedTuple):
     an iterative solver worth showing for comparison, or ''.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[WorkedStep, ...]
     branches: tuple[Branch, ...]
     legend: str = ""
     words: str = ""
     free: Free | None = None
     beside: str = ""
 
-    def steps_of(self, branch: Branch) -> tuple[Step, ...]:
+    def steps_of(self, branch: Branch) -> tuple[WorkedStep, ...]:
         """Every step that leads to a branch, from the given numbers to its joint values."""
         return (*self.steps, *branch.steps)
 

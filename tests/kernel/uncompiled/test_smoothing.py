@@ -268,7 +268,7 @@ def test_a_path_gets_smooth_and_keeps_its_poses():
     noise[[0, 4, -1]] = 0.0
     Q, good = goals + noise, np.zeros(N, bool)
     pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(POSE)), *np.ones(n)])
-    smoothing.settle(chain.rows, chain.ends, T, Q, pack, good)
+    smoothing.settle_rows(chain.rows, chain.ends, T, Q, pack, good)
     assert good.all()
     for k in range(N):
         np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)
