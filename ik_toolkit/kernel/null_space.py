@@ -20,7 +20,7 @@ MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
 COUNTED = 1e-18  # squared norm above which the joints can move along a row of the Jacobian
 VOLUME = 1e-30  # smallest squared pivot: keeps the logarithm finite at a singular pose
 DAMPING = 1e-10  # of the projection and the way back: below any singular value worth a step
-CORRECTIONS = 6  # steps back onto the target; convergence is quadratic
+CORRECTIONS = 8  # steps back onto the target; convergence is quadratic
 DIFFERENCE = 1e-6  # [rad] of the one-sided derivative of the manipulability
 SMALLEST = 1e-7  # a step that moves every joint by less ends the search
 LONGEST = 0.3  # [rad or kernel unit] largest move of a joint in a step: the null space is curved
@@ -96,15 +96,18 @@ def move(q, dq, factor, box):
         q[i] = min(max(q[i] + factor * dq[i], box.lower(i)), box.upper(i))
 
 
-@spliced
-def correct(p, weights, box):
-    """Return to the target: the null-space step left it to second order. Returns the last look, with its Jacobian made."""
+@inline
+def onto_target(p, weights, box, enough):
+    """Newton steps of p.desk.q onto the target, which a step left to second order, joints held at their bounds.
+
+    They end at a squared error (lengths over reach) of `enough`; with none, inside the tolerances. Returns the last look.
+    """
     s = p.desk
     for k in range(CORRECTIONS):
         e = p.evaluate(s.q)
-        p.jacobian(e)
-        if e.good or k == CORRECTIONS - 1:
+        if (e.ee <= enough if enough > 0.0 else e.good) or k == CORRECTIONS - 1:
             break
+        p.jacobian(e)
         copy(weights, s.w)
         for _ in range(2):
             p.damped(e, DAMPING)
@@ -199,7 +202,8 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     value = np.inf
     taken = 0
     for k in range(steps + 1):
-        e = correct(p, weights, box)
+        e = onto_target(p, weights, box, 0.0)
+        p.jacobian(e)
         now = objective(p, what, full, box, ref)
         better = e.good and (
             k == 0 or now < value - 1e-12 * abs(value)
