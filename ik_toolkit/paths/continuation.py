@@ -1,10 +1,10 @@
 """Solutions carried along a sequence of poses: from a solution of one pose to one of the next, by continuation.
 
-A step is the least joint motion that brings the tip along (the last configuration is the prediction, the damped steps of
-`refine.correct` the correction). It counts only where the joints move less than they may and the tip, the joints being moved
-in a straight line, stays by the straight line between the poses; otherwise it is halved. So what is joined here is one motion,
-never two solutions that happen to be close. A track is what becomes of one solution: some poses are solved from many starts,
-and each solution is continued along the whole path.
+A step is the least joint motion that brings the tip along (the last configuration is the prediction, the steps of
+`null_space.onto_target` the correction). It counts only where the joints move less than they may and the tip, the joints
+being moved in a straight line, stays by the straight line between the poses; otherwise it is halved. So what is joined here is
+one motion, never two solutions that happen to be close. A track is what becomes of one solution: some poses are solved from
+many starts, and each solution is continued along the whole path.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 
 from ..compile.jit import cached, inline, inner, spliced
 from ..kernel.algebra import V3
-from ..kernel.null_space import Bounds, correct
+from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import problem
@@ -71,7 +71,7 @@ def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation
         blend(flat, a, b, done + part, sheet)
         fine = p.aim(pose, o) == 0.0
         if fine:
-            e = correct(p, weights, box)
+            e = onto_target(p, weights, box, 0.0)
             fine = e.good and within(q, old, most)
         if fine:
             copy(q, new)

@@ -18,9 +18,8 @@ from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..validate import positive
-from .contact import find_contacts
+from .contact import connect, find_contacts
 from .continuity import bounds, settle_between
-from .free_motion import connect
 from .freedom import missed
 from .interpolate import interpolate_poses
 

@@ -9,7 +9,7 @@ row (`registry.Row`), which says what must be known without importing the class.
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
@@ -17,13 +17,12 @@ from ..compile.jit import compiled
 from ..errors import IKError, InvalidOption, UnknownSolver
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.search import entry
+from .closed_form.geometry import Branches, Fit
+from .closed_form.nearest import nearest_of
+from .explain.worked_solution import WorkedSolution, listed_branches
 from .options import NAMES, Options
 from .registry import GENERAL, Row, find_row
 from .task import counted_rows, counts_in_part
-
-if TYPE_CHECKING:
-    from .closed_form.geometry import Branches, Fit
-    from .explain.worked_solution import WorkedSolution
 
 Class = TypeVar("Class", bound=type)
 SHOWN = 16  # branches of a family in an explanation
@@ -104,11 +103,11 @@ class ClosedForm(Protocol):
     hold = False
 
     @staticmethod
-    def recognise(chain: Any) -> "Fit":
+    def recognise(chain: Any) -> Fit:
         """Whether a chain has the structure, how nearly, and the numbers of the closed form."""
         ...
 
-    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> "Branches":
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """All branches of T (4, 4), as many as `count` of a family.
 
         p: what `pack` returned; box (4, n): lower and upper limits, the configuration to be near [rad or m], weights of the
@@ -116,13 +115,11 @@ class ClosedForm(Protocol):
         """
         ...
 
-    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> "WorkedSolution":
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
         """Formulas with their numbers for T (4, 4), to explain a solve. Default: the branches of `every` alone.
 
         p, box: as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
         """
-        from .explain.worked_solution import listed_branches
-
         return listed_branches(robot, self.every(robot, p, T, box, SHOWN))
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
@@ -142,8 +139,6 @@ class ClosedForm(Protocol):
 
     def loop(self, robot: Any) -> Callable:
         """The solve with the arguments of `kernel.search.entry`. Default: of `every`, the nearest that meets the tolerances."""
-        from .closed_form.nearest import nearest_of
-
         return nearest_of(self, robot)
 
 
@@ -204,7 +199,7 @@ def misfit(row: Row, solver: Any, robot: Any) -> str:
     return ""
 
 
-def fitted(form: Any, robot: Any) -> "Fit":
+def fitted(form: Any, robot: Any) -> Fit:
     """Structure that a closed form recognises in a robot. Raises UnknownSolver with the reason where it does not fit."""
     if reason := misfit(find_row(form), form, robot):
         raise UnknownSolver(reason)

@@ -1,7 +1,7 @@
 """Result of a solve."""
 
 import html
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +11,12 @@ from ..kernel.records import ANSWER, AT
 from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
+from .explain.explanation import Explanation
 from .message import sentence
 from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors
-
-if TYPE_CHECKING:
-    from .explain.explanation import Explanation
 
 
 class Result(ReadOnly):
@@ -197,7 +195,7 @@ class Result(ReadOnly):
             raise NotSolved(self)
         return self
 
-    def explain(self) -> "Explanation":
+    def explain(self) -> Explanation:
         """How the answer comes about: D-H table, closed form with the numbers put in, branches, iterations (see `Explanation`).
 
         `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no

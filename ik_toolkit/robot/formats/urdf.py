@@ -1,7 +1,9 @@
 """Safe reading of a URDF: one capped streaming parse that expands no entities and fetches nothing."""
 
+import codecs
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +11,6 @@ from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from ...errors import ModelError
-from .decode import decode, undeclared
 
 MAX_BYTES = 20_000_000
 MAX_JOINTS = 1_000  # including fixed and mimic joints: Pinocchio's parser recurses once per joint of a chain
@@ -292,3 +293,54 @@ def _feed(parser: Any, raw: bytes, what: str) -> None:
                 f"{parser.CurrentLineNumber}; it is not read"
             )
     parser.Parse(b"", True)
+
+
+MARKS = (  # byte order marks; UTF-32 first, because its mark begins with that of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
+    (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
+)  # fmt: skip
+ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names that Python does not know
+DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
+# Encodings of text that Python decodes in time proportional to the input; no codec that unpacks, such as zip or hex.
+TEXTS = re.compile(
+    r"utf-8|ascii|iso8859-\d+|cp(125\d|437|85\d|866|932|936|949|950|1361)|koi8-[rtu]|mac-(roman|cyrillic|greek|latin2)|"
+    r"shift_jis(_2004|x0213)?|euc_(jp|kr|jis_2004|jisx0213)|iso2022_(jp|kr)(_\w+)?|gb2312|gbk|gb18030|hz|big5(hkscs)?|"
+    r"johab|tis-620|ptcp154|kz1048"
+)
+
+
+def decode(raw: bytes, name: str) -> str:
+    """Text of a file's bytes, without an encoding in its XML declaration. name: of the file, for messages. Raises ModelError."""
+    codec = next((codec for mark, codec in MARKS if raw.startswith(mark)), None)
+    head = DECLARED.match(raw[:1024].decode("latin-1")) if codec is None else None
+    codec = codec or (_codec(head[2]) if head else "utf-8")
+    try:
+        text = raw.decode(codec)
+    except UnicodeDecodeError as error:
+        lost = (
+            f" and declares '{head[2][:40]}', which is not read" if head and head[2].lower() != codec == "utf-8" else ""
+        )
+        what = "UTF-8" if codec.startswith("utf-8") else codec
+        raise ModelError(f"'{name}' is not {what} text (byte {error.start}){lost}; save it as UTF-8") from None
+    if "\0" in text:
+        raise ModelError(f"'{name}' is not UTF-8 text (it has NUL bytes); save it as UTF-8")
+    return undeclared(text)
+
+
+def undeclared(text: str) -> str:
+    """Text whose XML declaration names no encoding but UTF-8: it is decoded already, and later readers would do it again."""
+    head = DECLARED.match(text[:1024])
+    return text if head is None or head[2].lower() == "utf-8" else head[1] + text[head.end() :]
+
+
+def _codec(declared: str) -> str:
+    """Python's codec for a declared encoding; UTF-8 where it is not one of TEXTS.
+
+    That may be right even if UTF-16 is declared: a declaration that can be read is not in UTF-16.
+    """
+    try:
+        codec = codecs.lookup(ALIASES.get(declared.lower(), declared)).name if declared.isascii() else ""
+    except (LookupError, ValueError):
+        codec = ""
+    return codec if TEXTS.fullmatch(codec) else "utf-8"
