@@ -45,7 +45,7 @@ class Holds:
         return super().__reduce_ex__(protocol)
 
 
-class Blocks(Holds):
+class CopiesViews(Holds):
     """Base of objects that keep blocks of numbers and views of them.
 
     A copy gets its own blocks, and `_cut` makes its views of them. `copy.copy` shares only what does not change; for a tracker

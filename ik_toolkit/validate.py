@@ -31,7 +31,7 @@ def positive(value: Any, name: str) -> float:
     return found
 
 
-def parts_of(dt: float, longest: float) -> int:
+def parts_of_step(dt: float, longest: float) -> int:
     """Return in how many parts, none longer than `longest` [s], a step of dt [s] is taken.
 
     Raises InvalidOption if there are more than MOST_PARTS, because dt was then probably given in another unit.

@@ -55,9 +55,9 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
 
 def solver_named(text: str) -> Any:
     """A solver's name unchanged, or the class of FILE.py:CLASS. Raises InvalidOption."""
-    from ..solvers.solver_file import from_file, is_file
+    from ..solvers.registry import is_solver_file, solver_from_file
 
-    return from_file(text) if is_file(text) else text
+    return solver_from_file(text) if is_solver_file(text) else text
 
 
 TARGET = ("xyz", "matrix")  # options that give a whole target

@@ -135,15 +135,15 @@ def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, whether there is room, and whether they are whole; what is damaged is removed."""
     try:
         from ..compile.cache import damaged, open_to_others
-        from ..kernel.chain import forward
+        from ..kernel.chain import forward_kinematics
 
-        folder, broken = damaged(forward)
+        folder, broken = damaged(forward_kinematics)
     except Exception as error:  # a broken installation: the rows above say which part
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
-        why = getattr(getattr(forward, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")
+        why = getattr(getattr(forward_kinematics, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")
         return _row("compile cache", "missing", f"every process compiles again ({why}); set NUMBA_CACHE_DIR")
-    place = Path(forward._cache.cache_path)
+    place = Path(forward_kinematics._cache.cache_path)
     if why := open_to_others(place):
         remedy = f"chmod go-w {place}, or set NUMBA_CACHE_DIR to a folder of your own"
         return _row("compile cache", "problem", f"{why}, so every process compiles again: {place}; {remedy}")

@@ -80,7 +80,7 @@ def check(
         raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
-    from ..robot.formats.finding import odd, wrong
+    from ..robot.formats.finding import error_finding, odd
     from ..robot.formats.urdf_check import check_urdf
     from ..robot.library import find
     from ..robot.load import urdf_of
@@ -95,7 +95,7 @@ def check(
         findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
     except ModelError as error:
         text, expanded = "", False
-        findings = [wrong("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
+        findings = [error_finding("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
     forms = {} if errors else _closed_forms(entry.tips, text)
@@ -154,7 +154,7 @@ def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
     from ..robot.formats.urdf_model import build_model
     from ..robot.robot import Robot
     from ..robot.tips import guess_tip
-    from ..solvers.closed_form import describe
+    from ..solvers.closed_form import describe_fit
 
     found, model = {}, build_model(text)
     for tip in tips or (guess_tip(model).tips if len(guess_tip(model).tips) == 1 else ()):
@@ -163,6 +163,6 @@ def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
             robot = Robot(model, tip=tip, base=held[1] if held else None, urdf=text)
         except IKError:  # several ends and none named: no single arm to describe
             continue
-        if describe(robot):
-            found[robot.tip] = describe(robot)
+        if describe_fit(robot):
+            found[robot.tip] = describe_fit(robot)
     return found

@@ -122,16 +122,18 @@ def info(
     """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
     from ..robot.formats.dh import read_dh_table
     from ..robot.library import find
-    from ..robot.load import read
+    from ..robot.load import read_source
     from ..robot.tips import tip_candidates
-    from ..solvers.closed_form import describe as closed_form
+    from ..solvers.closed_form import describe_fit as closed_form
 
     def load(name: str | None) -> Any:
         return load_robot(robot, name, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
 
     entry = find(robot)
     if list_tips:
-        ends = tip_candidates(read(robot, package_dir or (), assignments(xacro_arg, "--xacro-arg", ":="))[1]["model"])
+        ends = tip_candidates(
+            read_source(robot, package_dir or (), assignments(xacro_arg, "--xacro-arg", ":="))[1]["model"]
+        )
         _show_tips(entry, [load(name) for name in ends], as_json, csv_file)
         return
     try:
@@ -210,7 +212,7 @@ def _source(paper: str, source_table: str) -> str | None:
 
 def describe(robot: "Robot") -> dict[str, Any]:
     """Robot as plain data, in metres and radians."""
-    from ..solvers.closed_form import describe as closed_form
+    from ..solvers.closed_form import describe_fit as closed_form
 
     joints = zip(
         robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, robot.home, robot.velocity_limits, strict=True

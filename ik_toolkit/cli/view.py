@@ -128,9 +128,9 @@ def view(
         return
     what, solved = arm.home, True
     if motion is not None:
-        from ..show.animation import from_file
+        from ..show.animation import motion_from_file
 
-        what = from_file(arm, motion)
+        what = motion_from_file(arm, motion)
     elif q is not None:
         what = joint_vector(arm, q, "--q", deg)
     elif solving:

@@ -299,7 +299,7 @@ def _pieces(typing, block, kind, shapes):
 
 # --------------------------------------------------------------------------------------------------------- numbers in a row
 @intrinsic
-def numbers(typing, A, start, count):
+def counted_part(typing, A, start, count):
     """Return a tuple of `count` numbers of A (K,) from index `start` on; `count` is a constant at compile time."""
     if not isinstance(count, types.IntegerLiteral):
         return None

@@ -98,7 +98,7 @@ class DiskCache(FunctionCache):
         key = self._index_key(sig, data.codegen)
         try:
             self._impl.locator.ensure_cache_path()
-            write(self.path(key), dumps((key, self._impl.reduce(data))))
+            write_whole(self.path(key), dumps((key, self._impl.reduce(data))))
         except OSError as error:
             not_kept(str(self._cache_path), error.strerror or str(error))
 
@@ -179,7 +179,7 @@ def _whole(path: Path) -> bool:
         return False
 
 
-def write(path: Path, body: bytes) -> None:
+def write_whole(path: Path, body: bytes) -> None:
     """Write a file whole or not at all, and remove files that were made from older kernel sources."""
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:

@@ -143,7 +143,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> A
 
 
 @intrinsic
-def load(typing, array, start):
+def lane_load(typing, array, start):
     """Return the vector of array[start : start + WIDTH]."""
 
     def generate(context, builder, sig, args):
@@ -170,7 +170,7 @@ def full(typing, number):
 
 
 @intrinsic
-def choose(typing, condition, yes, no):
+def lane_select(typing, condition, yes, no):
     """Return a vector that has the numbers of `yes` where the mask is true, and those of `no` elsewhere."""
     return vector(mask, vector, vector), lambda context, builder, sig, args: builder.select(*args)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.jit import INLINE, compiled, inline
-from ..compile.simd import WIDTH, full, load, store, vector
+from ..compile.simd import WIDTH, full, lane_load, store, vector
 
 Number = Any  # a float, or a SIMD vector of eight floats
 
@@ -191,7 +191,7 @@ def at(A, i):
 def _at(A, i):
     if A.ndim == 1:
         return lambda A, i: A[i]
-    return lambda A, i: load(A, i * WIDTH)
+    return lambda A, i: lane_load(A, i * WIDTH)
 
 
 def put(A, i, value):

@@ -24,7 +24,7 @@ LEAST_REACH = 1e-10  # m, a shorter reach is the rounding of a CAD program and n
 
 
 @cached
-def forward(rows, ends, Q, unit, T, J) -> None:
+def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
     """Fill T (N, 4, 4) with tip poses [m, base axes] and J with Jacobians at Q (N, n).
 
     J is (N, 6, n), or (0, 6, n) to skip the Jacobians.
@@ -58,11 +58,11 @@ def forward(rows, ends, Q, unit, T, J) -> None:
                 J[t, 3, i], J[t, 4, i], J[t, 5, i] = v.x, v.y, v.z
 
 
-def run(rows, ends, Q, unit, jacobian=False):
+def poses_at(rows, ends, Q, unit, jacobian=False):
     """Return tip poses T (N, 4, 4) at Q (N, n) and, if asked for, Jacobians J (N, 6, n), computed by `forward`."""
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
-    forward(rows, ends, Q, unit, T, J)
+    forward_kinematics(rows, ends, Q, unit, T, J)
     return T, J
 
 
@@ -132,7 +132,7 @@ class Chain(NamedTuple):
         The Jacobians are in base axes, with the linear rows first.
         """
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
-        return run(self.rows, self.ends, Q, self.unit, jacobian)
+        return poses_at(self.rows, self.ends, Q, self.unit, jacobian)
 
 
 def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -146,7 +146,9 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
     return lengths
 
 
-def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def start_range(
+    lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the range [kernel units] from which starts are drawn: the limits, or one turn or reach where there are none.
 
     The limits of a turning joint count as none if they are wider than TURNING.
@@ -159,7 +161,7 @@ def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndar
     return low, np.where(wide, low + TAU, high)
 
 
-def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = run) -> np.ndarray:
+def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
     """Return features (13, N + PAD) of the configurations seeds (N, n): what `starts.nearest` compares with a target.
 
     They are the tip's position, the last joint's rotation and the squared distance of the tip, scaled for a squared distance.
@@ -269,7 +271,7 @@ def pack(
     low_k, high_k = lower / unit, upper / unit
     # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(low_k, high_k, slides, turns)
+    low, high = start_range(low_k, high_k, slides, turns)
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
@@ -280,7 +282,7 @@ def pack(
 
 
 @cached
-def levers(rows, ends, Q, unit, D) -> None:
+def joint_levers(rows, ends, Q, unit, D) -> None:
     """Fill D (N, L) with the distances [m] of the tip from the axis of each joint at Q (N, n) [rad or m]."""
     n = Q.shape[1]
     size, angles = room(rows.shape[0])
@@ -322,7 +324,7 @@ class TreeChain(NamedTuple):
     @property
     def parts(self) -> list[Array]:
         """Return the rows of each chain."""
-        return split(self.rows, self.ends, len(self.lower))
+        return split_rows(self.rows, self.ends, len(self.lower))
 
     def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
         """Return poses T_base_tip (N, F, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6 F, n).
@@ -331,21 +333,25 @@ class TreeChain(NamedTuple):
         """
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
         parts = zip(self.parts, self.ends, strict=True)
-        poses, stack = zip(*(run(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
+        poses, stack = zip(*(poses_at(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
         return np.stack(poses, axis=1), np.concatenate(stack, axis=1)
 
 
-def split(rows: Array, ends: Array, n: int) -> list[Array]:
+def split_rows(rows: Array, ends: Array, n: int) -> list[Array]:
     """Return the rows of each chain of a tree over n coordinates."""
     return np.split(rows, np.cumsum(ends[:, -n - 1].astype(int))[:-1])
 
 
-def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> TreeChain:
+def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> Chain | TreeChain:
     """Join one chain for each tip, all in one kernel unit of length.
 
     places[f][i] is the index, among the shared coordinates, of coordinate i of chain f; lower, upper, home (n,) [rad or m].
     """
     n, F = len(lower), len(chains)
+    if F == 1:
+        ends = chains[0].ends.copy()
+        ends[POINTS + 6 * n : POINTS + 7 * n] = home / chains[0].unit
+        return chains[0]._replace(ends=ends)
     scale = max(chain.scale for chain in chains)
     parts = []
     for chain, place in zip(chains, places, strict=True):  # back to metres, exactly because scales are powers of two
@@ -364,7 +370,7 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
     for chain, place in zip(chains, places, strict=True):
         turns[place] &= chain.turns > 0.0
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(lower / unit, upper / unit, slides, turns)
+    low, high = start_range(lower / unit, upper / unit, slides, turns)
     inside = [
         np.where(endless, -WINDING, lower / unit),
         np.where(endless, WINDING, upper / unit),

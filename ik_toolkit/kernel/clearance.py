@@ -81,7 +81,7 @@ def travelled(start, change, f):
 
 
 @dual
-def speeds(Q, R, k, j, gamma, h):
+def speed_and_growth(Q, R, k, j, gamma, h):
     """Return the speed of joint j at the start of piece k and its growth [both per piece]; arrays as of `BrakingPath`."""
     move = Q[k + 1, j] - Q[k, j]
     start = move if gamma == 1.0 else h * R[k, j]
@@ -91,7 +91,7 @@ def speeds(Q, R, k, j, gamma, h):
 @dual
 def position(Q, R, L, k, j, gamma, h, f):
     """Return the value of joint j a fraction f into piece k, and how far it has gone by then; arrays as of `BrakingPath`."""
-    start, change = speeds(Q, R, k, j, gamma, h)
+    start, change = speed_and_growth(Q, R, k, j, gamma, h)
     return Q[k, j] + start * f + 0.5 * change * f * f, L[k, j] + travelled(start, change, f)
 
 
@@ -207,7 +207,7 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
 
 
 @dual
-def bend(turn, lever, moved, length):
+def second_order_motion(turn, lever, moved, length):
     """Bound [m] how far a part can be from where its present velocities would take it.
 
     It is a bound of second order in `length` (E,), the ways of the joints; `moved` (E,) says which of them move the part.
@@ -275,9 +275,11 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
                 # Between two places the motion leaves the straight line by up to an eighth of the speed's change.
-                curve += 0.125 * abs(speeds(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
+                curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
-            bent = bend(turn, levers[p], by_a[p], length) + bend(turn, levers[p], by_b[p], length)
+            bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(
+                turn, levers[p], by_b[p], length
+            )
             if way < distances[r] or (not flat and max(closing, before) + curve + bent < distances[r]):
                 before, done = closing, k + f
                 k, f0 = (k + 1, 0.0) if f == 1.0 else (k, f)

@@ -92,7 +92,7 @@ def log_manipulability(p, ends):
 
 
 @inline
-def wanted(what, ends, ref, i):
+def objective_goal(what, ends, ref, i):
     """Return the value that the objective wants for joint i [kernel units]: the middle of its range, or that of `ref`."""
     return ends.low(i) + 0.5 * ends.span(i) if what == MID_RANGE else ref[i] / ends.unit(i)
 
@@ -104,8 +104,8 @@ def move(q, dq, factor, box):
         q[i] = min(max(q[i] + factor * dq[i], box.lower(i)), box.upper(i))
 
 
-@spliced
-def correct(p, weights, box):
+@inline
+def onto_target(p, weights, box, enough):
     """Move p.desk.q back to the target, which a null-space step leaves to second order.
 
     Returns the last evaluation; its Jacobian is in p.desk.J.
@@ -113,9 +113,9 @@ def correct(p, weights, box):
     s = p.desk
     for k in range(NULL.corrections):
         e = p.evaluate(s.q)
-        p.jacobian(e)
-        if e.good or k == NULL.corrections - 1:
+        if (e.ee <= enough if enough > 0.0 else e.good) or k == NULL.corrections - 1:
             break
+        p.jacobian(e)
         copy(weights, s.w)
         for _ in range(2):
             p.damped(e, DAMPING)
@@ -154,7 +154,7 @@ def objective(p, what, ends, box, ref):
         return -log_manipulability(p, ends)
     total = 0.0
     for i in range(ref.shape[0]):
-        total += box.counted(i) * 0.5 * ((p.desk.q[i] - wanted(what, ends, ref, i)) / ends.span(i)) ** 2
+        total += box.counted(i) * 0.5 * ((p.desk.q[i] - objective_goal(what, ends, ref, i)) / ends.span(i)) ** 2
     return total
 
 
@@ -168,7 +168,7 @@ def downhill(p, what, ends, box, ref, value, z):
     q = p.desk.q
     n = q.shape[0]
     for i in range(n):
-        z[i] = box.counted(i) * (wanted(what, ends, ref, i) - q[i])
+        z[i] = box.counted(i) * (objective_goal(what, ends, ref, i) - q[i])
     for i in range(n + 1):  # the last pass only computes the Jacobian of the unchanged q
         if i < n:
             if what != MANIPULABILITY:
@@ -193,7 +193,7 @@ def secant(old, before, way, dq, gain):
 
 
 @inline
-def improve(rows, ends, T, row, ref, orders, what, steps, block):
+def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     """Do the work of `refine` on views, with a block of scratch."""
     n = ref.shape[0]
     o = read(Orders, orders)
@@ -214,7 +214,8 @@ def improve(rows, ends, T, row, ref, orders, what, steps, block):
     value = np.inf
     taken = 0
     for k in range(steps + 1):
-        e = correct(p, weights, box)
+        e = onto_target(p, weights, box, 0.0)
+        p.jacobian(e)
         now = objective(p, what, full, box, ref)
         # Less than the rounding of the sum does not count as progress.
         better = e.good and (k == 0 or now < value - 1e-12 * abs(value))
@@ -270,5 +271,5 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
     """
     n, tips = ref.shape[0], ends.size // ends.shape[-1]
     block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
-    improve(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
+    refine_on_views(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
     keep(block)

@@ -34,7 +34,7 @@ class Parts(NamedTuple):
 
 
 @inline
-def counts(chain):
+def array_sizes(chain):
     """Return how many joints, tips, numbers in `ends` of one tip, coordinates and known configurations there are."""
     return int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
 
@@ -42,7 +42,7 @@ def counts(chain):
 @inline
 def part(chain):
     """Return the parts of a packed array as views of it."""
-    L, F, K, n, N = counts(chain)
+    L, F, K, n, N = array_sizes(chain)
     at_ends = COUNTS + ROW * L
     at_seeds = at_ends + F * K
     seeds = fold(chain[at_seeds:], np.float64, N, n)
@@ -53,5 +53,5 @@ def part(chain):
 @inline
 def scratch(chain):
     """Return the length of a block with room for a search on a packed array, and for `ends` narrowed by the option `follow`."""
-    L, F, K, n, N = counts(chain)
+    L, F, K, n, N = array_sizes(chain)
     return space(n, 6 * F, L, N) + F * K + LINE

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ..compile.array_view import View, numbers, put_numbers
+from ..compile.array_view import View, counted_part, put_numbers
 from ..compile.jit import BUILD, INLINE, compiled, inline
 
 Array = np.ndarray
@@ -171,7 +171,7 @@ def _read(cls, array, start=0):
     if list(make.__annotations__.values()) == [Array]:
         return (lambda cls, array, start=0: make(array[start:])) if isinstance(array, View) else None
     size = len(make._fields)
-    return lambda cls, array, start=0: make(*numbers(array, start, size))
+    return lambda cls, array, start=0: make(*counted_part(array, start, size))
 
 
 @overload(read, jit_options=BUILD)  # a function that returns an array must count references

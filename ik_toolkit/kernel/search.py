@@ -37,7 +37,7 @@ from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, TASK, Answer, Array, Ends, Orders, copy, read, write
 from .serial import make_serial, serial_on
-from .starts import BEST, FEATURES, Table, make_table, sow
+from .starts import BEST, FEATURES, StartTable, make_table, sow
 from .tree import make_tree, tree_on
 
 # A rule's `step` returns 0, SINGULAR_STEP when no step exists, or WAITING when a step of zero does not mean that it has stalled.
@@ -76,13 +76,13 @@ def _problem_on(block, rows, ends, tasks, n, orders):
     return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
 
 
-def by_tip(ends, T, tips):
+def shaped(ends, T, tips):
     """Reshape flat ends to the form of a Serial or a Tree, whichever the shape of the targets T asks for."""
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 
 
-@overload(by_tip, jit_options=INLINE)
-def _by_tip(ends, T, tips):
+@overload(shaped, jit_options=INLINE)
+def _shaped(ends, T, tips):
     if T.ndim == 3:
         return lambda ends, T, tips: ends
     return lambda ends, T, tips: fold(ends, np.float64, tips, ends.shape[0] // tips)
@@ -108,7 +108,7 @@ class SearchInput(NamedTuple):
     near: Ends  # the limits of a step, which the option `follow` makes narrower than those of the joints
     box: Ends  # the limits of the joints
     weights: Array  # (n,) joint weights
-    table: Table
+    table: StartTable
     best: Array  # (n,) the configuration of the least error so far
     closest: Array  # (n,) the solution nearest the start so far
     history: Array  # (H, 2 + n) a row for each evaluation: position error [m], rotation error [rad], q
@@ -144,7 +144,7 @@ class Attempts(NamedTuple):
 
 
 @inline
-def verdict(e, k, ceiling, patience, count, o):
+def judge_evaluation(e, k, ceiling, patience, count, o):
     """Judge an evaluation made in iteration k of an attempt: return its final status, or GOING."""
     if e.good:
         return CONVERGED
@@ -188,7 +188,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least):
             least = e.ee
             copy(q, job.best)
             p.keep(e, BEST_OF_ALL)
-        status = verdict(e, k, ceiling, patience, count, o)
+        status = judge_evaluation(e, k, ceiling, patience, count, o)
         if status != GOING:
             break
         if needs_jacobian:
@@ -327,7 +327,7 @@ def start_attempt(p, job, k, excess):
 
 
 @inline
-def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
+def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     """Search for all targets of a call with one rule: the arguments of `entry` as views, and a block of scratch."""
     rows, ends, seeds, features = part(chain)
     N, n = T.shape[0], seeds.shape[1]
@@ -343,7 +343,7 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
     if following:
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
-    p = problem_on(block, rows, by_tip(near_ends, T, tips), orders[HEAD:first], n, o)
+    p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
     box, near = Ends(ends, n), Ends(near_ends, n)  # several tips have the same limits
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
@@ -394,7 +394,7 @@ def entry(cls: type) -> Callable:
 
     def solve(chain, T, Q0, out, orders):
         block = np.empty(scratch(view(chain)))
-        run(step, needs_jacobian, view(chain), view(T), view(Q0), view(out), view(orders), view(block))
+        run_search(step, needs_jacobian, view(chain), view(T), view(Q0), view(out), view(orders), view(block))
         keep(block)
 
     return cached(solve, cls, step.step)

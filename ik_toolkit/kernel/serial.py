@@ -26,7 +26,7 @@ from .problem import (
     tolerances,
 )  # fmt: skip
 from .records import TASK, WHAT, Array, Ends
-from .starts import nearest, rnd
+from .starts import nearest_seeds, rnd
 
 
 @compiled
@@ -171,7 +171,7 @@ class Serial(NamedTuple):
 
     def rank(self, table):
         wp, wr = counts(self.task)
-        nearest(table.features, self.goal, wp, wr, table.score, table.val, table.best)
+        nearest_seeds(table.features, self.goal, wp, wr, table.score, table.val, table.best)
 
     def begin(self, table, k, q):
         for i in range(q.shape[0]):

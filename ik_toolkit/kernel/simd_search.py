@@ -17,7 +17,7 @@ import numpy as np
 
 from ..compile.array_view import cut, keep, space, view
 from ..compile.jit import cached, compiled, inline, spliced
-from ..compile.simd import WIDTH, bits, choose, full
+from ..compile.simd import WIDTH, bits, full, lane_select
 from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
 from .checks import CONVERGED
 from .counted_error import POSITION
@@ -86,17 +86,17 @@ def make_lanes(block, n):
 
 
 @spliced
-def errors(rows, tip, s, turning):
+def lane_errors(rows, tip, s, turning):
     """Return the tip, its errors (linear, angular) and 1 + cos(angle left); below HALF_TURN the angular error is wrong."""
     now = fk(rows, s.Q, s.joints, s.trig)
     point = now.point + now.axes.times(tip)
     sine, cos1 = rotation_left(now.axes, rotation_at(s.goals, 0))
-    angular = sine * (turning * math.sqrt(2.0 / choose(cos1 > HALF_TURN, cos1, full(1.0))))
+    angular = sine * (turning * math.sqrt(2.0 / lane_select(cos1 > HALF_TURN, cos1, full(1.0))))
     return point, at3(s.goals, 9) - point, angular, cos1
 
 
 @spliced
-def move(rows, s, ends, turning, point, linear, angular, damping):
+def limited_step(rows, s, ends, turning, point, linear, angular, damping):
     """Take the damped step inside the limits, holding joints by the sign of the gradient. s.joints becomes the Jacobian."""
     n = rows.shape[0]
     zero, one = full(0.0), full(1.0)
@@ -107,7 +107,7 @@ def move(rows, s, ends, turning, point, linear, angular, damping):
         if ends.turns(i) == 0.0:
             slope, q = u.dot(linear) + v.dot(angular), at(s.Q, i)
             out = ((q <= ends.lower(i)) & (slope < 0.0)) | ((q >= ends.upper(i)) & (slope > 0.0))
-            w = choose(out, zero, one)
+            w = lane_select(out, zero, one)
             u, v = u * w, v * w
         put3(s.joints, 6 * i, u)
         put3(s.joints, 6 * i + 3, v)
@@ -118,9 +118,9 @@ def move(rows, s, ends, turning, point, linear, angular, damping):
         low, high = ends.lower(i), ends.upper(i)
         if ends.turns(i) > 0.0:
             back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
-            q = choose((q < low) | (q > high), back, q)
-        q = choose(q < low, full(low), q)  # a full turn may end just outside by rounding
-        q = choose(q > high, full(high), q)
+            q = lane_select((q < low) | (q > high), back, q)
+        q = lane_select(q < low, full(low), q)  # a full turn may end just outside by rounding
+        q = lane_select(q > high, full(high), q)
         put(s.Q, i, q)
 
 
@@ -193,7 +193,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
 
 
 @inline
-def run(rows, chain, seeds, features, T, Q0, out, orders, block):
+def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
     """Solve until every target is done or left to the search: the arguments of `lanes` as views, and a block of scratch."""
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)
@@ -227,7 +227,7 @@ def run(rows, chain, seeds, features, T, Q0, out, orders, block):
                     begin_attempt(o, ends, table.seeds, s, lane, Q0)
         if live == 0:
             break
-        point, linear, angular, cos1 = errors(rows, tip, s, turning)
+        point, linear, angular, cos1 = lane_errors(rows, tip, s, turning)
         pp, rr = linear.square(), angular.square()
         ee = pp + rr
         seen = (cos1 > HALF_TURN) | (full(turning) < 0.5)
@@ -246,7 +246,7 @@ def run(rows, chain, seeds, features, T, Q0, out, orders, block):
                     hand_in(p, o, ends, s, lane, wanted, call)
                     s.which[lane] = -1
                     live -= 1
-        move(rows, s, ends, turning, point, linear, angular, damping * ee + 1e-12)
+        limited_step(rows, s, ends, turning, point, linear, angular, damping * ee + 1e-12)
 
 
 @functools.cache
@@ -265,7 +265,7 @@ def lanes() -> Callable:
         L, N = rows.shape[0], seeds.shape[0]
         lanes_take = WIDTH * (10 * L + 64)  # numbers that make_lanes cuts from the block
         block = np.empty(space(seeds.shape[1], 6, L, N) + lanes_take)
-        run(
+        run_lanes(
             view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)
         )  # fmt: skip
         keep(block)

@@ -45,7 +45,7 @@ def make_table(block, seeds, features, tips):
 
 
 @inline
-def product(a, b):
+def product_64(a, b):
     """Return a b modulo 2^64 of two uint64, computed by halves because numpy, uncompiled, warns of an overflow."""
     half, low_bits = np.uint64(32), np.uint64(0xFFFFFFFF)
     low = (a & low_bits) * (b & low_bits)
@@ -56,11 +56,11 @@ def product(a, b):
 @inline
 def sow(state, seed):
     """Start the random sequence in state (1,) from a seed; it depends on nothing else, such as other targets or the thread."""
-    state[0] = np.uint64(88172645463325252) ^ product(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
+    state[0] = np.uint64(88172645463325252) ^ product_64(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
 
 
 @inner
-def nearest(feat, goal, wp, wr, score, val, best):
+def nearest_seeds(feat, goal, wp, wr, score, val, best):
     """Fill best (BEST,) with the nearest configuration of each of BEST interleaved groups of the table, nearest first.
 
     wp and wr are 0 if the target leaves position or rotation free, else 1. score (N,) and val (BEST,) are scratch.
@@ -116,7 +116,7 @@ def rnd(state):
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
     state[0] = x
-    return float(product(x, np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return float(product_64(x, np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @inner
@@ -140,7 +140,7 @@ def rank_groups(p, table):
         table.total[g] = 0.0
     for f in range(F):
         wp, wr = counts(p.tasks[f])
-        nearest(
+        nearest_seeds(
             table.features[FEATURES * f : FEATURES * (f + 1)], p.goals[f], wp, wr, table.score, table.val, table.best
         )
         for k in range(BEST):
@@ -157,7 +157,7 @@ def rank_groups(p, table):
 
 
 @inner
-def begin_by_tips(p, table, k, q):
+def begin_each_tip(p, table, k, q):
     """Set q to start k: each coordinate as its tip chose it, or as the search starts if its tip has no target."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])

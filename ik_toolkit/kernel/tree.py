@@ -32,7 +32,7 @@ from .problem import (
 )  # fmt: skip
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
-from .starts import begin_by_tips, choose_moves, draw_some, rank_groups
+from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
 ARRIVED = 1e-4  # a tip whose squared error (rad, lengths over reach) is below this keeps its joints in the next attempt
 
@@ -46,7 +46,7 @@ class Looks(NamedTuple):
 
 
 @compiled
-class Tree(NamedTuple):
+class TreeProblem(NamedTuple):
     """The problem of F tips over n shared coordinates. Arrays of a tip are as in `Serial`."""
 
     desk: Desk
@@ -230,7 +230,7 @@ class Tree(NamedTuple):
         rank_groups(self, table)
 
     def begin(self, table, k, q):
-        begin_by_tips(self, table, k, q)
+        begin_each_tip(self, table, k, q)
 
     def arrived(self, f):
         return int(self.tasks[f, WHAT.kind]) != FREE and self.tips[f, 1] < ARRIVED
@@ -325,7 +325,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
-    return Tree(
+    return TreeProblem(
         make_desk(block, n, 6 * F), rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips,
         orders, boxed,
     )  # fmt: skip

@@ -4,18 +4,16 @@ import json
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InvalidOption, NotSolved
 from ..files import as_path, whole_file, write_table, write_whole
+from ..motion.trajectory import Trajectory
+from ..solvers.options import Options
 from ..text import plain
 from .certificate import Continuity
-
-if TYPE_CHECKING:
-    from ..motion.trajectory import Trajectory
-    from ..solvers.options import Options
 
 
 class PathStatus(Enum):
@@ -62,7 +60,7 @@ class PathResult:
     robot: Any
     targets: np.ndarray
     kinds: tuple
-    options: "Options"
+    options: Options
     q: np.ndarray
     status: PathStatus
     message: str
@@ -181,7 +179,7 @@ class PathResult:
 
     def retime(
         self, velocity: Any = None, acceleration: Any = None, *, rate: float = 100.0, seed: int = 0
-    ) -> "Trajectory":
+    ) -> Trajectory:
         """Time-optimal motion within joint speed and acceleration limits, see `Trajectory`.
 
         velocity, acceleration: one number, or one per joint (n,) [rad or m per s, s^2]; velocity defaults to the
@@ -211,7 +209,7 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]
 
 
-def sentence(path: PathResult, needed: int, allowed: float) -> str:
+def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
     """One sentence. needed: reconfigurations of the best path found through all poses; allowed: largest number allowed."""
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:

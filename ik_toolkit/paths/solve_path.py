@@ -29,7 +29,7 @@ from .finish import collapsed, finished, gaps, inserted
 from .freedom import freedom
 from .path_problem import STEP, Problem
 from .path_search import Search
-from .result import PathResult, PathStatus, Reconfiguration, sentence
+from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
 TOLERANCE = (1e-3, math.radians(1.0))  # [m], [rad] deviation of a tip between poses
 OTHER_WAYS = 4  # more searches, with rotations of 180 degrees taken the other way round where the path breaks there
@@ -102,14 +102,14 @@ def solve_path(
     asked = avoided(avoid_collisions)
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
-    turns = HalfTurns(T if robot.by_tip else T[:, None], kinds, solver.options.orientation_tolerance)
+    turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh() -> Search:
         poses, at = turns.poses(), None
         if not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
-        problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0, at)
+        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 
@@ -239,7 +239,7 @@ def _result(
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip
-    result = replace(result, message=sentence(result, needed, allowed))
+    result = replace(result, message=path_sentence(result, needed, allowed))
     o = problem.single.options
     broken = first_open(problem.robot, q, o.position_tolerance, o.orientation_tolerance) if result.success else None
     if broken is None:

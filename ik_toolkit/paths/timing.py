@@ -18,11 +18,10 @@ from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..validate import positive
-from .contact import find_contacts
+from .contact import connect, find_contacts
 from .continuity import bounds, settle_between
-from .free_motion import connect
 from .freedom import missed
-from .interpolate import interpolate
+from .interpolate import interpolate_poses
 
 ROUNDS = 12  # rounds of inserting poses: each halves the amount by which corners are cut
 LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are merged
@@ -140,7 +139,10 @@ def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple
         near = np.flatnonzero(broken | np.append(broken[1:], False) | np.append(False, broken[:-1]))
         middle = 0.5 * (since[near + 1] + at[near + 1])
         rows, good = settle_between(
-            plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), interpolate(result.targets, middle, result.kinds)
+            plan,
+            result.kinds,
+            0.5 * (curve[near] + curve[near + 1]),
+            interpolate_poses(result.targets, middle, result.kinds),
         )
         if not good.all():
             break

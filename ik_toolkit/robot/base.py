@@ -36,7 +36,7 @@ ROAMS = ("JointModelFreeFlyer", "JointModelPlanar")
 ROOT = "base"  # The names of base coordinates begin with this: base_x, ..., base_roll.
 
 
-class Block(NamedTuple):
+class UnfoldedJoint(NamedTuple):
     """A joint of the given model with several degrees of freedom: its kind, index in q, and the joints that replace it."""
 
     kind: str
@@ -48,7 +48,7 @@ class Given(NamedTuple):
     """The model as the user gave it, and its joints with several degrees of freedom."""
 
     model: pin.Model
-    blocks: tuple[Block, ...]
+    blocks: tuple[UnfoldedJoint, ...]
 
     def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
         """Convert a configuration of `model`, which has an ordinary joint for each coordinate, to the given model."""
@@ -81,7 +81,7 @@ class Given(NamedTuple):
         return [(own.idx_q, other.idx_q, own.nq) for own, other in pairs]
 
 
-def _size(block: Block) -> int:
+def _size(block: UnfoldedJoint) -> int:
     return {"JointModelFreeFlyer": 7, "JointModelPlanar": 4, "JointModelSpherical": 4}.get(block.kind, 3)
 
 
@@ -150,7 +150,7 @@ def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
         return model, None
     prefix = {j: ROOT if j == root else model.names[j] for j in several}
     blocks = tuple(
-        Block(
+        UnfoldedJoint(
             model.joints[j].shortname(),
             model.joints[j].idx_q,
             tuple(f"{prefix[j]}_{part}" for part in PARTS[model.joints[j].shortname()]),
@@ -171,7 +171,7 @@ def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
     return made, Given(model, blocks)
 
 
-def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[Block]) -> None:
+def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[UnfoldedJoint]) -> None:
     """Give the prismatic joints the limits [m] of the given model, if it has any."""
     lower, upper = np.array(made.lowerPositionLimit), np.array(made.upperPositionLimit)
     for block in blocks:
@@ -253,7 +253,7 @@ class Footing(NamedTuple):
     slides: tuple[str, ...]
 
 
-def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
+def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
     """Unfold a model, put it on a base and set the base limits. Raises InvalidOption, InvalidTarget, ModelError."""
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
@@ -266,7 +266,7 @@ def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Fo
     if base_limits is not None:
         if not slides:
             raise InvalidOption("base_limits are for a moving base: on_base='planar' or 'floating', or a free-flyer")
-        limit(made, base_limits, slides, [name for name in names if name not in slides])
+        set_base_limits(made, base_limits, slides, [name for name in names if name not in slides])
     return Footing(made, None if made is model else model, given, tuple(names), slides)
 
 
@@ -280,7 +280,7 @@ def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -
         shape.parentFrame, shape.parentJoint = k, new.parentJoint
 
 
-def limit(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:
+def set_base_limits(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:
     """Write the limits of a base, whose coordinates are named slides and turns, into a model. Raises InvalidOption.
 
     base_limits is one (lower, upper) [m] for all slides, one pair for each slide or each coordinate, or a dict of pairs

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from ..errors import ModelError
 from .formats.mimic import mimic_limits
-from .probe import Path, limits
+from .probe import JointPath, limits
 
 STEPS, TRIES = 40, 5  # Number of Gauss-Newton steps, and of starts, for closing a loop with the joints off the path.
 CLOSED = 1e-10  # Closing ends at this residual [m or rad].
@@ -38,7 +38,7 @@ class Loop(NamedTuple):
     weld: bool
 
 
-class Length(NamedTuple):
+class LinearLength(NamedTuple):
     """A number that depends on q: the sum of joint values times factors, and of distances between points times factors.
 
     It counts from `zero` and is in metres or radians. It is not `known` for a tendon around a shape, whose length is
@@ -56,8 +56,8 @@ class Relation(NamedTuple):
     """A relation low <= y - (c0 + c1 x + c2 x^2 + ...) <= high, where y and x count from their zero; without x, y - c0."""
 
     name: str
-    y: Length
-    x: Length | None
+    y: LinearLength
+    x: LinearLength | None
     curve: tuple[float, ...]
     low: float = 0.0
     high: float = 0.0
@@ -93,7 +93,7 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
     return None
 
 
-class Group(NamedTuple):
+class CoupledConstraints(NamedTuple):
     """Constraints that share joints off the path, and those joints: ids, limits (m,)."""
 
     constraints: list[Constraint]
@@ -126,18 +126,18 @@ class Closure:
             groups.append((own, depends))
         self.groups = [self._group(own, sorted(ids - moving - locked)) for own, ids in groups if ids & moving]
 
-    def _group(self, constraints: list[Constraint], joints: list[int]) -> Group:
+    def _group(self, constraints: list[Constraint], joints: list[int]) -> CoupledConstraints:
         model = self.model
         place = {j: i for i, j in enumerate(joints)}
         owner = {j: place[leader] for j, (leader, ratio, _) in self.ratio.items() if leader in place and ratio != 0.0}
         idx_q = np.array([model.joints[j].idx_q for j in joints], dtype=int)
         circle = np.array([model.joints[j].nq == 2 for j in joints], dtype=bool)
-        path = Path([], 0, joints, len(joints), owner, idx_q, circle)
+        path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
             lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
         except ModelError:  # A joint that has no legal position cannot help.
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
-        return Group(constraints, joints, lower, upper)
+        return CoupledConstraints(constraints, joints, lower, upper)
 
     def _joints(self, constraint: Constraint) -> Iterator[int]:
         """Yield the ids of the joints whose motion changes a constraint."""
@@ -223,7 +223,7 @@ class Closure:
             slope = 0.0 * slope
         return np.array([beyond]), slope[None]
 
-    def _length(self, one: Length, full: np.ndarray) -> tuple[float, np.ndarray]:
+    def _length(self, one: LinearLength, full: np.ndarray) -> tuple[float, np.ndarray]:
         model, slope = self.model, np.zeros(self.model.nv)
         total = -one.zero if one.known else np.nan
         for name, factor in one.joints:
@@ -243,7 +243,7 @@ class Closure:
         return float(np.arctan2(full[i + 1], full[i])) if self.model.joints[j].nq == 2 else float(full[i])
 
     # -------------------------------------------------------------------------------------------- closing
-    def _close(self, group: Group, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
+    def _close(self, group: CoupledConstraints, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
         """Move the joints of a group in `full` (nq,) so that its constraints are open the least; return name and value of each."""
         if not group.joints:
             return []
@@ -260,13 +260,13 @@ class Closure:
         self._write(group, full, best)
         return [(self.model.names[j], float(x)) for j, x in zip(group.joints, best, strict=True)]
 
-    def _write(self, group: Group, full: np.ndarray, x: np.ndarray) -> None:
+    def _write(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> None:
         for j, value in zip(group.joints, x, strict=True):
             joint = self.model.joints[j]
             i = joint.idx_q
             full[i : i + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else value
 
-    def _stack(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _stack(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of a group, and their derivatives with respect to its joints."""
         self._write(group, full, x)
         pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
@@ -277,7 +277,7 @@ class Closure:
             return np.zeros(1), np.zeros((1, len(x)))
         return np.concatenate([off for off, _ in parts]), np.vstack([slope[:, columns] for _, slope in parts])
 
-    def _descend(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
+    def _descend(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
         """Descend by Levenberg-Marquardt within the limits; return the values (m,) at its end, and the residual's norm there."""
         damping = 1e-6
         off, J = self._stack(group, full, x)

@@ -25,7 +25,7 @@ from ..readonly import ReadOnly
 from .base import Given
 from .formats.srdf import Srdf
 from .narrow import narrowed
-from .probe import Path
+from .probe import JointPath
 
 LOG = logging.getLogger("ik_toolkit")
 # Maps a word to rows of a tip's Jacobian.
@@ -110,7 +110,7 @@ class Joints(ReadOnly):
     notes: tuple[str, ...]
     srdf: Srdf
     by_tip = False  # True if targets are given by tip, as for a tree, even with a single tip.
-    _path: Path
+    _path: JointPath
     _given: Given | None
     _original: pin.Model | None
     _wide: Any = None  # The robot of which this is a variant with narrower limits.
@@ -158,6 +158,23 @@ class Joints(ReadOnly):
                 found[name] = self.home.copy()
                 found[name][[self.joint_names.index(joint) for joint in given]] = list(given.values())
         return found
+
+    @property
+    def pose_shape(self) -> tuple[int, ...]:
+        """Shape of the poses of all tips as the kernel takes them: (4, 4), of several tips (F, 4, 4)."""
+        return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
+
+    def each_tip(self, given: Any) -> dict[str, Any]:
+        """What is given for the tips (a target, what `fk` returns) by tip: a tree's is, a Robot's is that of its tip."""
+        return given if self.by_tip else {self.tips[0]: given}
+
+    def for_tips(self, each: Mapping[str, Any]) -> Any:
+        """The other way round: what belongs to each tip in the form that calls take for this robot."""
+        return each if self.by_tip else each[self.tips[0]]
+
+    def tip_poses(self, q: np.ndarray) -> list[pin.SE3]:
+        """T_base_tip of each tip at a checked q (n,), in the order of `tips`, by Pinocchio."""
+        return [arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)]
 
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""

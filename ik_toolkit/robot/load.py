@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ..errors import InvalidOption, ModelError
 from .base import carried
 from .constraints import Constraint
-from .formats.mjcf import to_urdf
+from .formats.mjcf import mjcf_to_urdf
 from .formats.urdf import HasMacros, IsMjcf, safe_read, source_text
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
@@ -61,14 +61,14 @@ def urdf_of(
     except IsMjcf:
         if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
-        flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
+        flat = mjcf_to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
         return Urdf(
             safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, flat.constraints, made=True
         )
     return Urdf(text, entry.path, folders)
 
 
-def read(
+def read_source(
     source: str | Path,
     package_dirs: Iterable[str | Path],
     xacro_args: Mapping[str, Any] | None = None,
@@ -96,7 +96,7 @@ def read_both(
     source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None, srdf: Any
 ) -> tuple[RobotEntry, dict[str, Any], Any]:
     """Read a source as `read` does, and the SRDF: as text if it is named as a xacro file, which may use the arguments too."""
-    entry, made = read(source, package_dirs, xacro_args, has_macros(srdf))
+    entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
     return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
 
 

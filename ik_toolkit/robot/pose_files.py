@@ -48,7 +48,7 @@ class PoseFileCaps(NamedTuple):
 CAPS = PoseFileCaps()
 
 
-class Block(NamedTuple):
+class PoseRows(NamedTuple):
     """Rows that are read together: times t (m,) [s] or None, and poses.
 
     The poses are (m, 4, 4) or positions (m, 3), for several tips a dict of these by tip.
@@ -60,7 +60,7 @@ class Block(NamedTuple):
 
 def read_poses(
     path: Path, what: str, *, times: bool = False, deg: bool = False, tips: Sequence[str] = ()
-) -> tuple[int, Iterator[Block]]:
+) -> tuple[int, Iterator[PoseRows]]:
     """Return the number of rows and the blocks of a file: one block for NPZ, many for CSV.
 
     `what` names the contents in messages. With `times`, t is required as well; with `deg`, roll, pitch and yaw are in
@@ -72,8 +72,8 @@ def read_poses(
     try:
         if path.suffix.lower() in (".npz", ".json"):
             if tips:
-                poses = _read_arrays_by_tip(path, tips)
-                return len(next(iter(poses.values()))), iter([Block(None, poses)])
+                poses = _read_tip_arrays(path, tips)
+                return len(next(iter(poses.values()))), iter([PoseRows(None, poses)])
             block = _read_arrays(path, times)
             return len(block.poses), iter([block])
         if path.suffix.lower() != ".csv":
@@ -135,13 +135,13 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
     raise InvalidTarget(f"'{path.name}': {name} must be lists of numbers, not {' '.join(repr(value).split())[:120]}")
 
 
-def _read_arrays(path: Path, times: bool) -> Block:
+def _read_arrays(path: Path, times: bool) -> PoseRows:
     with _arrays(path, ("targets", "t", "xyz", *ORDERS)) as file:
         if "targets" in file and not times:
             targets = file["targets"]
             if targets.ndim not in (2, 3):
                 raise InvalidTarget(f"'{path.name}': targets has the shape (N, 4, 4) or (N, 3), not {targets.shape}")
-            return Block(None, targets)
+            return PoseRows(None, targets)
         for name in ("t", "xyz") if times else ("xyz",):
             if name not in file:
                 wanted = f"'{name}'" if times else "'targets' or 'xyz'"
@@ -157,10 +157,10 @@ def _read_arrays(path: Path, times: bool) -> Block:
         raise InvalidTarget(f"'{path.name}': xyz has the shape (N, 3) and {' or '.join(given or ORDERS)} (N, 4)")
     if quat is not None:
         quat = quat[:, ORDERS[given[0]]]
-    return Block(t, xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row"))
+    return PoseRows(t, xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row"))
 
 
-def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
+def _read_tip_arrays(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the targets (N, 4, 4) or (N, 3) of each tip."""
     with _arrays(path, ("targets", "tips", *tips)) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
@@ -307,7 +307,7 @@ def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
     return found
 
 
-def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool, deg: bool) -> Iterator[Block]:
+def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool, deg: bool) -> Iterator[PoseRows]:
     """Yield the blocks of a file with columns by tip ('' for poses without a name); its first line has `width` columns."""
     every = [place for places in columns.values() for place in places]
     try:
@@ -322,7 +322,7 @@ def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool
                     last = first + len(places) - times
                     made[tip] = _part(values[:, first:last], lines, path.name, deg, f"{tip}." if tip else "")
                     first = last
-                yield Block(t, made[""] if "" in made else made)
+                yield PoseRows(t, made[""] if "" in made else made)
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
 

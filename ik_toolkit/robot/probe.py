@@ -36,7 +36,7 @@ PARALLEL = 1e-14
 SINGULAR = 0.02  # A configuration is no good as home if its smallest singular value (lengths over reach) is below this.
 
 
-class Path(NamedTuple):
+class JointPath(NamedTuple):
     """The joints between base and tip, and the places of their coordinates in Pinocchio's configuration."""
 
     joints: list[int]  # Ids of the joints, from base to tip.
@@ -54,7 +54,7 @@ class Motionless(ModelError):
     """The error of a robot in which no joint moves the tip."""
 
 
-def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> Path:
+def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> JointPath:
     """Find the joints from the base frame to the tip frame, which are frame ids.
 
     The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints
@@ -101,7 +101,7 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: S
     }
     idx_q = np.array([model.joints[j].idx_q for j in leaders])
     circle = np.array([model.joints[j].nq == 2 for j in leaders])
-    return Path(joints, len(up), leaders, own, owner, idx_q, circle)
+    return JointPath(joints, len(up), leaders, own, owner, idx_q, circle)
 
 
 def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
@@ -119,7 +119,7 @@ def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple
 
 
 def limits(
-    model: pin.Model, path: Path, followers: Mapping[str, tuple[str, float, float, float, float]]
+    model: pin.Model, path: JointPath, followers: Mapping[str, tuple[str, float, float, float, float]]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Return the limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
@@ -169,7 +169,7 @@ def limits(
     return lower, upper, notes
 
 
-def middle(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
+def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
     """Return mid-range (n,), or as near 0 as the limits allow for joints without two limits and those not `centred` (n,)."""
     found = np.clip(0.0, lower, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper) & centred
@@ -187,7 +187,7 @@ def kinds(chain: Chain) -> tuple[str, ...]:
     )
 
 
-def speeds(model: pin.Model, path: Path, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
+def speed_limits(model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
     """Return the velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
 
     Each of `followers` (see `mimic_speeds`) keeps its leader slow enough for its own limit.
@@ -236,7 +236,7 @@ def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.nda
 
 def probe(
     model: pin.Model,
-    path: Path,
+    path: JointPath,
     rest: np.ndarray,
     base: int,
     tip: int,
@@ -305,7 +305,7 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
     return Q
 
 
-def difference(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
+def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
     """Return the largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q).
 
     Lengths are divided by the robot's size, the largest of its reach, its largest offset and FAR times the distance

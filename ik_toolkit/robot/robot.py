@@ -25,17 +25,17 @@ from ..errors import (
 )
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
-from .base import settle
+from .base import on_own_base
 from .constraints import Constraint
 from .formats.mimic import followers, mimic_limits, mimic_speeds
-from .formats.srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
+from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf, srdf_of
 from .formats.urdf import is_text
 from .formats.urdf_model import build_model
 from .geometry.shape import Shape, is_shape
 from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read_both
 from .pose import as_matrix, check_target
-from .probe import AGREE, difference, find_path, good_start, kinds, limits, middle, probe, speeds
+from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
 
 CACHES = ("_local", "_sampling", "_circles", "memo", "_sealed")  # A copy must not share these caches.
@@ -103,7 +103,7 @@ class Robot(Joints):
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in (followers(urdf).rest if urdf else {}).items():
             self._set_rest(joint, value, False)
-        held = held_joints(
+        held = passive_joints(
             self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
         )
         for joint, (value, counts) in held.items():
@@ -153,7 +153,7 @@ class Robot(Joints):
         entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
-            start, end = one_tip(made["srdf"], group, made["model"], tip)
+            start, end = group_chain(made["srdf"], group, made["model"], tip)
             tip, base = end, base if base or on_base is not None else start
         if tip is None and len(entry.tips) > 1:
             raise FrameNotFound(
@@ -219,7 +219,7 @@ class Robot(Joints):
 
     def _settle(self, model: pin.Model) -> None:
         """Adopt a model and place it on its base."""
-        self.model, self._original, self._given, self._of_base, self._slides = settle(
+        self.model, self._original, self._given, self._of_base, self._slides = on_own_base(
             model, self.on_base, self.base_limits
         )
 
@@ -248,9 +248,9 @@ class Robot(Joints):
         for i, joint in enumerate(self.joint_names):
             lower[i], upper[i] = self._ranges.get(joint, (lower[i], upper[i]))
         self.lower, self.upper = lower, upper
-        self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
+        self.velocity_limits = speed_limits(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         based = np.array([joint in self._of_base for joint in self.joint_names])
-        self.home = start = middle(lower, upper, ~based)
+        self.home = start = mid_range(lower, upper, ~based)
         self._ids = base_id, tip_id
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
         self.joint_kinds = kinds(self.chain)
@@ -270,7 +270,7 @@ class Robot(Joints):
         """Reject a robot whose chain disagrees with Pinocchio, because its results would be silently wrong."""
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
-        off = difference(self.chain, self.slides, self._kinematics, far)
+        off = chain_deviation(self.chain, self.slides, self._kinematics, far)
         if not off <= AGREE:  # NaN is refused too.
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "

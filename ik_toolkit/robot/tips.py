@@ -42,7 +42,7 @@ def words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+", name)]
 
 
-def fits(convention: Sequence[str], said: set[str]) -> bool:
+def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
     """Return whether a frame with these words follows a convention.
 
     An arm's tool frame is where its hand begins, if it has one.
@@ -79,7 +79,7 @@ def guess_tip(model: pin.Model) -> Guess:
     moved = [f for f in moved if joints[f.name]] or moved
     named = [(f, words(f.name)) for f in moved]
     for convention in CONVENTIONS:
-        found = [f for f, said in named if fits(convention, set(said))]
+        found = [f for f, said in named if follows_convention(convention, set(said))]
         if found:
             return Guess(_branches(model, found), "guessed by its name")
     outer = set(path_ends(model))

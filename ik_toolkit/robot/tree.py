@@ -8,12 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
-from ..kernel.chain import TreeChain, pack_tree
+from ..kernel.chain import Chain, TreeChain, pack_tree
 from .formats.srdf import Srdf, srdf_of
 from .joints import Joints, values_by_joint
 from .load import default_base, read_both
-from .probe import Motionless, find_path
-from .probe import Path as JointPath
+from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
 
@@ -125,7 +124,9 @@ class Tree(Joints):
         self.lower, self.upper = lower, upper
         self._path = JointPath([], 0, [], self.n, {}, idx_q, circle)
         self.home = self.check_home(np.clip(middle, lower, upper) if home is None else home)
-        self.chain: TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
+        self.chain: Chain | TreeChain = pack_tree(
+            [arm.chain for arm in arms], list(self.places), lower, upper, self.home
+        )
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
         self._seal()
@@ -204,8 +205,7 @@ class Tree(Joints):
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
         """Compute the pose T_base_tip [m] of every tip at q (n,) by Pinocchio; the keys are names of tips."""
-        q = self.check_q(q)
-        return {arm.tip: arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)}
+        return dict(zip(self.tips, self.tip_poses(self.check_q(q)), strict=True))
 
     def jacobian(self, q: Any) -> np.ndarray:
         """Compute the stacked Jacobian (6 F, n) at q (n,) by Pinocchio: six rows per tip in order, base axes, linear rows first."""

@@ -133,9 +133,9 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
 
 def bound_lm(robot: Joints, **options: Any) -> Any:
     """LM on a robot, exact enough to say what can be reached."""
-    from ..solvers.solve import bound
+    from ..solvers.solve import bound_solver
 
-    return bound(robot, "lm", {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
+    return bound_solver(robot, "lm", {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
 
 
 def freed(reference: Reference) -> Reference:

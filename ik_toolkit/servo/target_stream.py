@@ -8,7 +8,7 @@ import numpy as np
 
 from ..compile.array_view import flat, view
 from ..compile.jit import cached, inner
-from ..copying import Blocks
+from ..copying import CopiesViews
 from ..errors import InvalidTarget, floats
 from ..kernel.algebra import V3, put3
 from ..kernel.checks import rigid
@@ -143,7 +143,7 @@ RECENT = 10  # targets: where steps take 0.5 to 1.5 times their mean, ca brings 
 KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 
 
-class Stream(Blocks):
+class Stream(CopiesViews):
     """The last target and the next, `samples`; whether that stands, `stand`; kinds, one a tip.
 
     pace: the longest of the last times between them [s]; unseen [s]: since a step to them was last looked at, by the tracker.

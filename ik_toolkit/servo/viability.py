@@ -23,7 +23,7 @@ import math
 import numpy as np
 
 from ..compile.jit import cached, dual, inner, jit, shared
-from ..kernel.clearance import speeds, travelled
+from ..kernel.clearance import speed_and_growth, travelled
 
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
@@ -300,7 +300,7 @@ def brake(first, gamma, h, late, limits, Q, R, L):
             if k > first:
                 Q[k, j], R[k, j] = now[j], speed[j]
             if k > 0:
-                start, change = speeds(Q, R, k - 1, j, gamma, h)
+                start, change = speed_and_growth(Q, R, k - 1, j, gamma, h)
                 L[k, j] = L[k - 1, j] + travelled(start, change, 1.0)
             moving = moving or R[k, j] != 0.0
         if k >= first:

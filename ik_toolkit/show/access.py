@@ -46,7 +46,7 @@ def below(path: str, token: str) -> str | None:
     return slash + rest if known else None
 
 
-def refusal(headers: Any, host: str) -> str:
+def refused_request(headers: Any, host: str) -> str:
     """Return why a request is refused, or ''.
 
     A browser sends the requesting page (Origin) and the host name it used (Host).
@@ -84,7 +84,7 @@ def guarded(host: str, token: str) -> Iterator[None]:
 
     def serve(talk: Any, *args: Any, process_request: Callable[[Any, Any], Any] | None = None, **kwargs: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
-            words = refusal(request.headers, host)
+            words = refused_request(request.headers, host)
             path = below(request.path, token)
             if words or path is None:
                 return connection.respond(http.client.FORBIDDEN, f"{words or 'this is not the whole address'}\n")

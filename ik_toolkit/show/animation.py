@@ -10,7 +10,7 @@ from ..errors import InvalidConfiguration
 from ..files import without_mark
 from ..robot.joints import Joints
 from ..robot.pose_files import check_arrays, read_json
-from .body import Shape, need_trimesh, smooth
+from .body import DrawnShape, need_trimesh, split_sharp_edges
 
 OBSTACLE = (0.55, 0.58, 0.62)
 SLATE = (0.30, 0.34, 0.40)  # Colour of the poses, as in the other scenes.
@@ -22,7 +22,7 @@ MAX_FRAMES = 400  # Limit on an animation's frames; a longer motion is thinned o
 SECONDS = 12.0  # Duration [s] of the animation of a motion without times.
 
 
-class Motion(NamedTuple):
+class ShownMotion(NamedTuple):
     """A path or a trajectory to show: N configurations, and a value for each.
 
     q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit;
@@ -42,14 +42,14 @@ class Motion(NamedTuple):
     collision: Any = None
 
 
-def of_path(result: Any) -> Motion:
+def of_path(result: Any) -> ShownMotion:
     """Make the motion of a PathResult, with the bound on its deviation from the poses."""
     finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
     deviation = np.append(result.continuity.deviation, np.nan)[finite]
     values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
     ends = {piece.stop - 1 for piece in result.pieces[:-1]}
     labels = [f"pose {place:.1f}{_much(x, 'mm')}" for place, x in zip(result.at[finite], values, strict=True)]
-    return Motion(
+    return ShownMotion(
         result.curve[finite], None, labels, values, "largest deviation from the path", "mm",
         result.targets[:, :, :3, 3] if result.options.relative_to is None else None,
         tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
@@ -57,7 +57,7 @@ def of_path(result: Any) -> Motion:
     )  # fmt: skip
 
 
-def of_trajectory(trajectory: Any) -> Motion:
+def of_trajectory(trajectory: Any) -> ShownMotion:
     """Make the motion of a Trajectory, with the speed of its fastest tip."""
     speeds = []
     for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
@@ -69,7 +69,7 @@ def of_trajectory(trajectory: Any) -> Motion:
         for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
     ]
     lines = (trajectory.message,)
-    return Motion(
+    return ShownMotion(
         trajectory.q,
         trajectory.t,
         labels,
@@ -81,7 +81,7 @@ def of_trajectory(trajectory: Any) -> Motion:
     )
 
 
-def from_file(robot: Joints, file: str | Path) -> Motion:
+def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
     """Make a motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
@@ -94,12 +94,12 @@ def from_file(robot: Joints, file: str | Path) -> Motion:
         values[1:] = moved / np.maximum(np.diff(t), 1e-9)
         values[0] = values[1]
     labels = [f"row {k}" if t is None else f"t = {t[k]:.2f} s{_much(x, 'm/s')}" for k, x in enumerate(values)]
-    return Motion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
+    return ShownMotion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
 
 
-def motion_of(what: Any) -> Motion | None:
+def motion_of(what: Any) -> ShownMotion | None:
     """Make the motion of a PathResult or a Trajectory; return None for anything else."""
-    if isinstance(what, Motion):
+    if isinstance(what, ShownMotion):
         return what
     if hasattr(what, "curve") and hasattr(what, "continuity"):
         return of_path(what)
@@ -122,13 +122,15 @@ def draw_obstacles(scene: Any, model: Any) -> None:
     }
     for name, shape, T in model.placed():
         if shape.kind in make:
-            scene.window.shape(f"obstacle/{name}", Shape(*smooth(make[shape.kind](*shape.sizes), 1.0), OBSTACLE, 0.75))
+            scene.window.shape(
+                f"obstacle/{name}", DrawnShape(*split_sharp_edges(make[shape.kind](*shape.sizes), 1.0), OBSTACLE, 0.75)
+            )
             scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
             corner = (scene.body.T_world_base @ T)[:3, 3]
             scene._corners.append(np.array([corner, corner]))
 
 
-def animate(scene: Any, motion: Motion) -> None:
+def animate(scene: Any, motion: ShownMotion) -> None:
     """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values."""
     if motion.collision is not None:
         draw_obstacles(scene, motion.collision)

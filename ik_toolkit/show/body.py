@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import MissingExtra, ModelError
-from ..robot.geometry.link_shapes import LinkShape, geometry_model, link_shapes, said
+from ..robot.geometry.link_shapes import LinkShape, geometry_model, link_shapes, problems_sentence
 from ..robot.geometry.meshes import Mesh
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
@@ -30,7 +30,7 @@ SMOOTH = np.radians(35.0)  # Edges sharper than this stay visible.
 
 
 @dataclass(frozen=True)
-class Shape:
+class DrawnShape:
     """Triangles of one colour: vertices (N, 3) [m], faces (M, 3), color (3,) in 0..1, and opacity."""
 
     vertices: np.ndarray
@@ -40,11 +40,11 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Part:
+class BodyPart:
     """One rigid piece of a robot: its name, and its shapes in its own axes."""
 
     name: str
-    shapes: tuple[Shape, ...]
+    shapes: tuple[DrawnShape, ...]
 
 
 class Body:
@@ -115,7 +115,7 @@ def need_trimesh() -> Any:
     return trimesh
 
 
-def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
+def _read(robot: Any) -> tuple[pin.GeometryModel, list[BodyPart], str]:
     """Return geometry and parts of what can be drawn, and a sentence about what cannot."""
     if robot.urdf is None:
         return pin.GeometryModel(), [], ""
@@ -127,14 +127,14 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
     for shape in shapes:
         pieces = _pieces(shape)
         if sum(len(piece.faces) for piece in pieces):  # A mesh may have only points and lines.
-            parts.append(Part(shape.name, pieces))
+            parts.append(BodyPart(shape.name, pieces))
             drawn.append(shape)
     # The shapes of the geometry are never used, only their placements.
     geometry = geometry_model(robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn))
-    return geometry, parts, f"not read: {said(problems)}" if problems else ""
+    return geometry, parts, f"not read: {problems_sentence(problems)}" if problems else ""
 
 
-def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
+def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
     """Return the triangles of a link's shape, one Shape for each material, or () if none are left."""
     creation = need_trimesh().creation
     *rgb, opacity = shape.color or (*GREY, 1.0)
@@ -142,7 +142,7 @@ def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
     if shape.kind == "mesh":
         own = shape.color is None and Path(shape.file).suffix.lower() in COLORED
         return tuple(
-            Shape(
+            DrawnShape(
                 np.asarray(vertices * np.array(shape.sizes), dtype=np.float32),
                 faces,
                 c if own and c else color,
@@ -161,17 +161,19 @@ def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
     else:
         mesh = creation.capsule(height=shape.sizes[1] / shape.sizes[0], radius=1.0, count=(24, 24))
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return (Shape(*smooth(mesh, scale), color, opacity),)
+    return (DrawnShape(*split_sharp_edges(mesh, scale), color, opacity),)
 
 
 @functools.lru_cache(256)
 def _smoothed(mesh: Mesh) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
     """Return vertices, faces and colour of every material of a mesh, in the file's axes."""
     make = need_trimesh().Trimesh
-    return tuple((*smooth(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces)
+    return tuple(
+        (*split_sharp_edges(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces
+    )
 
 
-def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def split_sharp_edges(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Scale vertices and split them along sharp edges, so that a viewer's averaged normals keep those edges visible.
 
     Corners of two faces stay one vertex if the faces meet there at a flat enough edge. Create small meshes large and
@@ -196,7 +198,7 @@ def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
     return vertices, label.reshape(-1, 3).astype(np.uint32)
 
 
-def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
+def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[BodyPart]]:
     """Build a stick figure: a ball at every joint of the paths, a bar to the next joint, a bar to the tip."""
     trimesh = need_trimesh()
     model, geometry, parts = robot.model, pin.GeometryModel(), []
@@ -207,7 +209,7 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
     def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:
             geometry.addGeometryObject(ball(name, joint, pin.SE3.Identity(), coal.Sphere(1e-3)))
-            parts.append(Part(name, (Shape(*smooth(mesh, scale), color),)))
+            parts.append(BodyPart(name, (DrawnShape(*split_sharp_edges(mesh, scale), color),)))
 
     for arm in arms:
         r = max(0.018 * arm.reach, THINNEST)
@@ -244,13 +246,13 @@ def grid_cell(radius: float) -> float:
     return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
 
 
-def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> Shape:
+def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> DrawnShape:
     """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
         ball = need_trimesh().creation.uv_sphere(radius=1.5, count=(10, 10))
-        return Shape((ball.vertices * radius + P[0]).astype(np.float32), ball.faces, color, opacity)
+        return DrawnShape((ball.vertices * radius + P[0]).astype(np.float32), ball.faces, color, opacity)
     along = np.gradient(P, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)
@@ -268,4 +270,4 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
     a, b = 10 * k + j, 10 * k + (j + 1) % 10
     faces = np.stack([np.stack([a, b, b + 10], -1), np.stack([a, b + 10, a + 10], -1)]).reshape(-1, 3)
-    return Shape(vertices.astype(np.float32), faces.astype(np.uint32), color, opacity)
+    return DrawnShape(vertices.astype(np.float32), faces.astype(np.uint32), color, opacity)

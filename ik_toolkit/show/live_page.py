@@ -21,7 +21,7 @@ import pinocchio as pin
 from ..robot.joints import Joints
 from ..robot.probe import screw
 from ..text import plain
-from .body import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
+from .body import THINNEST, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # Vertices (N, 3) [m], normals (N, 3) and faces (M, 3).
 
@@ -36,7 +36,7 @@ STEPS = 65_535  # A coordinate has 16 bits over its shape.
 
 def page_html(robot: Joints, body: Body, title: str) -> str:
     """Write the HTML page of a robot whose drawn parts are `body`; it needs no network."""
-    data, blob = describe(robot, body)
+    data, blob = describe_robot(robot, body)
     files = importlib.resources.files("ik_toolkit.show") / "page"
     code = "\n".join(joined((files / f"{name}.js").read_text(encoding="utf-8")) for name in MODULES)
     digest = base64.b64encode(hashlib.sha256(f"\n{code}\n".encode()).digest()).decode()
@@ -60,14 +60,14 @@ def joined(module: str) -> str:
     return re.sub(r"^export ", "", re.sub(r"^import [^;]*;\n", "", module, flags=re.M), flags=re.M)
 
 
-def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
+def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     """Return the data for the page's modules (joints, moving nodes, tips and parts), and all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
 
     def at(joint: int, T: pin.SE3) -> dict[str, Any]:
         node, offset = places[joint]
-        return {"node": node, "T": flat(offset * T)}
+        return {"node": node, "T": pose_rows(offset * T)}
 
     shapes, tools = [shape for part in body.parts for shape in part.shapes], handles()
     meshes = thin(shapes, float(np.linalg.norm(bounds[1] - bounds[0])))
@@ -81,7 +81,7 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     return (
         {
             "reach": robot.reach,
-            "room": room(bounds, body.floor),
+            "room": view_room(bounds, body.floor),
             # A missing limit becomes null.
             "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],
             "nodes": nodes,
@@ -99,7 +99,7 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     )
 
 
-def room(bounds: np.ndarray, height: float) -> dict[str, Any]:
+def view_room(bounds: np.ndarray, height: float) -> dict[str, Any]:
     """Return size and centre [m] of a box (2, 3), and of the floor its height [m] and the grid's cell and extent [m]."""
     size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
     floor = {"z": height, "cell": grid_cell(size), "wide": 2.5 * size}
@@ -130,7 +130,7 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
         nodes.append(
             {
                 "parent": parent,
-                "T": flat(T),
+                "T": pose_rows(T),
                 "axis": axis.tolist(),
                 "ratio": ratio,
                 "turns": turns,
@@ -141,12 +141,12 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
     return nodes, places
 
 
-def flat(T: pin.SE3) -> list[float]:
+def pose_rows(T: pin.SE3) -> list[float]:
     """Return the 12 numbers of [R | p] of a pose, row by row."""
     return T.homogeneous[:3].ravel().tolist()
 
 
-def handles() -> dict[str, Shape]:
+def handles() -> dict[str, DrawnShape]:
     """Return the shapes for targets and the floor, of unit height and radius, upright at the origin."""
     make = need_trimesh().creation
     bar = make.cylinder(1.0, segment=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), sections=24)
@@ -158,11 +158,11 @@ def handles() -> dict[str, Shape]:
     }
     floor = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], dtype=np.float32)
     white = (1.0, 1.0, 1.0)
-    shapes = {name: Shape(*smooth(mesh), white) for name, mesh in meshes.items()}
-    return shapes | {"floor": Shape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
+    shapes = {name: DrawnShape(*split_sharp_edges(mesh), white) for name, mesh in meshes.items()}
+    return shapes | {"floor": DrawnShape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
 
 
-def thin(shapes: Sequence[Shape], size: float) -> list[Mesh]:
+def thin(shapes: Sequence[DrawnShape], size: float) -> list[Mesh]:
     """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most MOST_FACES together."""
     meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
     cell = FINEST * size
@@ -174,7 +174,7 @@ def thin(shapes: Sequence[Shape], size: float) -> list[Mesh]:
     return meshes
 
 
-def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
+def packed(shapes: Sequence[DrawnShape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
     """Return the page data of shapes, and their triangles in order: 16-bit coordinates, 8-bit normals, indices (uint32)."""
     told, blob = [], []
     for shape, (vertices, normal, faces) in zip(shapes, meshes, strict=True):
@@ -198,7 +198,7 @@ def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[s
     return told, b"".join(blob)
 
 
-def normals(shape: Shape) -> np.ndarray:
+def normals(shape: DrawnShape) -> np.ndarray:
     """Compute vertex normals (N, 3), weighted by the areas of the adjacent faces."""
     a, b, c = (shape.vertices[shape.faces[:, k]].astype(float) for k in range(3))
     face = np.cross(b - a, c - a)

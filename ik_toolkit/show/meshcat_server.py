@@ -23,8 +23,8 @@ import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
 from ..files import as_path, write_whole
-from .access import below, new_token, refusal
-from .body import Shape
+from .access import below, new_token, refused_request
+from .body import DrawnShape
 
 HOST = "127.0.0.1"
 ROOT = "/meshcat/"
@@ -87,7 +87,7 @@ class Window:
             for feed in self.feeds:
                 feed.changed(command["path"])
 
-    def shape(self, path: str, shape: Shape) -> None:
+    def shape(self, path: str, shape: DrawnShape) -> None:
         """Draw triangles at a path."""
         g = _meshcat().geometry
         material = g.MeshPhongMaterial(
@@ -304,7 +304,7 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
             self.token = token
 
         def prepare(self) -> None:
-            if refusal(self.request.headers, HOST):
+            if refused_request(self.request.headers, HOST):
                 raise tornado.web.HTTPError(http.client.FORBIDDEN)
             if below(self.request.path, self.token) is None:
                 raise tornado.web.HTTPError(http.client.NOT_FOUND)

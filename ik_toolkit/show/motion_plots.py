@@ -12,7 +12,7 @@ from ..robot.joints import Joints
 from ..robot.pose import length
 from ..servo.result import TrackResult
 from ..style import COLOURS, DASHES, GREY, PALE
-from .plots import FLOOR, drawing, plain
+from .plots import FLOOR, drawing, literal_text
 
 COLUMNS = 5  # Largest number of columns of the joints' legend.
 
@@ -56,7 +56,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
             legend.remove()
         settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
         figure.suptitle(
-            plain(
+            literal_text(
                 f"{result.robot}: {result.method}{' (' + settings + ')' if settings else ''}, {1 / result.dt:.4g} Hz: "
                 f"{result.status.name.lower()}"
             ),
@@ -124,7 +124,7 @@ def _clock(ax: Any, result: TrackResult) -> None:
     ax.stairs(result.sigma, result.t, color=COLOURS[0], lw=1.3)
     ax.set_ylim(0.0, 1.05)
     joint = result.pace_joint
-    pace = f", limited by {plain(joint)}" if joint else ""
+    pace = f", limited by {literal_text(joint)}" if joint else ""
     ax.set_title(f"clock rate: {result.added_time:.3g} s added to {result.clock[-1]:.4g} s{pace}", loc="left")
 
 
@@ -134,7 +134,7 @@ def _positions(ax: Any, result: TrackResult, robot: Joints) -> None:
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     for i, name in enumerate(result.joint_names):
         shown = (result.q[:, i] - middle[i]) / half[i]
-        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=plain(name), ls=DASHES[i // 8 % 8])
+        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=literal_text(name), ls=DASHES[i // 8 % 8])
     for edge in (-1, 1):
         ax.axhline(edge, color=GREY, lw=0.8)
     ax.set_ylim(-1.15, 1.15)
@@ -148,7 +148,7 @@ def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
     speed = np.diff(result.q, axis=0) / result.dt
     for i, name in enumerate(result.joint_names):
         values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
-        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls=DASHES[i // 8 % 8], label=plain(name))
+        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls=DASHES[i // 8 % 8], label=literal_text(name))
     ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
 
 
@@ -181,7 +181,7 @@ def plot_motion(what: Any) -> Any:
             axes[-1].set_xlabel("pose")
             title = f"{what.robot.name}: {what.status.name}, {len(what.q)} poses, length {what.length[0]:.4g} rad"
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize=8)
-        figure.suptitle(plain(title), x=0.01, ha="left", fontweight="bold")
+        figure.suptitle(literal_text(title), x=0.01, ha="left", fontweight="bold")
         return figure
 
 
@@ -191,7 +191,7 @@ def _breaks(result: Any) -> list[float]:
 
 def _lines(ax: Any, x: np.ndarray, values: np.ndarray, robot: Joints) -> None:
     for i, name in enumerate(robot.joint_names):
-        ax.plot(x, values[:, i], color=COLOURS[i % 8], ls=DASHES[i // 8 % 8], lw=1.3, label=plain(name))
+        ax.plot(x, values[:, i], color=COLOURS[i % 8], ls=DASHES[i // 8 % 8], lw=1.3, label=literal_text(name))
 
 
 def _joints(ax: Any, robot: Joints, x: np.ndarray, Q: np.ndarray, breaks: list[float]) -> None:

@@ -19,7 +19,7 @@ from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
 from .motion_plots import plot_motion, plot_track, skeleton
-from .plots import SUFFIXES, convergence, drawing, plain, save, tracking_errors
+from .plots import SUFFIXES, convergence, drawing, literal_text, save, tracking_errors
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:
@@ -89,7 +89,7 @@ def postures(q: Any, robot: Joints, target: Any = None) -> Any:
             arms = [skeleton(arm, one[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
             for axis, keep in zip(axes, ((0, 2), (0, 1)), strict=True):
                 for number, points in enumerate(arms):
-                    name = plain(label) if not number and label else None
+                    name = literal_text(label) if not number and label else None
                     axis.plot(*points[:, keep].T, "o-", color=COLOURS[k % 8], lw=2.4, ms=4, label=name)
         for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
             if target is not None:
@@ -120,9 +120,11 @@ def plot_benchmark(found: Benchmark) -> Any:
                 seconds = np.append(np.sort(row.seconds[: row.solved]), row.seconds.max())
                 share = 100.0 * np.append(np.arange(1, row.solved + 1), row.solved) / row.targets
                 times.step(1e6 * seconds, share, where="post", **style)
-            bars.set_yticks(-np.arange(len(rows)), [plain(row.solver) for row in rows])
+            bars.set_yticks(-np.arange(len(rows)), [literal_text(row.solver) for row in rows])
             bars.grid(False, axis="y")
-            bars.set(xlim=(0, 102), title=plain(f"{robot}: targets solved, 95 % interval"), xlabel="of 100 targets")
+            bars.set(
+                xlim=(0, 102), title=literal_text(f"{robot}: targets solved, 95 % interval"), xlabel="of 100 targets"
+            )
             times.set(
                 xscale="log",
                 ylim=(0, 102),
@@ -148,7 +150,9 @@ def plot_tuning(result: TuneResult) -> Any:
         axis.set(xlabel="generation", ylabel="cost (1 = all targets fail)")
         low, high = result.held_out.interval
         axis.set_title(
-            plain(f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n")
+            literal_text(
+                f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n"
+            )
             + f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out targets after"
         )
         axis.legend(loc="upper right")
@@ -182,7 +186,7 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
                 bad = found.failures[name] if outcome.targets - outcome.solved <= MARKED else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
-            row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
+            row[0].set_title(f"{literal_text(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
         for one in drawn:
             # Cells with zero failures are pale, because white means that there is no target.

@@ -40,7 +40,7 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
         plt.ion() if interactive else plt.ioff()
 
 
-def plain(text: str) -> str:
+def literal_text(text: str) -> str:
     """Escape text so that matplotlib draws it literally: text between two dollar signs would be typeset as a formula."""
     return text.replace("$", r"\$")
 
@@ -85,7 +85,7 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
             axis.xaxis.get_major_locator().set_params(integer=True)
-            axis.set(xlabel="evaluation", title=plain(f"{label}: {len(position) - 1} steps") if label else "")
+            axis.set(xlabel="evaluation", title=literal_text(f"{label}: {len(position) - 1} steps") if label else "")
         axes[0, 0].set_ylabel("error (log scale)")
         axes[0, 0].legend(loc="best", fontsize=8)
         _title(figure, title)
@@ -107,7 +107,7 @@ def tracking_errors(runs: Any, *, title: str = "") -> Any:
         )
         for k, (label, run) in enumerate(named.items()):
             style = {"color": COLOURS[k % 8], "ls": DASHES[k % 8], "lw": 1.3}
-            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=plain(label), **style)
+            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=literal_text(label), **style)
             if run.orientation_error is not None:
                 axes[1, 0].semilogy(run.t, np.maximum(run.orientation_error, FLOOR), **style)
         axes[0, 0].set_ylabel("position error [m]")
@@ -147,7 +147,7 @@ def bars(
             axis.set_xscale("log")
         for at, value, end in zip(place, x, ends, strict=True):
             axis.annotate(f"{value:.4g}", (end, at), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
-        axis.set_yticks(place, [plain(name) for name in names])
+        axis.set_yticks(place, [literal_text(name) for name in names])
         axis.grid(False, axis="y")
         axis.tick_params(axis="y", length=0)
         axis.margins(x=0.14)
@@ -158,7 +158,7 @@ def bars(
 
 def _title(figure: Any, text: str) -> None:
     if text:
-        figure.suptitle(plain(text), x=0.01, ha="left", fontweight="bold", fontsize=10)
+        figure.suptitle(literal_text(text), x=0.01, ha="left", fontweight="bold", fontsize=10)
 
 
 def _named(runs: Any) -> dict[str, tuple[Any, Any]]:

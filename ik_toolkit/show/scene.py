@@ -14,7 +14,7 @@ from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
 from .animation import animate, motion_of
 from .attempts import iterates
-from .body import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
+from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
 
 # The colours are those of Okabe and Ito (2008), as in the plots.
@@ -113,7 +113,7 @@ class Scene(Unique):
             shapes += [(shaft, color), (cone, color)]
         self.window.delete(name)
         for k, (mesh, color) in enumerate(shapes):
-            self.window.shape(f"{name}/{k}", Shape(*smooth(mesh, size), color))
+            self.window.shape(f"{name}/{k}", DrawnShape(*split_sharp_edges(mesh, size), color))
         self.move(T, name)
         point = (self.body.T_world_base @ T)[:3, 3]
         if self._corners and np.linalg.norm(point - np.mean(self._corners, axis=(0, 1))) > FAR * self._extent():
@@ -363,7 +363,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         scene.say(f"{what.solver}: {what.status.name}", what.message)
     if target is not None:
         size = 0.14 * scene._extent()
-        for k, (tip, T) in enumerate(_by_tip(robot, target).items()):
+        for k, (tip, T) in enumerate(_each(robot, target).items()):
             scene.frame(T, numbered("target", k), size, label="" if k else "targets" if len(tips) > 1 else "target")
             if len(tips) > 1:
                 scene.name(numbered("target", k), f"target of {tip}")
@@ -379,13 +379,13 @@ def numbered(word: str, k: int) -> str:
     return f"{word}{k + 1 if k else ''}"
 
 
-def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
+def _each(robot: Joints, target: Any) -> dict[str, Any]:
     """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
     if isinstance(target, Mapping):
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
     if not robot.by_tip:
-        return {robot.tips[0]: target}
+        return robot.each_tip(target)
     if len(target) != len(robot.tips):
         raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
     return dict(zip(robot.tips, target, strict=True))

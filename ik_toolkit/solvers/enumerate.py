@@ -7,7 +7,7 @@ import numpy as np
 from ..kernel.checks import CONVERGED
 from ..kernel.records import ANSWER, AT
 from .closed_form.geometry import Family
-from .closed_form.polish import finished
+from .closed_form.polish import polish_rows
 from .options import PLAIN
 from .outcome import SPOKEN
 from .plan import Plan
@@ -41,7 +41,7 @@ class SearchThresholds(NamedTuple):
 THRESHOLDS = SearchThresholds()
 
 
-def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
+def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
     """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first."""
     robot, o, n = plan.robot, plan.options, plan.robot.n
     tight = {
@@ -53,7 +53,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     Q0[:, plan.held] = start[0, plan.held]
     out = _attempts(single, T, kinds, Q0)
-    if not plan.robot.by_tip and not counts_in_part(kinds, o) and not len(plan.held):
+    if len(kinds) == 1 and not counts_in_part(kinds, o) and not len(plan.held):
         _finish_close(single, T, kinds, out)
     out = out[out[:, AT.status] == CONVERGED]
     answers = out[:, ANSWER : ANSWER + n]
@@ -74,7 +74,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     found._put(families=_families(single, found, T, kinds, redundant))
     distinct = len(found)
     if (redundant or found.families) and distinct > count:
-        found = sample(found, count)
+        found = spread_rows(found, count)
     plural = "s" * (len(found) != 1)
     words = f"solution{plural} of infinitely many" if redundant or found.families else f"distinct solution{plural}"
     found._put(message=f"{len(found)} {words} ({len(out)} of {starts} starts converged)")
@@ -96,7 +96,7 @@ def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) ->
         return
     rows, ends = single.chain[:2]
     Q, errors = out[close, ANSWER:], np.empty((close.sum(), 2))
-    finished(rows, ends, single.orders(kinds, True), T[0], Q, THRESHOLDS.steps, errors)
+    polish_rows(rows, ends, single.orders(kinds, True), T[0], Q, THRESHOLDS.steps, errors)
     good = (errors < (single.options.position_tolerance, single.options.orientation_tolerance)).all(axis=1)
     where = np.flatnonzero(close)[good]
     out[where, ANSWER:] = Q[good]
@@ -177,7 +177,7 @@ def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
     return robot.chain.turns > 0, plan.options.limits
 
 
-def sample(found: Solutions, count: int) -> Solutions:
+def spread_rows(found: Solutions, count: int) -> Solutions:
     """Return at most `count` of the solutions, in order: rows that are far from one another, the nearest to q0 among them."""
     q = found.q / found.robot.chain.unit
     chosen = [0]

@@ -14,7 +14,7 @@ Errors = list[tuple[float, float | None]]
 SPOKEN = (POSITION, FREE)  # These kinds of target leave the orientation free.
 
 
-class Outcome(NamedTuple):
+class SolveRecord(NamedTuple):
     """One solve as it ended; a Result reads it. Finishing steps (see `postprocess.finishing`) return a changed copy."""
 
     plan: Plan
@@ -48,4 +48,6 @@ class Outcome(NamedTuple):
 
 
 # Making an outcome from all its fields with make_outcome is 0.2 microseconds faster than with Outcome(...).
-make_outcome = partial(tuple.__new__, Outcome)
+make_outcome = partial(
+    tuple.__new__, SolveRecord
+)

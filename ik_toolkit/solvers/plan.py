@@ -11,7 +11,7 @@ import numpy as np
 
 from ..copying import importable
 from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
-from ..kernel.chain import split, table, without_limits, without_wrap
+from ..kernel.chain import split_rows, table, without_limits, without_wrap
 from ..kernel.counted_error import POSITION
 from ..kernel.limits import LARGEST
 from ..kernel.packed_model import join
@@ -56,7 +56,7 @@ class Plan:
         self.kernel = with_search(self, loop) if row.closed else loop
         chain = robot.chain
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
-        self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
+        self.width = ANSWER + robot.n + MISS * (len(robot.tips) if len(robot.tips) > 1 else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
         self.memo: dict[Any, Any] = {}  # This is a cache for callers that keep something with the plan.
@@ -130,7 +130,7 @@ class Plan:
         ends = chain.ends
         if not self.options.limits:
             flat = ends.reshape(-1, ends.shape[-1])
-            parts = zip(split(chain.rows, flat, n) if ends.ndim > 1 else [chain.rows], flat, strict=True)
+            parts = zip(split_rows(chain.rows, flat, n) if ends.ndim > 1 else [chain.rows], flat, strict=True)
             ends = np.array([without_limits(rows, end, n) for rows, end in parts]).reshape(ends.shape)
         wrap = self.rule.wrap if self.options.wrap is None or self.row.closed else self.options.wrap
         return ends if wrap else without_wrap(ends, n)
@@ -249,5 +249,5 @@ def with_seeds(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> tuple:
     """Return the arrays of a chain, or a tree's, with another table of starts (N, n) in kernel units."""
     if ends.ndim == 1:
         return rows, ends, seeds, table(rows, ends, seeds)
-    parts = zip(split(rows, ends, seeds.shape[1]), ends, strict=True)
+    parts = zip(split_rows(rows, ends, seeds.shape[1]), ends, strict=True)
     return rows, ends, seeds, np.stack([table(part, end, seeds) for part, end in parts])

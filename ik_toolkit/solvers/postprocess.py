@@ -35,7 +35,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         *([record] if o.history else []),
         *improving,
         *([confirm] if o.check else []),
-        *([constrain] if plan.robot.constraints else []),
+        *([keep_constraints] if plan.robot.constraints else []),
     ]
     return tuple(steps), improving
 
@@ -142,7 +142,7 @@ def confirm(outcome: Any) -> Any:
     return outcome._replace(row=row)
 
 
-def constrain(outcome: Any) -> Any:
+def keep_constraints(outcome: Any) -> Any:
     """Make a success whose q breaks a constraint of the description a failure."""
     mark_open(outcome.plan, rows := outcome.row[None].copy())
     return outcome._replace(row=rows[0])

@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from ..errors import InvalidOption, UnknownSolver, check_progress
 from ..robot.library import shipped_robots
 from ..robot.robot import Robot
@@ -40,11 +38,9 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 def _call(robot: Any, name: str) -> bool:
     """Call a solver for a pose and for a position, alone and in a batch; return False if it fits neither."""
-    at_home, fits = robot.fk(robot.home), False
-    T = np.array([pose.homogeneous for pose in (at_home.values() if robot.by_tip else [at_home])])
+    T, fits = robot.chain.forward(robot.home)[0][0], False
     calls: list[Callable[[], Any]] = []
-    for target in (T, T[:, :3, 3].copy()):
-        one = target if robot.by_tip else target[0]
+    for one in (T, T[..., :3, 3].copy()):
         calls += [lambda one=one: Solver(robot, name)(one), lambda one=one: solve_batch(robot, one[None], name)]
     for call in calls:
         try:

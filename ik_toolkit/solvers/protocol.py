@@ -9,7 +9,7 @@ it asks these calls, or the registry row (`registry.Row`), which says what must 
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
@@ -17,13 +17,12 @@ from ..compile.jit import compiled
 from ..errors import IKError, InvalidOption, UnknownSolver
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.search import entry
+from .closed_form.geometry import Branches, Fit
+from .closed_form.nearest import nearest_of
+from .explain.worked_solution import WorkedSolution, listed_branches
 from .options import NAMES, Options
 from .registry import GENERAL, Row, find_row
 from .task import counted_rows, counts_in_part
-
-if TYPE_CHECKING:
-    from .closed_form.geometry import Branches, Fit
-    from .explain.worked_solution import WorkedSolution
 
 Class = TypeVar("Class", bound=type)
 SHOWN = 16  # An explanation shows this many branches of a continuous family.
@@ -104,11 +103,11 @@ class ClosedForm(Protocol):
     hold = False
 
     @staticmethod
-    def recognise(chain: Any) -> "Fit":
+    def recognise(chain: Any) -> Fit:
         """Return whether a chain has the structure, how nearly, and the numbers of the closed form."""
         ...
 
-    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> "Branches":
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all branches of T (4, 4), and about `count` members of a family.
 
         p is the result of `pack`; box (4, n) has lower and upper limits, the configuration to be near [rad or m], and
@@ -116,13 +115,11 @@ class ClosedForm(Protocol):
         """
         ...
 
-    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> "WorkedSolution":
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
         """Return the formulas with their numbers for T (4, 4), to explain a solve; by default the branches of `every` alone.
 
         p and box are as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
         """
-        from .explain.worked_solution import listed_branches
-
         return listed_branches(robot, self.every(robot, p, T, box, SHOWN))
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
@@ -145,8 +142,6 @@ class ClosedForm(Protocol):
 
     def loop(self, robot: Any) -> Callable:
         """Return the solve, called as `kernel.search.entry`: by default the nearest of `every` that meets the tolerances."""
-        from .closed_form.nearest import nearest_of
-
         return nearest_of(self, robot)
 
 
@@ -218,14 +213,14 @@ def _filled(cls: Any, protocol: Any) -> Any:
 # -------------------------------------------------------------------------------------------------------------- asking
 def misfit(row: Row, solver: Any, robot: Any) -> str:
     """Return why a solver cannot run on a robot, whatever the target, or ''."""
-    if row.one_tip and robot.by_tip:
+    if row.one_tip and len(robot.tips) > 1:
         return f"solver '{row.name}' is for one tip; for several use '{GENERAL}'"
     if row.closed and (reason := solver.recognise(robot.chain).reason):
         return f"solver '{row.name}' does not fit robot '{robot.name}': {reason}"
     return ""
 
 
-def fitted(form: Any, robot: Any) -> "Fit":
+def fitted(form: Any, robot: Any) -> Fit:
     """Return the structure that a closed form recognises in a robot. Raises UnknownSolver with the reason if it does not fit."""
     if reason := misfit(find_row(form), form, robot):
         raise UnknownSolver(reason)

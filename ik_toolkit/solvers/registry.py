@@ -11,11 +11,16 @@ where `my_package/rows.py` imports nothing but this module and says HALF_STEP = 
 """
 
 import functools
+import hashlib
 import importlib
+import importlib.util
 import logging
 import math
 import re
+import sys
+import traceback
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import IKError, InvalidOption, UnknownSolver, near_match
@@ -293,3 +298,58 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
         if isinstance(value, float) and value != value:
             raise InvalidOption(f"parameter '{key}' of solver '{row.name}' must be a number, not NaN")
     return cls(**parameters)
+
+
+def is_solver_file(text: str) -> bool:
+    """Whether a solver is given as FILE.py:CLASS."""
+    return ".py:" in text or text.endswith(".py")
+
+
+def solver_from_file(text: str) -> type:
+    """The class of FILE.py:CLASS, run as Python runs a script: files beside it can be imported.
+
+    Raises InvalidOption when there is no such file or class, when it does not run, or when the class is not a solver.
+    """
+    name, _, wanted = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
+    path = Path(name).expanduser().resolve()
+    if not path.is_file():
+        near = near_match(path.name, sorted(one.name for one in path.parent.glob("*.py") if one.is_file()))
+        raise InvalidOption(f"solver '{text}': there is no file '{name}'.{near}")
+    classes = _classes(path)
+    solvers = {key: cls for key, cls in classes.items() if hasattr(cls, "loop")}
+    if not wanted:
+        raise InvalidOption(f"solver '{text}': name the class: {name}:CLASS.{near_match(path.stem, solvers)}")
+    if wanted in solvers:
+        return solvers[wanted]
+    mark = "a solver is marked by @ik_toolkit.rule or @ik_toolkit.closed_form"
+    if wanted in classes:
+        raise InvalidOption(f"solver '{text}': the class {wanted} is not a solver; {mark}")
+    tail = near_match(wanted, solvers) or f" It defines no solver; {mark}."
+    raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
+
+
+@functools.cache  # a file is run once per process
+def _classes(path: Path) -> dict[str, type]:
+    """Return the classes that a file makes, by name. Raises InvalidOption if it does not run."""
+    # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was
+    # compiled for a file that moved is found again.
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InvalidOption(f"cannot read '{path}': {error.strerror}") from None
+    module_name = f"{path.stem}_{hashlib.sha256(content).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent))
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # a script may end itself
+        del sys.modules[module_name]
+        at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = getattr(error, "lineno", None) or (at[-1] if at else None)
+        where = f", line {line}" if line is not None else ""
+        raise InvalidOption(f"{path.name}{where}: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(str(path.parent))
+    return {k: cls for k, cls in vars(module).items() if isinstance(cls, type) and cls.__module__ == module_name}

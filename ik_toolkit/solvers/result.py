@@ -1,7 +1,7 @@
 """The result of a solve."""
 
 import html
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +11,12 @@ from ..kernel.records import ANSWER, AT
 from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
+from .explain.explanation import Explanation
 from .message import sentence
-from .outcome import SPOKEN, Outcome
+from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors
-
-if TYPE_CHECKING:
-    from .explain.explanation import Explanation
 
 
 class Result(ReadOnly):
@@ -49,7 +47,7 @@ class Result(ReadOnly):
     __slots__ = ("_of",)
     _sealed = True
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: SolveRecord) -> None:
         """Store the record; everything else is computed on demand."""
         keep(self, outcome)
 
@@ -206,7 +204,7 @@ class Result(ReadOnly):
             raise NotSolved(self)
         return self
 
-    def explain(self) -> "Explanation":
+    def explain(self) -> Explanation:
         """Explain how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.
 
         Returns:
@@ -216,9 +214,9 @@ class Result(ReadOnly):
             InvalidTarget: The result is a row of a batch, which keeps no target.
             MissingExtra: A closed form has formulas to show, and SymPy is not installed.
         """
-        from .explain.explain import explain  # That module imports this one.
+        from .explain.explain import explain_result  # That module imports this one.
 
-        return explain(self)
+        return explain_result(self)
 
     def to_ros(self) -> dict[str, Any]:
         """Return the fields of a ROS sensor_msgs/JointState at q, without velocities and efforts."""

@@ -70,7 +70,8 @@ class Solver(ReadOnly):
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)
+        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)  # of an array that needs no reading
+        self._stacked = (1, *robot.pose_shape)
         self._kinds = POSES * len(robot.tips)
         self._seal()
 
@@ -105,7 +106,7 @@ class Solver(ReadOnly):
         started = perf_counter()
         notice = ""
         if type(target) is np.ndarray and target.dtype is FLOAT and target.shape == self._pose and target.flags.carray:
-            T, kinds = target[None], self._kinds
+            T, kinds = target.reshape(self._stacked), self._kinds
         else:
             T, kinds, notice = read_target(self.robot, target)
         plan = self._plans.get(kinds, self.plan) if self._plans else self.plan
@@ -185,7 +186,7 @@ def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
 _SOLVERS_LOCK = threading.Lock()
 
 
-def bound(robot: Any, solver: Any, options: Any) -> Solver:
+def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
     """Return a Solver for these arguments, the same one each time if they can be hashed."""
     robot = narrowed_for(robot, options)
     kept = robot.memo.setdefault("solvers", {})
@@ -210,8 +211,6 @@ def is_auto(solver: Any) -> bool:
 
 def automatic(robot: Any, kind: int, options: Mapping[str, Any]) -> str:
     """Return the solver that 'auto' means: a closed form if one fits and no preference is given, otherwise the search."""
-    if robot.by_tip:
-        return GENERAL
     preferences = {name: value for name, value in options.items() if name not in EXACT}
     if preferences.keys() <= set(NAMES) and make_options(preferences) == Options():
         return fits(robot, kind) or GENERAL
@@ -250,4 +249,4 @@ def solve(
         if q0 is not None:
             raise InvalidOption("give closest=q_ref or q0, not both: the search starts at q_ref")
         q0, options["closest"] = options["closest"], True
-    return bound(robot, "auto" if solver is None else solver, options)(target, q0)
+    return bound_solver(robot, "auto" if solver is None else solver, options)(target, q0)

@@ -8,7 +8,7 @@ from ..robot.tree import Tree
 from .every import find_all
 from .options import AllOptions
 from .solutions import Solutions
-from .solve import bound, require_robot
+from .solve import bound_solver, require_robot
 
 CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # These options are about one answer.
 
@@ -51,4 +51,4 @@ def solve_all(
         if options.get(name):
             raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     options.setdefault("check", True)
-    return find_all(bound(robot, solver, options), target, q0, starts, count)
+    return find_all(bound_solver(robot, solver, options), target, q0, starts, count)

@@ -162,21 +162,20 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
     or a list in the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a
     dict. Raises FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """
-    several = robot.by_tip
-    if not several and (isinstance(target, AxisTarget) or not isinstance(target, Mapping)):
+    if not robot.by_tip and (isinstance(target, AxisTarget) or not isinstance(target, Mapping)):
         T, kind, notice = read_one(target)
         return T[None], (kind,), notice
     tips = robot.tips
-    made = [_read_tip(tip, one) for tip, one in zip(tips, _by_tip(robot, target), strict=True)]
-    T = np.array([one[0] for one in made])
+    made = [_read_tip(tip, one) for tip, one in zip(tips, _in_order(robot, target), strict=True)]
+    T = np.array([one[0] for one in made]).reshape(1, *robot.pose_shape)
     kinds = tuple(one[1] for one in made)
     if all(kind == FREE for kind in kinds):
         raise InvalidTarget(f"give a target for at least one of {', '.join(tips)}")
     notice = "; ".join(f"{tip}: {one[2]}" for tip, one in zip(tips, made, strict=True) if one[2])
-    return T[None] if several else T, kinds, notice
+    return T, kinds, notice
 
 
-def _by_tip(robot: Any, targets: Any) -> list[Any]:
+def _in_order(robot: Any, targets: Any) -> list[Any]:
     """Return a target or None for each tip."""
     tips = robot.tips
     if isinstance(targets, Mapping):
@@ -233,7 +232,7 @@ def all_errors(
     robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
 ) -> list[tuple[np.ndarray, float, float | None]]:
     """Return the errors of `counted_errors`, each after the raw error (6,) (see `robot.pose.errors`), NaN if there is no target."""
-    poses = [arm._fk(q[at]).homogeneous for arm, at in zip(robot.arms, robot.places, strict=True)]
+    poses = [T.homogeneous for T in robot.tip_poses(q)]
     found = []
     for pose, one, kind, counts, other in zip(
         poses, T.reshape(-1, 4, 4), kinds, what_counts(robot, o), relatives(robot, o), strict=True

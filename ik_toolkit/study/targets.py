@@ -23,11 +23,11 @@ def one_tip(robot: Robot | Tree, tip: str | None) -> str:
         InvalidOption: None is given, and the robot has several.
         FrameNotFound: The robot has no such tip.
     """
-    if tip is None and robot.by_tip:
+    if tip is None and len(robot.tips) > 1:
         raise InvalidOption(f"this needs a single tip; choose it with tip=: {', '.join(robot.tips)}")
-    tip = robot.tips[0] if tip is None else tip
-    robot.check_tips([tip])
-    return tip
+    chosen = robot.arms[0].tip if tip is None else tip
+    robot.check_tips([chosen])
+    return chosen
 
 
 def sample_targets(

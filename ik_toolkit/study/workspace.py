@@ -30,7 +30,7 @@ FAILURES = 1000  # number of failures kept in memory for each solver
 
 
 @dataclass
-class Outcome:
+class SolverCounts:
     """Counts of one solver over the workspace."""
 
     solver: str  # name of the solver
@@ -70,7 +70,7 @@ class Workspace:
     radius: tuple[float, float]  # least and largest distance of the tip from the base's origin [m]
     cell: float  # width of a cell of the map [m]; the first cell begins at `low`
     tip: str  # the tip whose reach is studied
-    outcomes: dict[str, Outcome]  # counts by solver
+    outcomes: dict[str, SolverCounts]  # counts by solver
     map: dict[str, np.ndarray]  # targets and solved targets in each cell (2, nx, ny, nz), by solver
     failures: dict[str, np.ndarray]  # x, y, z and position error [m] of the first failures (M, 4), by solver
     points: np.ndarray  # (N, 3) positions of the first targets [m], for plots
@@ -163,7 +163,7 @@ def workspace(
     interrupted = finished = False
     try:
         for part in stream_targets(robot, targets, seed, how=how, position_only=position_only, tip=tip):
-            asked = {tip: part} if robot.by_tip else part
+            asked = {tip: part}
             xyz = part if part.ndim == 2 else part[:, :3, 3]
             columns, seconds = [], []
             for solver in named.values():
@@ -204,7 +204,7 @@ class _Tally:
         self.low, self.high, self.radius = envelope(robot, tip=tip)
         self.cell = float(max((self.high - self.low).max() / GRID, 1e-9))
         self.shape = np.maximum(np.ceil((self.high - self.low) / self.cell), 1).astype(int)
-        self.outcomes = {name: Outcome(name) for name in names}
+        self.outcomes = {name: SolverCounts(name) for name in names}
         self.maps = {name: np.zeros((2, *self.shape), np.int64) for name in names}
         self.failures: dict[str, list[np.ndarray]] = {name: [] for name in names}
         self.points: list[np.ndarray] = []
@@ -260,7 +260,7 @@ def _named(solvers: list[Any]) -> dict[str, Any]:
     return named
 
 
-def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
+def _count(outcome: SolverCounts, part: dict[str, np.ndarray]) -> None:
     good = part["success"]
     outcome.targets += len(good)
     outcome.solved += int(good.sum())

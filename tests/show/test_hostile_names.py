@@ -87,13 +87,13 @@ def test_scenes(robot, tmp_path):
 def test_the_panel(robot, tmp_path):
     viser = pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
     pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
-    from ik_toolkit.show.panel.page import Desk
+    from ik_toolkit.show.panel.page import PanelPage
     from ik_toolkit.show.panel.panel import Panel
 
     file = tmp_path / "<img src=x onerror=alert(4)>.urdf"
     file.write_text(arm())
     with contextlib.closing(Panel(str(file))) as panel:
-        desk = Desk(panel.server, str(file))
+        desk = PanelPage(panel.server, str(file))
         assert desk.worker.idle()
         desk.say("".join(EVIL))
         pages = [desk.status.content]

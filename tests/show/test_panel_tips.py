@@ -36,7 +36,7 @@ def test_random_poses_are_others_at_every_call_and_can_be_taken():
     again = Session("brokk_hydrolek")
     assert np.array_equal(again.random_poses()[RIGHT], first[RIGHT])
     single = Session("planar_2r")
-    assert single.solve(single.joined(single.random_poses())).status.name in ("CONVERGED", "UNREACHABLE")
+    assert single.solve(single.robot.for_tips(single.random_poses())).status.name in ("CONVERGED", "UNREACHABLE")
 
 
 def test_tips_are_chosen_one_or_several():

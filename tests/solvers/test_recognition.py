@@ -11,7 +11,7 @@ from serial_arms import apart, urdf
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, UnknownSolver
 from ik_toolkit.kernel.counted_error import POSE, POSITION
-from ik_toolkit.solvers.closed_form import describe, fits, inspection, planar_2r
+from ik_toolkit.solvers.closed_form import describe_fit, fits, inspection, planar_2r
 
 PI = math.pi
 
@@ -54,7 +54,7 @@ def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_
     assert found.solver == "planar-2r" and found.complete
     for x in found:
         assert np.linalg.norm(robot.fk(x).translation - tip) < 1e-9
-    bend = planar_2r.recognise(robot.chain)[0]
+    bend = planar_2r.recognise_planar(robot.chain)[0]
     s2 = abs(math.sin(bend[planar_2r.ANGLES + 2] * q2 + bend[planar_2r.ANGLES + 3]))
     if s2 > 1e-3:
         assert len(found) == 2 and apart([q], found.q).min() < 1e-6
@@ -131,7 +131,9 @@ def bent(angle):
 
 def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothing():
     robot = bent(3e-5)
-    assert fits(robot, POSITION) == "planar-2r" and "3e-05" in describe(robot) and "exactly" in describe(bent(0.0))
+    assert (
+        fits(robot, POSITION) == "planar-2r" and "3e-05" in describe_fit(robot) and "exactly" in describe_fit(bent(0.0))
+    )
     rng = np.random.default_rng(3)
     for _ in range(50):
         q = robot.random_q(rng)
@@ -148,7 +150,7 @@ def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothin
 def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
     text = arm.urdf.replace("1.5707963267948966", "1.5708")
     robot = ik.Robot.load(text, tip=arm.tip, base=arm.base)
-    assert fits(robot, POSE) == "inspection" and "approximately" in describe(robot)
+    assert fits(robot, POSE) == "inspection" and "approximately" in describe_fit(robot)
     rng = np.random.default_rng(4)
     for held in (robot, robot.locked({"lift": 0.3})):
         Q = rng.uniform(held.lower, held.upper, (100, held.n))

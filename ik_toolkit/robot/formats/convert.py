@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from ...errors import ModelError
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
-from ..load import read
+from ..load import read_source
 from .urdf import plain_origin
 
 
@@ -36,7 +36,7 @@ def convert(
     A mesh below `folder`, where the text will be saved, is named relative to it, every other mesh by its absolute path.
     A mesh that is not found keeps its name. Raises what `Robot.load` raises.
     """
-    made = read(source, package_dirs, xacro_args)[1]
+    made = read_source(source, package_dirs, xacro_args)[1]
     home = None if folder is None else Path(folder).expanduser().resolve()
     root = ET.fromstring(made["urdf"], ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     for origin in root.iter("origin"):

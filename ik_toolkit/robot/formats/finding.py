@@ -27,7 +27,7 @@ class Finding:
         return f"{self.element}: {self.problem}"
 
 
-def wrong(element: object, problem: str, advice: str, line: int) -> Finding:
+def error_finding(element: object, problem: str, advice: str, line: int) -> Finding:
     """Make a finding that prevents the robot from being loaded."""
     return Finding("error", str(element), problem, advice, line)
 

@@ -10,7 +10,7 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from .urdf import Item, numbers, parse, span
+from .urdf import Item, attribute_numbers, limits_of_joint, parse
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -68,7 +68,7 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
     for item in parse(text):
         if item.tag == "joint" and item.name in tied:
             leader, ratio, offset = tied[item.name]
-            found[item.name] = leader, ratio, offset, *span(item)
+            found[item.name] = leader, ratio, offset, *limits_of_joint(item)
     return found
 
 
@@ -81,7 +81,7 @@ def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
     found = {}
     for item in parse(text):
         limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
-        speed = (numbers((limit or {}).get("velocity", "")) or [0.0])[0]
+        speed = (attribute_numbers((limit or {}).get("velocity", "")) or [0.0])[0]
         if speed > 0.0 and tied[item.name].ratio != 0.0:
             found[item.name] = (tied[item.name].ratio, speed)
     return found
@@ -121,7 +121,8 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
                 continue
             mimic = given[follower]
             ratio, offset = (
-                (numbers(mimic.get(key, "")) or [default])[0] for key, default in (("multiplier", 1.0), ("offset", 0.0))
+                (attribute_numbers(mimic.get(key, "")) or [default])[0]
+                for key, default in (("multiplier", 1.0), ("offset", 0.0))
             )
             above = tied.get(mimic.get("joint", ""), Tie(mimic.get("joint", ""), 1.0, 0.0))
             tied[follower] = Tie(above.leader, ratio * above.ratio, ratio * above.offset + offset)

@@ -48,7 +48,7 @@ class Read(NamedTuple):
     constraints: tuple[Constraint, ...] = ()
 
 
-def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
+def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
     """Write an MJCF text as URDF; `path` is the file it comes from.
 
     Raises MissingExtra if mujoco is not installed, ModelError if the text cannot be read.

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..constraints import Constraint, End, Length, Loop, Relation
+from ..constraints import Constraint, End, LinearLength, Loop, Relation
 from ..pose import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
@@ -89,7 +89,7 @@ class _Reader:
     def _range(
         self,
         tendon: dict[str, Any],
-        length: Length,
+        length: LinearLength,
         solved: Any,
         ranges: dict[int, tuple[float, float]],
         curved: list[Any],
@@ -134,9 +134,9 @@ class _Reader:
         name = equality["name"] or f"{equality['type']} {' and '.join(named)}"
         return Relation(name, made(first), made(second) if second >= 0 else None, tuple(equality["data"][:5]))
 
-    def _joint(self, j: int) -> Length:
+    def _joint(self, j: int) -> LinearLength:
         joint = self.model["joints"][j]
-        return Length(((self.joints[j], 1.0),), zero=joint["ref"], metres=joint["type"] == "slide")
+        return LinearLength(((self.joints[j], 1.0),), zero=joint["ref"], metres=joint["type"] == "slide")
 
     def _loop(self, equality: dict[str, Any]) -> Loop:
         weld, data = equality["type"] == "weld", equality["data"]
@@ -156,7 +156,7 @@ class _Reader:
         turn = quat_matrix(site["quat"], "wxyz").ravel().tolist()
         return End(self.bodies[int(site["body"])], tuple(site["pos"]), tuple(turn))
 
-    def _tendon(self, tendon: dict[str, Any]) -> Length:
+    def _tendon(self, tendon: dict[str, Any]) -> LinearLength:
         """Return the length of a tendon: linear in joint values, or along sites; its length around shapes is not known."""
         if all(kind == JOINT for kind, _, _ in tendon["parts"]):
             sums: dict[str, float] = {}
@@ -164,7 +164,7 @@ class _Reader:
                 name = self.joints[int(j)]
                 sums[name] = sums.get(name, 0.0) + c
             metres = any(self.model["joints"][j]["type"] == "slide" for _, j, _ in tendon["parts"])
-            return Length(tuple(sums.items()), zero=tendon["rest"], metres=metres)
+            return LinearLength(tuple(sums.items()), zero=tendon["rest"], metres=metres)
         lines, last, share, known = [], None, 1.0, True
         for kind, i, number in tendon["parts"]:
             if kind == PULLEY:
@@ -176,12 +176,12 @@ class _Reader:
                 last = here
             else:
                 known = False
-        return Length((), tuple(lines), tendon["rest"], True, known)
+        return LinearLength((), tuple(lines), tendon["rest"], True, known)
 
 
 def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | None:
     """Return the relation as a linear equation between joint values, or None; with `first`, its first joint is meant to follow."""
-    x = one.x or Length(())
+    x = one.x or LinearLength(())
     constant, ratio, *higher = one.curve
     if one.x is not None and any(higher):
         return None
@@ -203,7 +203,7 @@ def _with_held(one: Constraint, held: dict[str, float]) -> Constraint:
     if isinstance(one, Loop):
         return one
 
-    def without(length: Length) -> Length:
+    def without(length: LinearLength) -> LinearLength:
         zero = length.zero - sum(c * held[name] for name, c in length.joints if name in held)
         return length._replace(zero=zero, joints=tuple(part for part in length.joints if part[0] not in held))
 

@@ -21,7 +21,7 @@ SITE = 6  # MuJoCo marks an equality between sites by this number.
 MOST = 20_000  # A model with more bodies, joints, geoms, sites, equalities or tendons is refused.
 
 
-def at(pos: Any, quat: Any) -> dict:
+def pose_dict(pos: Any, quat: Any) -> dict:
     """Return a position [m] and a quaternion (w x y z) as a dict."""
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
@@ -31,7 +31,7 @@ def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
     return [one(i) for i in range(count)]
 
 
-def ties(m: Any) -> dict:
+def equalities(m: Any) -> dict:
     """Return the equalities and tendons of a compiled model."""
     return {
         "equalities": listed(
@@ -73,7 +73,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.body(i).name,
                 "parent": int(m.body_parentid[i]),
-                **at(m.body_pos[i], m.body_quat[i]),
+                **pose_dict(m.body_pos[i], m.body_quat[i]),
             },
         ),
         "joints": listed(
@@ -95,7 +95,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "type": GEOMS[m.geom_type[i]] if m.geom_type[i] < len(GEOMS) else "other",
                 "body": int(m.geom_bodyid[i]),
-                **at(m.geom_pos[i], m.geom_quat[i]),
+                **pose_dict(m.geom_pos[i], m.geom_quat[i]),
                 "size": m.geom_size[i].tolist(),
                 "touches": bool(m.geom_contype[i] or m.geom_conaffinity[i]),
                 "group": int(m.geom_group[i]),
@@ -107,7 +107,7 @@ def describe(m: Any) -> dict:
             m.nmesh,
             lambda i: {
                 "name": m.mesh(i).name,
-                **at(m.mesh_pos[i], m.mesh_quat[i]),
+                **pose_dict(m.mesh_pos[i], m.mesh_quat[i]),
                 "scale": m.mesh_scale[i].tolist(),
             },
         ),
@@ -116,10 +116,10 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.site(i).name,
                 "body": int(m.site_bodyid[i]),
-                **at(m.site_pos[i], m.site_quat[i]),
+                **pose_dict(m.site_pos[i], m.site_quat[i]),
             },
         ),
-        **ties(m),
+        **equalities(m),
         "keys": listed(m.nkey, lambda i: {"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()}),
     }
 

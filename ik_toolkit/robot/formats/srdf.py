@@ -215,7 +215,7 @@ def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
     return found
 
 
-def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
+def group_chain(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
     """Return the base (None: the root) and tip of a group for a Robot; `tip` is the user's choice if there is one.
 
     Raises FrameNotFound if the group has several tips and none is chosen, InvalidOption as `Srdf.ends` does.
@@ -229,7 +229,7 @@ def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[
     return base, tip or end
 
 
-def held_joints(
+def passive_joints(
     srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
 ) -> dict[str, tuple[float, bool]]:
     """Map each locked or passive joint to the value [rad or m] at which it is held and to whether it counts as locked.

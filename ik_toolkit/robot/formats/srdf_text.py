@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import ModelError
-from .urdf import HasMacros, check_names, numbers, walk
+from .urdf import HasMacros, attribute_numbers, check_names, walk
 
 MEMBERS = ("link", "joint", "chain", "group")  # A <group> may hold these elements.
 FACTS = ("group", "end_effector", "group_state", "passive_joint", "disable_collisions")
@@ -143,7 +143,7 @@ def _state(
         states.setdefault(name, {}).setdefault(group, {})
         return
     state, joint, text = states[inside[0]][inside[1]], given.get("name", ""), given.get("value", "")
-    values, why = tuple(numbers(text) or []), ""
+    values, why = tuple(attribute_numbers(text) or []), ""
     if not joint:
         why = f"<joint> in line {line} of the SRDF has no name"
     elif not values or not all(map(math.isfinite, values)):

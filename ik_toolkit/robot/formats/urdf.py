@@ -1,7 +1,9 @@
 """Reads a URDF safely, in one streaming parse with size limits that expands no entities and fetches nothing."""
 
+import codecs
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +11,6 @@ from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from ...errors import ModelError
-from .decode import decode, undeclared
 
 
 class UrdfCaps(NamedTuple):
@@ -55,7 +56,7 @@ SHAPES = ("visual", "collision")
 NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # These elements have attributes that hold names.
 
 
-class Part(NamedTuple):
+class InnerElement(NamedTuple):
     """An element below a link, joint or material.
 
     `above` has the tags between the two, outermost first.
@@ -78,7 +79,7 @@ class Item:
     tag: str
     attributes: Mapping[str, str]
     line: int
-    inside: list[Part] = field(default_factory=list)
+    inside: list[InnerElement] = field(default_factory=list)
     shapes: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -90,7 +91,7 @@ class Item:
         """Return the element's kind and name, for messages."""
         return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
 
-    def own(self, tag: str) -> list[Part]:
+    def own(self, tag: str) -> list[InnerElement]:
         """Return the elements with this tag that are not inside another one."""
         return [part for part in self.inside if part.tag == tag and not part.above]
 
@@ -185,7 +186,7 @@ def parse(text: str) -> list[Item]:
                 raise ModelError(f"the URDF has more than {CAPS.joints:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
         elif above[1] in ITEMS:
-            items[-1].inside.append(Part(tag, attributes, line, tuple(above[2:])))
+            items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
                 _shape(items[-1].shapes, above[2:], tag, attributes)
 
@@ -262,7 +263,7 @@ def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attribu
             shapes[-1].setdefault("geometry", (tag, attributes))
 
 
-def numbers(text: str) -> list[float] | None:
+def attribute_numbers(text: str) -> list[float] | None:
     """Return the numbers in an attribute, or None if anything else is in it."""
     try:
         return [float(word) for word in text.split()] if "_" not in text else None
@@ -275,7 +276,7 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
 
     They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is no rotation.
     """
-    quaternion = numbers(origin.get("quat_xyzw", "")) or []
+    quaternion = attribute_numbers(origin.get("quat_xyzw", "")) or []
     if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
         return origin
     unit = [x / math.hypot(*quaternion) for x in quaternion]
@@ -285,7 +286,7 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}
 
 
-def span(joint: Item) -> tuple[float, float]:
+def limits_of_joint(joint: Item) -> tuple[float, float]:
     """Return the lower and upper limit [rad or m] of a joint: 0 if its <limit> gives none, as in URDF, and within +-ENDLESS.
 
     A follower whose <limit> is missing, or has neither, is held by its leader's limits alone.
@@ -308,3 +309,57 @@ def _feed(parser: Any, raw: bytes, what: str) -> None:
                 f"{parser.CurrentLineNumber}; it is not read"
             )
     parser.Parse(b"", True)
+
+
+MARKS = (  # byte order marks; UTF-32 first, because its mark begins with that of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
+    (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
+)  # fmt: skip
+ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names that Python does not know
+DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
+# Encodings of text that Python decodes in time proportional to the input; no codec that unpacks, such as zip or hex.
+TEXTS = re.compile(
+    r"utf-8|ascii|iso8859-\d+|cp(125\d|437|85\d|866|932|936|949|950|1361)|koi8-[rtu]|mac-(roman|cyrillic|greek|latin2)|"
+    r"shift_jis(_2004|x0213)?|euc_(jp|kr|jis_2004|jisx0213)|iso2022_(jp|kr)(_\w+)?|gb2312|gbk|gb18030|hz|big5(hkscs)?|"
+    r"johab|tis-620|ptcp154|kz1048"
+)
+
+
+def decode(raw: bytes, name: str) -> str:
+    """Decode a file and return its text, without an encoding in the XML declaration.
+
+    The name of the file appears in error messages. Raises ModelError if the bytes are not text in the encoding found.
+    """
+    codec = next((codec for mark, codec in MARKS if raw.startswith(mark)), None)
+    head = DECLARED.match(raw[:1024].decode("latin-1")) if codec is None else None
+    codec = codec or (_codec(head[2]) if head else "utf-8")
+    try:
+        text = raw.decode(codec)
+    except UnicodeDecodeError as error:
+        lost = (
+            f" and declares '{head[2][:40]}', which is not read" if head and head[2].lower() != codec == "utf-8" else ""
+        )
+        what = "UTF-8" if codec.startswith("utf-8") else codec
+        raise ModelError(f"'{name}' is not {what} text (byte {error.start}){lost}; save it as UTF-8") from None
+    if "\0" in text:
+        raise ModelError(f"'{name}' is not UTF-8 text (it has NUL bytes); save it as UTF-8")
+    return undeclared(text)
+
+
+def undeclared(text: str) -> str:
+    """Remove an encoding other than UTF-8 from an XML declaration, so that no later reader decodes the text again."""
+    head = DECLARED.match(text[:1024])
+    return text if head is None or head[2].lower() == "utf-8" else head[1] + text[head.end() :]
+
+
+def _codec(declared: str) -> str:
+    """Return Python's codec for a declared encoding, or UTF-8 if the declared one is not in TEXTS.
+
+    UTF-8 may be right even if UTF-16 is declared, because a declaration that could be read is not in UTF-16.
+    """
+    try:
+        codec = codecs.lookup(ALIASES.get(declared.lower(), declared)).name if declared.isascii() else ""
+    except (LookupError, ValueError):
+        codec = ""
+    return codec if TEXTS.fullmatch(codec) else "utf-8"

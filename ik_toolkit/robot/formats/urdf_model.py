@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from .mimic import MOVING, Followers, followers
-from .urdf import ENDLESS, Item, numbers, parse, plain_origin, span
+from .urdf import ENDLESS, Item, attribute_numbers, limits_of_joint, parse, plain_origin
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -68,7 +68,7 @@ def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -
     if kind in MOVING:
         yield f'<axis xyz="{_text(axis_of(joint))}"/>'
         limit = joint.first("limit")
-        low, high = span(joint)
+        low, high = limits_of_joint(joint)
         effort, velocity = (_most(limit, key) for key in ("effort", "velocity"))
         if shown != "continuous" or limit is not None:
             yield f'<limit lower="{low!r}" upper="{high!r}" effort="{effort!r}" velocity="{velocity!r}"/>'
@@ -87,7 +87,7 @@ def axis_of(joint: Item) -> list[float]:
 
     An axis too long for Pinocchio to square is shortened.
     """
-    axis = numbers((joint.first("axis") or {}).get("xyz", "1 0 0")) or []
+    axis = attribute_numbers((joint.first("axis") or {}).get("xyz", "1 0 0")) or []
     length = math.hypot(*axis)
     return [x / length for x in axis] if length > 1e100 else axis
 
@@ -114,7 +114,7 @@ def _turn_plane(model: pin.Model, joint: Item) -> None:
 
 def _most(limit: Mapping[str, str] | None, key: str) -> float:
     """Return an effort or velocity limit, or ENDLESS if it is missing, no number, negative, infinite, or a velocity of 0."""
-    value = (numbers((limit or {}).get(key, "")) or [math.nan])[0]
+    value = (attribute_numbers((limit or {}).get(key, "")) or [math.nan])[0]
     return value if (0.0 if key == "velocity" else -1e-300) < value < ENDLESS else ENDLESS
 
 
@@ -134,14 +134,14 @@ def _origin(given: Mapping[str, str] | None) -> str:
     if given is None:
         return ""
     origin = plain_origin(given)
-    rows = [numbers(origin.get(key, "0 0 0")) or [] for key in ("xyz", "rpy")]
+    rows = [attribute_numbers(origin.get(key, "0 0 0")) or [] for key in ("xyz", "rpy")]
     xyz, rpy = (_text(row) if len(row) == 3 and all(map(math.isfinite, row)) else "nan" for row in rows)
     return f'<origin xyz="{xyz}" rpy="{rpy}"/>'
 
 
 def _numbers(attributes: Mapping[str, str], keys: Iterable[str]) -> dict[str, float]:
     """Return those of the attributes that are one finite number."""
-    found = {key: numbers(attributes.get(key, "")) or [] for key in keys}
+    found = {key: attribute_numbers(attributes.get(key, "")) or [] for key in keys}
     return {key: row[0] for key, row in found.items() if len(row) == 1 and math.isfinite(row[0])}
 
 

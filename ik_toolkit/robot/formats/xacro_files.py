@@ -109,14 +109,14 @@ class Files:
         for plain in ("timestamp", "binary"):
             Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
         try:
-            weigh(yaml.parse(raw, Loader), self.values)
+            check_yaml_size(yaml.parse(raw, Loader), self.values)
             return yaml.load(raw, Loader)  # noqa: S506 - The loader is a safe one.
         except (yaml.YAMLError, ValueError) as error:
             said = " ".join(str(error).split())[:160]
             raise self.values.Refused(f"'{os.path.basename(path)[:60]}' cannot be read as YAML: {said}") from None
 
 
-def weigh(events: Any, values: ModuleType) -> None:
+def check_yaml_size(events: Any, values: ModuleType) -> None:
     """Raise Refused for YAML that is nested too deep, or too large once its anchors are put in."""
     known: dict[str, int] = {}
     open_: list[tuple[str | None, int]] = [(None, 0)]

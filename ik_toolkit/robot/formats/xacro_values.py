@@ -314,7 +314,7 @@ def _weight(value: Any, so_far: int, depth: int) -> int:
     if isinstance(value, str | range):
         so_far += len(value)
     elif isinstance(value, int):
-        whole(value.bit_length())
+        check_bits(value.bit_length())
         so_far += value.bit_length() // 32
     elif isinstance(value, list | tuple | set | frozenset) or type(value) is dict:
         if depth > DEEP:
@@ -335,7 +335,7 @@ def small(size: int) -> None:
         raise Refused(f"a value has more than {LARGEST:,} characters or members")
 
 
-def whole(bits: int) -> None:
+def check_bits(bits: int) -> None:
     """Raise Refused if a whole number has too many bits."""
     if bits > BITS:
         raise Refused(f"a whole number has more than {BITS:,} bits")
@@ -344,11 +344,11 @@ def whole(bits: int) -> None:
 def power(base: Any, exponent: Any) -> Any:
     """Compute a power, unless the result would be too large."""
     if isinstance(base, int) and isinstance(exponent, int) and exponent > 0:
-        whole((base.bit_length() - 1) * exponent if abs(base) > 1 else 0)
+        check_bits((base.bit_length() - 1) * exponent if abs(base) > 1 else 0)
     return base**exponent
 
 
-def product(left: Any, right: Any) -> Any:
+def multiply(left: Any, right: Any) -> Any:
     """Compute a product, or repeat a text or list, unless the result would be too large."""
     for one, times in ((left, right), (right, left)):
         if isinstance(one, str | list | tuple) and isinstance(times, int):
@@ -381,12 +381,12 @@ def remainder(left: Any, right: Any) -> Any:
 def shifted(left: Any, right: Any) -> Any:
     """Shift a whole number to the left, unless the result would be too large."""
     if isinstance(left, int) and isinstance(right, int):
-        whole(left.bit_length() + right)
+        check_bits(left.bit_length() + right)
     return left << right
 
 
 BINARY: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: product, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: multiply, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
     ast.Mod: remainder, ast.Pow: power, ast.LShift: shifted, ast.RShift: operator.rshift, ast.BitOr: operator.or_,
     ast.BitAnd: operator.and_, ast.BitXor: operator.xor,
 }  # fmt: skip

@@ -36,7 +36,7 @@ DEFAULTS = re.compile(
 )
 
 
-def load(place: str) -> ModuleType:
+def module_at(place: str) -> ModuleType:
     """Import a module by its path below the robot folder, because a script cannot import it from the package."""
     spec = importlib.util.spec_from_file_location(Path(place).stem, Path(__file__).parents[1] / f"{place}.py")
     assert spec is not None and spec.loader is not None
@@ -45,11 +45,11 @@ def load(place: str) -> ModuleType:
     return module
 
 
-values = load("formats/xacro_values")
+values = module_at("formats/xacro_values")
 Refused = values.Refused
 
 
-class Asked(dict):
+class GivenArguments(dict):
     """Arguments of a xacro file that remember which names were asked for, so that a misspelled one can be reported."""
 
     def __init__(self, given: dict[str, str]) -> None:
@@ -85,9 +85,9 @@ class Expansion:
         import xacro.substitution_args as substitution
 
         self.job, self.xacro = job, xacro
-        self.files = load("formats/xacro_files").Files(values, job["folders"])
-        self.evaluator, self.arguments = values.Evaluator(), Asked(job["arguments"])
-        self.packages, self.known = load("packages"), dict[str, str]()
+        self.files = module_at("formats/xacro_files").Files(values, job["folders"])
+        self.evaluator, self.arguments = values.Evaluator(), GivenArguments(job["arguments"])
+        self.packages, self.known = module_at("packages"), dict[str, str]()
         self.written = 0
         for module in (xacro, substitution):
             for name in REPLACED[module.__name__]:
@@ -98,7 +98,7 @@ class Expansion:
         self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
         # Maps the id of a macro's body to the body and the cost of a copy in steps.
         self.bodies: dict[int, tuple[Any, int]] = {}
-        plain = load("formats/xacro_library").library(values, self.evaluator)
+        plain = module_at("formats/xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
         own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
         self.symbols |= own
@@ -298,7 +298,7 @@ def _converted(text: str) -> Any:
     return {"true": True, "false": False}.get(text.lower(), text)
 
 
-def expand(job: dict) -> dict:
+def run_job(job: dict) -> dict:
     """Expand the xacro file of a job and return the answer."""
     stack: list[str] = []
     try:
@@ -339,13 +339,13 @@ def told(cause: BaseException, stack: list[str]) -> str:
 def main() -> None:
     """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
-    limit = load("geometry/mesh_worker").limit
+    limit = module_at("geometry/mesh_worker").limit
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
     # A loop in xacro is a macro that calls itself, and each turn of it takes ten nested calls of ours.
     sys.setrecursionlimit(3000)
-    print(json.dumps(expand(job)))
+    print(json.dumps(run_job(job)))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from ..robot import Robot
 from ..tree import Tree
 from .convex import is_flat, owner_above, read_shapes, request
 from .distance import Clearance, Near
-from .surroundings import Placed, Surroundings
+from .surroundings import PlacedShape, Surroundings
 
 SAMPLES = 8  # This many random configurations show which links move relative to each other.
 # Two parts whose relative placement changes by less [m, or entry of a rotation] do not move relative to each other.
@@ -206,7 +206,7 @@ class CollisionModel(Surroundings):
         shape.placement = self._object(name, self._placed[name]).placement
         self._put(version=self.version + 1)
 
-    def _meet(self, one: Placed, two: Placed) -> bool:
+    def _meet(self, one: PlacedShape, two: PlacedShape) -> bool:
         """Return whether two added shapes can move relative to each other."""
         if one.arm is None or two.arm is None:
             arm = two.arm if one.arm is None else one.arm

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import ModelError
-from .link_shapes import LinkShape, geometry_model, link_shapes, said
+from .link_shapes import LinkShape, geometry_model, link_shapes, problems_sentence
 from .shape import PLAIN, surface
 
 # Limit on a robot's shapes: their 45,000 pairs take 1 s and 0.5 GB to set up. Robots have up to 100 shapes.
@@ -25,7 +25,9 @@ def read_shapes(robot: Any) -> pin.GeometryModel:
     if problems:
         where = "; meshes are read from the URDF's folder, its ROS package and package_dirs="
         hint = where if any(problem.startswith("mesh ") for _, problem in problems) else ""
-        raise ModelError(f"the collision shapes of robot '{robot.name}' cannot be used: {said(problems)}{hint}")
+        raise ModelError(
+            f"the collision shapes of robot '{robot.name}' cannot be used: {problems_sentence(problems)}{hint}"
+        )
     return geometry_model(robot.model, shapes, [_form(shape) for shape in shapes])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import ModelError
-from ..formats.urdf import Item, numbers, parse
+from ..formats.urdf import Item, attribute_numbers, parse
 from ..pose import rpy_matrix
 from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
 
@@ -96,7 +96,7 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     return found, problems
 
 
-def said(problems: Problems) -> str:
+def problems_sentence(problems: Problems) -> str:
     """Summarise problems in one sentence: the first three, and the number of others."""
     rows = list(dict.fromkeys(f"{element}: {problem}" for element, problem in problems))
     return "; ".join(rows[:3]) + (f"; and {len(rows) - 3} more" if len(rows) > 3 else "")
@@ -175,7 +175,7 @@ def _numbers(
         text = attributes.get(key, default)
         if text is None:
             raise ModelError(f"<{tag}> has no {key}")
-        some = numbers(text)
+        some = attribute_numbers(text)
         if some is None or len(some) != count or not np.isfinite(some).all():
             raise ModelError(f'<{tag} {key}="{text[:60]}"> is not {count} finite number{"s" * (count > 1)}')
         values += some
@@ -196,5 +196,5 @@ def _colors(items: Sequence[Item]) -> dict[str, tuple[float, ...]]:
 
 def _color(attributes: Mapping[str, str]) -> tuple[float, ...] | None:
     """Return the (r, g, b, opacity) of a <color>, each in 0..1, or None."""
-    values = numbers(attributes.get("rgba", "")) or []
+    values = attribute_numbers(attributes.get("rgba", "")) or []
     return tuple(min(max(x, 0.0), 1.0) for x in values) if len(values) == 4 and np.isfinite(values).all() else None

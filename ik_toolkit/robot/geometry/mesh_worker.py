@@ -27,7 +27,7 @@ UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 
 
-class Refused(Exception):
+class MeshRefused(Exception):
     """A file is not read; the message says why."""
 
 
@@ -44,20 +44,20 @@ class References:
         shown, inside = repr(name)[:100], False
         try:
             if "://" in name:
-                raise Refused
+                raise MeshRefused
             path = (self.file.parent / unquote(name).strip()).resolve()
             inside = any(path.is_relative_to(folder) for folder in self.job["folders"])
             if inside and path.is_file() and path.stat().st_size <= self.job["bytes"]:
                 return path.read_bytes()
             said = "does not exist or is too large" if inside else "lies outside the folders of the robot"
-        except Refused:
+        except MeshRefused:
             said = "is a network address"
         except (OSError, ValueError, RuntimeError):
             said = "cannot be read"
         self.last = f"{shown}, which it refers to, {said} and is not read"
         if not inside:
             self.refused.append(self.last)
-        raise Refused(self.last)
+        raise MeshRefused(self.last)
 
     __getitem__ = get
 
@@ -72,20 +72,22 @@ def check_xml(raw: bytes) -> None:
         tag = tag.rpartition(":")[2]
         stack.append(attributes.get("id", "") if tag in ("node", "visual_scene") else "")
         if len(stack) > DEEP:
-            raise Refused(f"its elements are nested more than {DEEP} deep")
+            raise MeshRefused(f"its elements are nested more than {DEEP} deep")
         child = attributes.get("url", "").lstrip("#") if tag.startswith("instance_") else stack[-1]
         if child:
             inside.setdefault(next(filter(None, reversed(stack[:-1])), ""), []).append(child)
 
     def refuse(*_: object) -> None:
-        raise Refused("it has a DOCTYPE or entity declarations")
+        raise MeshRefused("it has a DOCTYPE or entity declarations")
 
     parser.StartElementHandler, parser.EndElementHandler = start, lambda tag: stack.pop()
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
         parser.Parse(raw, True)
     except expat.ExpatError as error:
-        raise Refused(f"it is not well-formed XML ({expat.ErrorString(error.code)} in line {error.lineno})") from None
+        raise MeshRefused(
+            f"it is not well-formed XML ({expat.ErrorString(error.code)} in line {error.lineno})"
+        ) from None
     check_instances(inside)
 
 
@@ -101,16 +103,16 @@ def check_instances(inside: dict[str, list]) -> None:
             if child is None:
                 size[node] = 1 + sum(size.get(other, 1) for other in inside[node])
                 if size[node] > REPEATED:
-                    raise Refused(f"its nodes expand to more than {REPEATED:,} others")
+                    raise MeshRefused(f"its nodes expand to more than {REPEATED:,} others")
                 path.pop()
                 on_path.discard(node)
             elif child in on_path:
-                raise Refused(f"its node {child[:60]!r} contains itself")
+                raise MeshRefused(f"its node {child[:60]!r} contains itself")
             elif child in inside and child not in size:
                 path.append((child, iter(inside[child])))
                 on_path.add(child)
                 if len(path) > DEEP:
-                    raise Refused(f"its nodes are nested more than {DEEP} deep")
+                    raise MeshRefused(f"its nodes are nested more than {DEEP} deep")
 
 
 def inline(raw: bytes, references: References) -> bytes:
@@ -135,13 +137,13 @@ def check_gltf(raw: bytes) -> None:
             not str(buffer.get("uri", "data:")).startswith("data:") for buffer in tree.get("buffers", [])
         )
     except (ValueError, AttributeError, TypeError, RecursionError):
-        raise Refused("its JSON is broken") from None
+        raise MeshRefused("its JSON is broken") from None
     if outside:
-        raise Refused("it keeps buffers in other files")
+        raise MeshRefused("it keeps buffers in other files")
     check_instances(inside)
 
 
-def surface(file: Path, raw: bytes, references: References, out: Path):
+def collision_mesh(file: Path, raw: bytes, references: References, out: Path):
     """Yield the triangles of a mesh file, read by coal (assimp), for collision tests."""
     import coal
     import numpy as np
@@ -159,7 +161,7 @@ def surface(file: Path, raw: bytes, references: References, out: Path):
     yield shape.vertices(), np.array(faces, dtype=np.int64).reshape(-1, 3), None
 
 
-def look(file: Path, raw: bytes, references: References, out: Path):
+def coloured_mesh(file: Path, raw: bytes, references: References, out: Path):
     """Yield the triangles and the colour of every material of a mesh file, read by trimesh, for drawing."""
     import numpy as np
 
@@ -186,7 +188,7 @@ def look(file: Path, raw: bytes, references: References, out: Path):
         yield trimesh.transform_points(mesh.vertices, T), mesh.faces, color
 
 
-def read(file: Path, references: References, job: dict, out: Path, number: int) -> None:
+def read_mesh(file: Path, references: References, job: dict, out: Path, number: int) -> None:
     """Read one file and write its triangles to OUT/NUMBER.npz."""
     import numpy as np
 
@@ -196,17 +198,17 @@ def read(file: Path, references: References, job: dict, out: Path, number: int) 
     elif file.suffix.lower() in (".gltf", ".glb"):
         check_gltf(raw)
     arrays, count = {}, 0
-    pieces = {"surface": surface, "look": look}[job["kind"]](file, raw, references, out)
+    pieces = {"surface": collision_mesh, "look": coloured_mesh}[job["kind"]](file, raw, references, out)
     for k, (vertices, faces, color) in enumerate(pieces):
         vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
         count += len(faces)
         if count > job["triangles"]:
-            raise Refused(f"it has more than {job['triangles']:,} triangles")
+            raise MeshRefused(f"it has more than {job['triangles']:,} triangles")
         if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # The comparison is false for NaN too.
-            raise Refused(f"it has vertices that are not finite numbers up to {FAR:g}")
+            raise MeshRefused(f"it has vertices that are not finite numbers up to {FAR:g}")
         arrays |= {f"v{k}": vertices, f"f{k}": faces, f"c{k}": np.empty(0) if color is None else color}
     if not count:
-        raise Refused("it has no triangles")
+        raise MeshRefused("it has no triangles")
     np.savez(out / f"{number}.npz", **arrays)
 
 
@@ -233,8 +235,8 @@ def main() -> None:
         references = References(file, job)
         said = ""
         try:
-            read(file, references, job, out, number)
-        except Refused as error:
+            read_mesh(file, references, job, out, number)
+        except MeshRefused as error:
             said = str(error)
         except MemoryError:
             said = "it needs too much memory"

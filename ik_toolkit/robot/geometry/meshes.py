@@ -43,7 +43,7 @@ CAPS = MeshCaps()
 WORKER = Path(__file__).with_name("mesh_worker.py")
 
 
-class Piece(NamedTuple):
+class MeshPiece(NamedTuple):
     """The triangles of one material: vertices (N, 3) [units of the file], faces (M, 3), and color (3,) in 0..1 or None."""
 
     vertices: np.ndarray
@@ -58,7 +58,7 @@ class Mesh:
     If it was not read, `refused` says why; `notes` say what was left out.
     """
 
-    pieces: tuple[Piece, ...] = ()
+    pieces: tuple[MeshPiece, ...] = ()
     refused: str = ""
     notes: tuple[str, ...] = ()
 
@@ -209,10 +209,10 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
         return meshes
 
 
-def _pieces(file: Path) -> tuple[Piece, ...]:
+def _pieces(file: Path) -> tuple[MeshPiece, ...]:
     with np.load(file) as arrays:
         pieces = []
         for k in range(len(arrays.files) // 3):
             vertices, faces, color = (arrays[f"{letter}{k}"] for letter in "vfc")
-            pieces.append(Piece(vertices, faces, tuple(color.tolist()) or None))
+            pieces.append(MeshPiece(vertices, faces, tuple(color.tolist()) or None))
     return tuple(pieces)

@@ -15,7 +15,7 @@ from .shape import Shape, is_shape
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedShape:
     """A shape around the robot, if `arm` is None, or held by an arm.
 
     Its pose T (4, 4) [m] is in the base frame or the tip frame; `touch` has the names of parts it may touch.
@@ -37,7 +37,7 @@ class Surroundings(ReadOnly):
     def __init__(self) -> None:
         """Start with no shapes."""
         self.version = 0
-        self._placed: dict[str, Placed] = {}
+        self._placed: dict[str, PlacedShape] = {}
         self._hulls: dict[Any, Any] = {}  # These are the convex hulls of added shapes (see `distance.hulls`).
 
     def _rebuild(self) -> None:
@@ -48,7 +48,7 @@ class Surroundings(ReadOnly):
         """Update the model after a shape was moved."""
         raise NotImplementedError
 
-    def _object(self, name: str, one: Placed) -> pin.GeometryObject:
+    def _object(self, name: str, one: PlacedShape) -> pin.GeometryObject:
         """Return an added shape as a Pinocchio geometry object."""
         arm = self.robot.arms[one.arm or 0]
         held = one.arm is not None
@@ -108,7 +108,7 @@ class Surroundings(ReadOnly):
             InvalidTarget: The pose is none.
         """
         form, T = is_shape(shape).form(), as_matrix(pose)
-        self._placed[self._new_name(shape, name)] = Placed(shape, form, T)
+        self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T)
         self._rebuild()
         return self
 
@@ -182,7 +182,7 @@ class Surroundings(ReadOnly):
             self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
         else:
             form, T = is_shape(shape).form(), np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape)
-            self._placed[self._new_name(shape, name)] = Placed(shape, form, T, arm, touch)
+            self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T, arm, touch)
         self._rebuild()
         return self
 
@@ -197,7 +197,7 @@ class Surroundings(ReadOnly):
         if q is None:
             return self.remove(name)
         T = self._tip(one.arm, q).homogeneous @ one.T
-        self._placed[name] = Placed(one.shape, one.form, T)
+        self._placed[name] = PlacedShape(one.shape, one.form, T)
         self._rebuild()
         return self
 

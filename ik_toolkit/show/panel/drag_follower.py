@@ -70,7 +70,7 @@ class Hand:
         away = max(position for position, _ in errors.values())
         if not away < FAR * robot.reach:
             raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
-        kinds = [np.ndim(target.get(tip)) for tip in robot.tips] if robot.by_tip else [np.ndim(target)]
+        kinds = [np.ndim(robot.each_tip(target).get(tip)) for tip in robot.tips]
         if kinds != self._kinds or not np.array_equal(q, tracker.q):
             tracker.reset(q, rate0=np.zeros(robot.n))
             self._kinds = kinds
@@ -93,9 +93,8 @@ def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
 
 def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, float | None]]:
     """Return the errors at q by tip, for the tips that have a target."""
-    each = target if robot.by_tip else {robot.tips[0]: target}
     arms = dict(zip(robot.tips, zip(robot.arms, robot.places, strict=True), strict=True))
-    return {tip: arms[tip][0]._errors(q[arms[tip][1]], T) for tip, T in each.items()}
+    return {tip: arms[tip][0]._errors(q[arms[tip][1]], T) for tip, T in robot.each_tip(target).items()}
 
 
 def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> bool:

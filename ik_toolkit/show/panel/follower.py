@@ -3,11 +3,11 @@
 from contextlib import nullcontext
 from typing import Any
 
-from .page import Desk
+from .page import PanelPage
 from .target_widget import Goal
 
 
-class Follower(Desk):
+class Follower(PanelPage):
     """One visitor's page: the target's fields, the status line and the view."""
 
     def _build_controls(self) -> None:

@@ -11,14 +11,14 @@ from ...kernel.counted_error import POSE, POSITION
 from ...solvers.closed_form import fits
 from ...solvers.explain.dh_table import dh_blocks, dh_of
 from ...solvers.explain.explanation import Explanation, target_table
-from ...solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, number, to_html, unit_of
+from ...solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, digits, to_html, unit_of
 from ...solvers.explain.worked_solution import Branch, WorkedSolution
 from ...solvers.registry import find_row
 from ...solvers.result import Result
 from ...solvers.solve import solve
 from ...style import BAD, GOOD
 from .session import Session
-from .tables import sentence
+from .tables import as_sentence
 
 QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # Colours of the branch buttons.
 FREEDOMS = 6  # With fewer joints the target is a position, unless a closed form says otherwise.
@@ -143,7 +143,7 @@ class Learn:
         session: Session = desk.session
         self.session = session
         self.robot: Any = session.robot
-        self.alone = not self.robot.by_tip
+        self.alone = len(self.robot.tips) == 1
         if self.alone:
             self._build()
         else:
@@ -242,7 +242,7 @@ class Learn:
         try:
             result = self.lesson.inverse({name: field.value for name, field in self.fields.items()})
         except IKError as error:
-            self.outcome.content = said(sentence(str(error)), BAD)
+            self.outcome.content = said(as_sentence(str(error)), BAD)
             raise
         self._branches()
         self._tell(result)
@@ -265,7 +265,7 @@ class Learn:
             self.desk.stage.gaps({self.robot.tip: self.lesson.T})
 
     def _tell(self, result: Result) -> None:
-        words = f"{sentence(result.message)} {sentence(result.notice)}".strip()
+        words = f"{as_sentence(result.message)} {as_sentence(result.notice)}".strip()
         self.outcome.content = said(words, GOOD if result.success else BAD)
         self.desk.say(words, GOOD if result.success else BAD)
 
@@ -344,6 +344,6 @@ def values_table(robot: Any, q: np.ndarray, places: int) -> Table:
     """Make the table of the joint values of one configuration."""
     units = [unit_of(kind) for kind in robot.joint_kinds]
     rows = [
-        (name, number(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)
+        (name, digits(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)
     ]
     return Table(("joint", "value", ""), rows)

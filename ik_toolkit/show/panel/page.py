@@ -14,10 +14,10 @@ from ..body import Body
 from .chart import Chart
 from .connection import PLAIN, Visit
 from .learn_tab import Learn
-from .scene_tab import Around, freedom, slide
+from .scene_tab import Around, null_directions, slide
 from .session import PATIENCE
-from .solutions_tab import Found
-from .tables import note_html, pose_html, sentence, table_html
+from .solutions_tab import SolutionsTab
+from .tables import as_sentence, note_html, pose_html, table_html
 from .target_widget import Goal
 from .undo import Past
 from .viser_scene import Stage
@@ -28,7 +28,7 @@ PUSH = 3.0  # Self-motion [rad, or reaches] from the middle of the slider to its
 MOST_TIPS = 4  # Limit on the tips that can be chosen on the page.
 
 
-class Desk(Visit):
+class PanelPage(Visit):
     """Controls and view of one visitor, who is a viser client; `files` tells whether robots may be loaded by path."""
 
     # -------------------------------------------------------------------------------------------------------- build
@@ -149,7 +149,7 @@ class Desk(Visit):
         every = gui.add_button("All solutions", color=QUIET)
         self._on(every, "solve", self._solve_all)
         self.outcome = gui.add_html("", visible=False)
-        self.found = Found(gui, s, self._on, lambda q: self.stage.ghost(q), self._pick)
+        self.found = SolutionsTab(gui, s, self._on, lambda q: self.stage.ghost(q), self._pick)
         with gui.add_folder("Solver"):
             choice = gui.add_dropdown("Method", s.choices(), initial_value=s.solver)
             self._on(choice, "choice", lambda: self._choose(choice.value))
@@ -231,7 +231,7 @@ class Desk(Visit):
         """Move through the self-motion as far as the slider says; the tips' orientations are held only where they are targeted."""
         s, value = self.session, float(np.clip(self.push.value, -1.0, 1.0))
         turns = any(goal.posed for goal in self.goals)
-        if not np.isfinite(value) or not len(freedom(s.robot, s.q, turns)):
+        if not np.isfinite(value) or not len(null_directions(s.robot, s.q, turns)):
             self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
         along = np.cos(np.arange(s.robot.n))  # This direction is practically never orthogonal to an arm's self-motion.
@@ -323,7 +323,7 @@ class Desk(Visit):
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
         """Return targets in the form the robot expects, without the tips that have none."""
-        return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
+        return self.session.robot.for_tips({tip: T for tip, T in targets.items() if T is not None})
 
     def _solve(self) -> None:
         target = self._typed()
@@ -342,8 +342,8 @@ class Desk(Visit):
         if left is not None:
             self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
         words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
-        near = "" if left is None else f" {sentence(left.message)}"
-        self.say(f"{sentence(words)}{near}", GOOD if result.success else BAD)
+        near = "" if left is None else f" {as_sentence(left.message)}"
+        self.say(f"{as_sentence(words)}{near}", GOOD if result.success else BAD)
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
 
     def _dragged(self, patience: int = PATIENCE) -> None:
@@ -354,7 +354,7 @@ class Desk(Visit):
         found = self.session.follow(self._joined(targets))
         self.show()
         self.stage.gaps({} if found.success else targets)
-        self.say(sentence(found.message), GOOD if found.success else PLAIN)
+        self.say(as_sentence(found.message), GOOD if found.success else PLAIN)
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
         if self.chart is not None:
             self.chart.hide()
@@ -383,7 +383,7 @@ class Desk(Visit):
         words, details = s.solve_all(target)
         self.stage.gaps({})
         self.found.show(details)
-        self.say(sentence(words), GOOD if s.solutions else BAD)
+        self.say(as_sentence(words), GOOD if s.solutions else BAD)
 
     def _pick(self, k: int) -> None:
         s = self.session

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from ...copying import Unique
 from ...errors import InvalidOption, MissingExtra
 from ..access import guarded, is_loopback, new_token
-from .page import Desk
+from .page import PanelPage
 from .session import Session
 
 HEARD = (  # These messages are accepted from a visitor's page: controls, the target's arrows and rings, the camera.
@@ -42,7 +42,7 @@ class Panel(Unique):
         *,
         host: str = "127.0.0.1",
         port: int = 0,
-        desk: type[Desk] = Desk,
+        desk: type[PanelPage] = PanelPage,
     ) -> None:
         """Serve a robot given by name or path.
 
@@ -57,7 +57,7 @@ class Panel(Unique):
         _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # viser warns of visitors who leave.
         session = Session(source, tips)  # This raises for an invalid robot.
-        here = session.joined(session.poses())
+        here = session.robot.for_tips(session.poses())
         session.solve(here)  # It compiles now if necessary, so that no visitor has to wait.
         session.follow(here)
         token = new_token()
@@ -71,7 +71,7 @@ class Panel(Unique):
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
         _hear_only(self.server.gui._websock_interface, ())  # Messages are accepted only by a visitor's desk.
-        self.desks: dict[int, Desk] = {}
+        self.desks: dict[int, PanelPage] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")
         local = is_loopback(host)

@@ -98,7 +98,7 @@ class Around:
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
         values = []
         for tip, size in s.manipulability().items():
-            values.append(f"manipulability{f' of {tip}' if s.robot.by_tip else ''} {size:.3g}")
+            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {size:.3g}")
         words = html.escape("; ".join([words, *values]))
         return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
 
@@ -109,7 +109,7 @@ CORRECTIONS = 3  # Number of Newton steps, each of which squares the remaining e
 LEFT = 1e-7  # Largest error [m, rad] of a tip that counts as staying in place.
 
 
-def freedom(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
+def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
     """Return the null-space directions (k, n) at q (n,), which move no tip; `turns` tells whether rotations are held too."""
     J = _rows(robot, q, turns)
     _, sizes, V = np.linalg.svd(J, full_matrices=True)
@@ -125,7 +125,7 @@ def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool,
     start, unit = q, np.where(robot.slides, robot.reach, 1.0)
     done, at = 0.0, along / unit
     while done < abs(far):
-        free = freedom(robot, q, turns) / unit
+        free = null_directions(robot, q, turns) / unit
         free = np.linalg.qr(free.T)[0].T if len(free) else free
         at = free.T @ (free @ at)
         if np.linalg.norm(at) < THIN:

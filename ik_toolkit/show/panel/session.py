@@ -123,22 +123,17 @@ class Session:
 
     def poses(self, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """Return T_base_tip (4, 4) of each tip at q (n,), by default the current q."""
-        T: Any = self.robot.fk(self.q if q is None else q)
-        return {tip: (T[tip] if self.robot.by_tip else T).homogeneous for tip in self.robot.tips}
+        each = self.robot.each_tip(self.robot.fk(self.q if q is None else q))
+        return {tip: T.homogeneous for tip, T in each.items()}
 
     def random_poses(self) -> dict[str, np.ndarray]:
         """Return random poses that the tips can reach together, new ones at every call."""
         return self.poses(self.robot.random_q(self.random))
 
-    def joined(self, targets: dict[str, np.ndarray]) -> Any:
-        """Return targets by tip in the form the robot expects, which is without the name for a single tip."""
-        return targets if self.robot.by_tip else targets[self.robot.tips[0]]
-
     def goals(self) -> dict[str, np.ndarray]:
         """Return the pose (4, 4) of each tip's target; a tip without one has its own pose, a position has the tip's rotation."""
-        given = self.target if self.robot.by_tip else {self.robot.tips[0]: self.target}
         poses = self.poses()
-        for tip, target in (given or {}).items():
+        for tip, target in (self.robot.each_tip(self.target) or {}).items():
             if target is not None:
                 poses[tip] = target if target.ndim == 2 else np.r_[np.c_[poses[tip][:3, :3], target], [[0, 0, 0, 1]]]
         return poses
@@ -178,7 +173,7 @@ class Session:
         from ...solvers.closed_form import fits
 
         closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
-        rows = (row for row in list_rows() if not (self.robot.by_tip and row.one_tip))
+        rows = (row for row in list_rows() if not (len(self.robot.tips) > 1 and row.one_tip))
         return ["auto", *(row.name for row in rows if not row.closed or row.name in closed)]
 
     def fields(self) -> dict[str, Any]:
@@ -203,7 +198,7 @@ class Session:
     def solve(self, target: Any) -> Result:
         """Solve from q with history and move to the result, or to the closest pose. Raises what `ik.solve` raises."""
         self.target, self.followed, rule = _copy(target), None, self.rule()
-        how = self.solver, *(T.ndim for T in (self.target.values() if self.robot.by_tip else [self.target]))
+        how = self.solver, *(T.ndim for T in self.robot.each_tip(self.target).values())
         for _ in range(1 if how in self.warm else 2):  # The first call loads or compiles and would distort the time.
             result = solve(self.robot, self.target, rule, q0=self.q, history=True, **self.options())
         self.warm.add(how)
@@ -226,7 +221,7 @@ class Session:
 
     def follow(self, target: Any) -> Followed:
         """Step towards a dragged target, as far as the arm gets in one second. Raises what `Tracker` raises."""
-        if self.robot.by_tip and not target:
+        if not len(target):
             raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
         self.target, self.result = _copy(target), None
         if self._hand is None or self._hand.options != self.options():
@@ -240,7 +235,7 @@ class Session:
 
     def prepare(self) -> None:
         """Load or compile what `follow` needs, without moving."""
-        prepare(self.robot, self.q, self.joined(self.poses()))
+        prepare(self.robot, self.q, self.robot.for_tips(self.poses()))
 
     def solve_all(self, target: Any) -> tuple[str, str]:
         """Find solutions (at most 16 are kept); return their number in words, and details. Raises what `ik.solve_all` does."""
@@ -315,7 +310,7 @@ class Session:
         if r is None:
             return []
         errors = [("position error", length(r.position_error)), ("orientation error", _angle(r.orientation_error))]
-        if self.robot.by_tip:
+        if len(self.robot.tips) > 1:
             errors = []
             for tip, position in r.position_errors.items():
                 left = f"{length(position)}, {_angle(r.orientation_errors[tip])}"
@@ -329,7 +324,7 @@ class Session:
 
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
         """Return caption, header and rows of the D-H table or, without one, of the joint axes at home in base axes."""
-        if self.entry.dh_file is not None and not self.robot.by_tip and self.entry.tips == self.robot.tips:
+        if self.entry.dh_file is not None and self.entry.tips == self.robot.tips:
             from ...robot.formats.dh import read_dh_table
 
             table = read_dh_table(self.entry.dh_file)
@@ -367,7 +362,7 @@ class Session:
         return {
             "robot": self.source,
             "base": self.robot.base,
-            **({"tips": each} if self.robot.by_tip else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
+            **({"tips": each} if len(each) > 1 else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
             "joint_names": list(self.robot.joint_names),
             "q": self.q.tolist(),
             "target": plain(self.target),

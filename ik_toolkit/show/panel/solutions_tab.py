@@ -23,7 +23,7 @@ POINT = (
 CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()==='{GO}').click()"
 
 
-class Found:
+class SolutionsTab:
     """The solutions found, with their controls."""
 
     def __init__(

@@ -9,14 +9,14 @@ from ...style import MUTED
 from .session import KINDS, Session
 
 
-def sentence(text: str) -> str:
+def as_sentence(text: str) -> str:
     """Return a text with a capital letter and a full stop."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
 def note_html(text: str) -> str:
     """Write a sentence in small print, or nothing if it is empty."""
-    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(sentence(text))}</p>' if text else ""
+    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(as_sentence(text))}</p>' if text else ""
 
 
 def table_html(rows: Any, head: Any = None) -> str:
@@ -40,6 +40,6 @@ def pose_html(T: np.ndarray, s: Session, tip: str) -> str:
         (f"rpy [{'deg' if s.degrees else 'rad'}]", s.words(T, KINDS[0])[1]),
         ("quaternion xyzw", s.words(T, "quaternion")[1]),
     ]
-    name = html.escape(tip) if s.robot.by_tip else "the tip"
+    name = html.escape(tip) if len(s.robot.tips) > 1 else "the tip"
     head = f'<div style="padding:6px 12px 0;font-size:12px;font-weight:600">Pose of {name}, T_base_tip</div>'
     return head + table_html(matrix).replace(f"color:{MUTED}", "") + table_html(lines)

@@ -18,7 +18,7 @@ class Goal:
         T = session.goals()[tip]
         xyz, rotation = session.words(T, kind)
         self.xyz = gui.add_text("x y z [m]", xyz, visible=self._placed)
-        kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
+        kinds = (*KINDS, NONE) if len(session.robot.tips) > 1 else KINDS
         orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
         listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")

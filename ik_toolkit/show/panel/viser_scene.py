@@ -246,7 +246,7 @@ class Stage:
         return FREE if self.widest < NARROW else 1.0
 
     def _look(self, camera: Any, box: np.ndarray, view: np.ndarray) -> None:
-        eye, to = look(box, view, camera.image_width / max(camera.image_height, 1), self._free())
+        eye, to = camera_for(box, view, camera.image_width / max(camera.image_height, 1), self._free())
         camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
 
 
@@ -260,7 +260,7 @@ def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
     return np.linalg.inv(T_world_base) @ T
 
 
-def look(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
+def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
     """Return where a camera must be, and the point (3,) [m] it must look at, to see a box (2, 3) as large as fits.
 
     `view` (3,) is the direction in which it looks, not straight up or down; `aspect` is width over height of the

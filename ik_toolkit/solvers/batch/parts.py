@@ -17,7 +17,7 @@ from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ...kernel.limits import LARGEST
 from ...kernel.records import ANSWER, AT
 from ...kernel.simd_search import LEFT
-from ..outcome import Outcome
+from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import confirmed, mark_open
 from ..task import counts_in_part
@@ -52,7 +52,7 @@ def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
     """Return the loop that solves eight targets side by side (kernel.lanes) if the rule has one and the options allow it."""
     o = plan.options
     plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
-    plain = plain and not (o.closest or o.follow) and not plan.robot.by_tip
+    plain = plain and not (o.closest or o.follow)
     compiled = not config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return plan.rule.lanes() if compiled and plain and plan.robot.chain.plain else None
 
@@ -94,7 +94,7 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
     if plan.improving:
         for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
             one = part.rows(slice(k, k + 1))
-            outcome = Outcome(plan, one.T, kinds, one.start, given, out[k].copy(), 0.0)
+            outcome = SolveRecord(plan, one.T, kinds, one.start, given, out[k].copy(), 0.0)
             for step in plan.improving:
                 outcome = step(outcome)
             out[k] = outcome.row

@@ -8,7 +8,7 @@ from ...errors import IKError, Portable
 from ...kernel.records import ANSWER, AT, MISS
 from ...readonly import ReadOnly
 from ..collision_free import collision_model
-from ..outcome import SPOKEN, Outcome
+from ..outcome import SPOKEN, SolveRecord
 from ..plan import Plan
 from ..result import Result
 from ..status import Status, count_statuses
@@ -83,7 +83,7 @@ class BatchResult(ReadOnly):
             # There is no pair if the colliding obstacle has been moved away since.
             touching = next(iter(model.collisions(self.q[k])), None)
         nothing = np.empty(0)  # A batch keeps neither targets nor starts.
-        return Result(Outcome(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
+        return Result(SolveRecord(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
 
     @property
     def position_only(self) -> bool:

@@ -19,7 +19,7 @@ class Block(NamedTuple):
     """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None if it is free."""
 
     parts: tuple[np.ndarray | None, ...]
-    by_tip: bool
+    pose_shape: tuple[int, ...]  # of all tips, as the kernel takes it
 
     @property
     def kinds(self) -> tuple:
@@ -45,7 +45,7 @@ class Block(NamedTuple):
             else:
                 T[:, f] = part[a:b]
                 _straighten(T[:, f])
-        return T if self.by_tip else T[:, 0]
+        return T.reshape(-1, *self.pose_shape)
 
 
 def _straighten(T: np.ndarray) -> None:
@@ -112,7 +112,7 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
     kinds = None
     for chunk in chunks:
         if isinstance(chunk, Mapping):
-            block = _by_tip(chunk, robot)
+            block = _named_tips(chunk, robot)
         else:
             array = _numbers(chunk)
             if array.size == 0 and array.ndim < 2:
@@ -129,16 +129,16 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
     if not robot.by_tip:
         if array.shape[1:] not in SHAPES:
             raise InvalidTarget(f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
-        return Block((array,), False)
+        return Block((array,), robot.pose_shape)
     if array.shape[1:] not in ((F, 4, 4), (F, 3)):
         raise InvalidTarget(
             f"targets of {', '.join(tips)} must be numbers of shape (N, {F}, 4, 4) or (N, {F}, 3), or a dict by tip, not of "
             f"shape {array.shape}"
         )
-    return Block(tuple(array[:, f] for f in range(F)), True)
+    return Block(tuple(array[:, f] for f in range(F)), robot.pose_shape)
 
 
-def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
+def _named_tips(chunk: Mapping[str, Any], robot: Any) -> Block:
     tips = robot.tips
     robot.check_tips(chunk)
     parts = tuple(None if chunk.get(tip) is None else _named(tip, _numbers, chunk[tip]) for tip in tips)
@@ -152,7 +152,7 @@ def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
     if len({len(part) for part in parts if part is not None}) > 1:
         counts = ", ".join(f"{tip} {len(part)}" for tip, part in zip(tips, parts, strict=True) if part is not None)
         raise InvalidTarget(f"every tip needs the same number of targets, not {counts}")
-    return Block(parts, robot.by_tip)
+    return Block(parts, robot.pose_shape)
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:

@@ -15,11 +15,11 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
     The chain's geometry decides; the answer is kept with the robot, so asking again costs a look-up.
     """
     if "closed forms" not in robot.memo:
-        robot.memo["closed forms"] = {} if robot.by_tip else _recognise(robot.chain)  # Closed forms are for one tip.
+        robot.memo["closed forms"] = _recognise(robot.chain) if len(robot.tips) == 1 else {}  # Closed forms are for one tip.
     return robot.memo["closed forms"].get(kind)
 
 
-def describe(robot: Any) -> str:
+def describe_fit(robot: Any) -> str:
     """Return one sentence on the closed form that fits a robot and how well it fits, or ''."""
     from ...kernel.counted_error import POSE, POSITION
     from .geometry import FIT

@@ -19,7 +19,7 @@ STEPS = 12
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
-def recognise(chain: Chain) -> Fit:
+def recognise_six_axes(chain: Chain) -> Fit:
     """Recognise an arm by its axes at q = 0."""
     if chain.n != N:
         return no_fit(f"it has {chain.n} joints on the path, not 6")
@@ -68,7 +68,7 @@ def joint_values(angles, box, q):
 
 
 @cached
-def every_branch(Q, box, out, broken):
+def eaik_branches(Q, box, out, broken):
     """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with how much each breaks a limit [rad]."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
@@ -83,11 +83,11 @@ class EAIK(NamedTuple):
     analytical inverse kinematics".
     """
 
-    recognise = staticmethod(recognise)
+    recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
         Q = branches(p, T)
         out, broken = np.empty_like(Q), np.empty(len(Q))
-        every_branch(Q, box, out, broken)
+        eaik_branches(Q, box, out, broken)
         return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)

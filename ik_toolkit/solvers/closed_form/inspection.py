@@ -125,7 +125,7 @@ def recognise(chain: Chain) -> Fit:
 
 
 @cached
-def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Find the branch inside the limits nearest Q0, or how far none is; the arguments are those of `kernel.search.entry`."""
     n = seeds.shape[1]
     p = opt[WEIGHTS + n :]
@@ -256,4 +256,4 @@ class Inspection(NamedTuple):
 
     def loop(self, robot: Any) -> Callable:
         """Return the compiled function that solves, called as `kernel.search.entry`."""
-        return solve
+        return solve_inspection

@@ -14,7 +14,7 @@ from .lift_list import feasible_lifts, looks
 from .reach import (
     EDGE,
     ON_AXIS,
-    fill,
+    fill_shoulder_branch,
     forearm,
     inspection_margin,
     inspection_nearest,
@@ -75,7 +75,7 @@ def worked_out(p, T, d, box, head, table):
             for k3 in range(1 if tilt <= ON_AXIS else 2):
                 row = table[count]
                 row[0], row[1], row[2] = k6, k5, k3
-                fill(row[ANGLES:BROKEN], k3, t1, t3, t4, t5, t6, t7)
+                fill_shoulder_branch(row[ANGLES:BROKEN], k3, t1, t3, t4, t5, t6, t7)
                 row[BROKEN] = joint_values(p, row[ANGLES:BROKEN], d, box, row[Q:])[0]
                 count += 1
     return count

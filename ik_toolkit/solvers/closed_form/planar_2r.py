@@ -28,14 +28,14 @@ from .geometry import (
     no_fit,
     read_screws,
 )
-from .planar_arm import ANGLES, L1, L2, NEARLY, every_branch, joint_values, to_plane
+from .planar_arm import ANGLES, L1, L2, NEARLY, joint_values, list_planar, to_plane
 from .polish import polish
 from .reach import planar_branches, planar_margin
 
 STEPS = 8  # Number of Newton steps that finish a branch of an arm whose axes are only nearly parallel.
 
 
-def recognise(chain: Chain) -> Fit:
+def recognise_planar(chain: Chain) -> Fit:
     """Recognise the arm by its joint axes."""
     if chain.n != 2:
         return no_fit(f"it has {chain.n} joints on the path, not 2")
@@ -99,7 +99,7 @@ def nearest_on_limits(p, x, y, box, q, best):
 
 
 @cached
-def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Find the branch inside the limits nearest Q0, or how far none is; the arguments are those of `kernel.search.entry`."""
     n = 2
     p = opt[WEIGHTS + n :]
@@ -155,7 +155,7 @@ class Planar2R(NamedTuple):
     second branch, the signs and the quadrants corrected.
     """
 
-    recognise = staticmethod(recognise)
+    recognise = staticmethod(recognise_planar)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all branches of the point of T (4, 4).
@@ -164,7 +164,7 @@ class Planar2R(NamedTuple):
         has limits, reference and weights (see geometry.copy_limits).
         """
         q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
-        found, folded = every_branch(p, T, box, q, broken, marks)
+        found, folded = list_planar(p, T, box, q, broken, marks)
         nearly = p[NEARLY] > 0.0
         families = ()
         if folded and found and broken[0] == 0.0:
@@ -181,10 +181,10 @@ class Planar2R(NamedTuple):
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
         """Work out the formulas with their numbers for T (4, 4); box (4, n) is as for `every`."""
-        from .planar_2r_steps import derive
+        from .planar_2r_steps import derive_planar
 
-        return derive(robot, p, T, box)
+        return derive_planar(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
         """Return the compiled function that solves, called as `kernel.search.entry`."""
-        return solve
+        return solve_planar

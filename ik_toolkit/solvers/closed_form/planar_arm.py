@@ -37,7 +37,7 @@ def joint_values(p, angles, box, q):
 
 
 @cached
-def every_branch(p, T, box, out, broken, marks):
+def list_planar(p, T, box, out, broken, marks):
     """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with the limit each breaks, marks (2, 3) with their signs.
 
     Returns the number of branches, and whether the links fold back onto the base, which leaves the first angle free.

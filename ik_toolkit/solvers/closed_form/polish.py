@@ -91,7 +91,7 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 
 
 @cached
-def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
+def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
     """Fill table (K, 3 + n) and signs (K, 3) with the branches of Q (K, n) that count, nearest to `start` (n,) first.
 
     They break no limit (broken (K,)) and, after `polish` with `steps`, meet the tolerances of T (4, 4) as evaluated.
@@ -147,7 +147,7 @@ def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
 
 
 @cached
-def finished(rows, ends, opt, T, Q, steps, errors):
+def polish_rows(rows, ends, opt, T, Q, steps, errors):
     """Polish Q (K, n) for T (4, 4) in place; errors (K, 2) receives both errors [m], [rad] of each."""
     for k in range(Q.shape[0]):
         errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps, np.inf)

@@ -170,7 +170,7 @@ def shoulder(P, c5, s5, phi, given, t1):
 
 
 @shared
-def fill(row, k3, t1, t3, t4, t5, t6, t7):
+def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
     """Fill row (6,) with the angles of shoulder branch k3 (0 or 1)."""
     row[0] = wrap(t1 + k3 * math.pi)
     row[1] = t3 * (1.0 - 2.0 * k3)
@@ -195,7 +195,7 @@ def inspection_branches(P, d, a4, a6, near, sols):
             c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k6, k5)
             tilt, t1, t3, t4 = shoulder(P, c, s5, t6 + t7, False, near[0])
             for k3 in range(1 if tilt <= ON_AXIS else 2):
-                fill(sols[count], k3, t1, t3, t4, t5, t6, t7)
+                fill_shoulder_branch(sols[count], k3, t1, t3, t4, t5, t6, t7)
                 count += 1
     return count
 
@@ -206,7 +206,7 @@ def inspection_branch(P, d, a4, a6, near, k, row):
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k // 4, k // 2 % 2)
     tilt, t1, t3, t4 = shoulder(P, c, s5, t6 + t7, False, near[0])
-    fill(row, k % 2, t1, t3, t4, t5, t6, t7)
+    fill_shoulder_branch(row, k % 2, t1, t3, t4, t5, t6, t7)
 
 
 @shared
@@ -231,7 +231,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
     n5 = 1.0 / math.hypot(z, reach)
     t6 = math.atan2(s6, c6)
     tilt, t1, t3, t4 = shoulder(P, reach * n5, z * n5, phi, True, near[0])
-    fill(row, 0, t1, t3, t4, math.atan2(z, reach), t6, phi - t6)
+    fill_shoulder_branch(row, 0, t1, t3, t4, math.atan2(z, reach), t6, phi - t6)
     return d, miss
 
 

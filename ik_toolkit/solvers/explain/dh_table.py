@@ -10,7 +10,7 @@ from ...errors import IKError
 from ...robot.formats.dh import DHRow, DHTable, dh_fk, read_dh_table
 from ...robot.library import shipped_robots
 from ..closed_form.geometry import across, angle_about, read_screws
-from .layout import Block, Sentence, Table, Variable, decimals, number
+from .layout import Block, Sentence, Table, Variable, decimals, digits
 
 # Axes are parallel if the sine between them is below 1e-7, and meet if they are nearer than 1e-7 of the reach.
 SAME = 1e-7
@@ -51,9 +51,9 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
     for row, x in zip(table.rows, q, strict=True):
         slides = row.type == "prismatic"
         theta, d = row.theta + (0.0 if slides else x), row.d + (x if slides else 0.0)
-        cells = [number(theta, "rad", 0), number(d, "m", places)]
+        cells = [digits(theta, "rad", 0), digits(d, "m", places)]
         cells[slides] = Variable(cells[slides])
-        cells += [number(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
+        cells += [digits(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
         rows.append((row.name, *cells))
     yield Table(("joint", "theta", "d", "a", "alpha"), rows)
     frames = [

@@ -9,7 +9,7 @@ from ...errors import InvalidTarget, MissingExtra
 from ...kernel.counted_error import FREE, POSE, POSITION
 from ...kernel.records import AT, WEIGHTS
 from ..closed_form import fits
-from ..outcome import Outcome
+from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import record
 from ..protocol import Asked, refusal
@@ -26,7 +26,7 @@ NEARLY = 1e-3
 SAME = 1e-6
 
 
-def explain(result: Any) -> Explanation:
+def explain_result(result: Any) -> Explanation:
     """Explain a result.
 
     Raises InvalidTarget for one that keeps no target (a row of a batch), MissingExtra if sympy is not installed.
@@ -51,10 +51,9 @@ def explain(result: Any) -> Explanation:
         iterations = _iterations(of if not plan.row.closed else _search(of), type(result))
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))
-    each = of.T[0] if robot.by_tip else of.T
     targets = {
         tip: T if kind == POSE else T[:3, 3]
-        for tip, T, kind in zip(robot.tips, each, of.kinds, strict=True)
+        for tip, T, kind in zip(robot.tips, of.T.reshape(-1, 4, 4), of.kinds, strict=True)
         if kind != FREE
     }
     tables = {arm.tip: dh_of(arm) for arm in robot.arms}
@@ -64,12 +63,12 @@ def explain(result: Any) -> Explanation:
     )
 
 
-def _form_of(of: Outcome) -> tuple[Plan | None, str]:
+def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
     """Return the closed form to show, as a plan: the one that solved, or one that fits; or None, and why there is none."""
     plan, robot = of.plan, of.plan.robot
     if plan.row.closed:
         return plan, ""
-    if robot.by_tip:
+    if len(robot.tips) > 1:
         return None, "Closed forms are for one tip; several tips are solved together by iteration."
     if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (POSE, POSITION):
         return (
@@ -86,7 +85,7 @@ def _form_of(of: Outcome) -> tuple[Plan | None, str]:
     return Plan(robot, row, row.load()(), plan.options), ""
 
 
-def _derived(form: Plan, of: Outcome, q: np.ndarray) -> WorkedSolution:
+def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
     """Work out the closed form for the target; free joints stay as they are at the answer q (n,)."""
     robot = form.robot
     free = np.full(robot.n, np.inf)
@@ -108,12 +107,12 @@ def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | N
     return best if far and far[best] < SAME else None
 
 
-def _search(of: Outcome) -> Outcome:
+def _search(of: SolveRecord) -> SolveRecord:
     """Run the search that answered after a closed form."""
     return _run(of, of.plan.search())
 
 
-def _beside(of: Outcome, name: str) -> Outcome:
+def _beside(of: SolveRecord, name: str) -> SolveRecord:
     """Run another solver on the same target, from the same start, in one attempt.
 
     If that solver does not take the task, the general one runs.
@@ -129,12 +128,12 @@ def _beside(of: Outcome, name: str) -> Outcome:
     return made
 
 
-def _run(of: Outcome, plan: Plan) -> Outcome:
+def _run(of: SolveRecord, plan: Plan) -> SolveRecord:
     row = plan.solve(of.T, of.kinds, of.start, of.given)
     return of._replace(plan=plan, row=row, notice="", errors=None, history=None)
 
 
-def _iterations(of: Outcome, read: Any) -> Iterations:
+def _iterations(of: SolveRecord, read: Any) -> Iterations:
     """Return the attempt that counts, evaluation by evaluation."""
     made = of if of.history is not None else record(of)
     history, result = made.history, read(made)

@@ -17,11 +17,11 @@ from .layout import (
     Sentence,
     Table,
     Title,
+    blocks_to_text,
     decimals,
-    number,
+    digits,
     to_html,
     to_markdown,
-    to_text,
     unit_of,
 )
 from .worked_solution import Branch, WorkedSolution
@@ -127,10 +127,10 @@ class Explanation:
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])
 
         def said(spans: Sequence[tuple[float, float]]) -> str:
-            ends = [(number(a, unit, self.places), number(b, unit, self.places)) for a, b in spans]
+            ends = [(digits(a, unit, self.places), digits(b, unit, self.places)) for a, b in spans]
             return " and ".join(f"{a} to {b}" for a, b in ends) + f" {UNITS[unit]}"
 
-        here = f"The joint {name} is free; here it is {number(self.q[free.joint], unit, self.places)} {UNITS[unit]}."
+        here = f"The joint {name} is free; here it is {digits(self.q[free.joint], unit, self.places)} {UNITS[unit]}."
         if not free.every:
             return f"{here} No value of it reaches the pose."
         if free.inside == free.every:
@@ -153,7 +153,7 @@ class Explanation:
         yield Table(("", "branch", ""), rows)
         rows = []
         for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
-            texts = [number(branch.q[i], unit_of(kind), self.places) for branch in branches]
+            texts = [digits(branch.q[i], unit_of(kind), self.places) for branch in branches]
             bad = [name in branch.outside for branch in branches]
             rows.append((name, *(OutsideLimits(x) if y else x for x, y in zip(texts, bad, strict=True))))
         rows.append(("FK error", *(f"{1000.0 * position:.0e}" for position, _ in self.errors)))
@@ -177,7 +177,7 @@ class Explanation:
         for k in range(len(i.position)):
             cells = [str(k), f"{1000.0 * i.position[k]:.3e}"]
             cells += [f"{math.degrees(i.orientation[k]):.3e}"] if turned else []
-            rows.append((*cells, *(number(i.q[k, j], units[j], self.places) for j in joints)))
+            rows.append((*cells, *(digits(i.q[k, j], units[j], self.places) for j in joints)))
         if len(rows) > 14:  # Of a long run, the first ten and the last four are shown.
             rows[10:-4] = [("...", *[""] * (len(head) - 1))]
         yield Table(head, rows)
@@ -187,7 +187,7 @@ class Explanation:
     # ------------------------------------------------------------------------------------------------------------ written
     def __str__(self) -> str:
         """Return the explanation as plain text, 80 columns wide."""
-        return to_text(self.blocks())
+        return blocks_to_text(self.blocks())
 
     def __repr__(self) -> str:
         """Describe the explanation in one line."""
@@ -240,7 +240,7 @@ class Explanation:
 def target_table(T: np.ndarray, places: int) -> Table:
     """Show a target as the columns n, o, a and p of its pose, or p alone if its rotation does not count."""
     shown = zip("xyz", T.reshape(3, -1) if T.ndim == 1 else T[:3], strict=True)
-    rows = [(axis, *(number(x, "", 0) for x in row[:-1]), number(row[-1], "m", places)) for axis, row in shown]
+    rows = [(axis, *(digits(x, "", 0) for x in row[:-1]), digits(row[-1], "m", places)) for axis, row in shown]
     return Table(("", "p") if T.ndim == 1 else ("", "n", "o", "a", "p"), rows)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from ...style import BAD, MUTED
-from .worked_solution import Step
+from .worked_solution import WorkedStep
 
 WIDTH = 80  # The text has this many columns.
 UNITS = {"m": "mm", "rad": "deg", "": ""}  # Values [m, rad or 1] are shown in these units.
@@ -41,8 +41,8 @@ class Table(NamedTuple):
 class Equations(NamedTuple):
     """Steps of a calculation, which may use the numbers of the steps `before`; places is the decimals of a millimetre."""
 
-    steps: tuple[Step, ...]
-    before: tuple[Step, ...]
+    steps: tuple[WorkedStep, ...]
+    before: tuple[WorkedStep, ...]
     places: int
 
 
@@ -61,15 +61,14 @@ def unit_of(kind: str) -> str:
     return "m" if kind == "prismatic" else "rad"
 
 
-def number(value: float, unit: str, places: int) -> str:
+def digits(value: float, unit: str, places: int) -> str:
     """Write the digits of a value: millimetres with `places` decimals for 'm', degrees for 'rad', otherwise the value."""
-    digits = {"m": places, "rad": 4}.get(unit, 6)
-    text = f"{SCALES[unit] * value:.{digits}f}"
+    text = f"{SCALES[unit] * value:.{ {'m': places, 'rad': 4}.get(unit, 6) }f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 # --------------------------------------------------------------------------------------------------------------- equations
-def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]]:
+def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
     """Yield equations that belong together, each as its sides in a form of `expression.written`, with their first step.
 
     A formula is alone: symbol, formula, formula with numbers, value with unit. Given numbers without words join those
@@ -79,7 +78,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]
     from .expression import quantity, with_numbers, written
 
     texts = {
-        step.name: number(step.value, step.unit, block.places) + " deg" * (step.unit == "rad")
+        step.name: digits(step.value, step.unit, block.places) + " deg" * (step.unit == "rad")
         for step in (*block.before, *block.steps)
     }
     group: list[list[str]] = []
@@ -103,7 +102,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]
 
 
 # -------------------------------------------------------------------------------------------------------------- plain text
-def to_text(blocks: Iterable[Block]) -> str:
+def blocks_to_text(blocks: Iterable[Block]) -> str:
     """Write parts as plain text, 80 columns wide."""
     lines: list[str] = []
     for block in blocks:
@@ -238,7 +237,7 @@ def _html_cell(text: str, column: int) -> str:
     return f'<td style="{style}">{html.escape(text)}</td>'
 
 
-def _html_lines(step: Step, group: list[list[str]]) -> str:
+def _html_lines(step: WorkedStep, group: list[list[str]]) -> str:
     """Write given numbers on one line; write a formula, the formula with numbers, and its value on a line each."""
     from .expression import BREAK
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Step(NamedTuple):
+class WorkedStep(NamedTuple):
     """One line of a calculation.
 
     `symbol` is the SymPy symbol that gets a value; `formula` a SymPy expression in the symbols of earlier steps, or
@@ -36,7 +36,7 @@ class Branch(NamedTuple):
     label: str
     q: np.ndarray
     outside: tuple[str, ...] = ()
-    steps: tuple[Step, ...] = ()
+    steps: tuple[WorkedStep, ...] = ()
 
 
 class Free(NamedTuple):
@@ -60,14 +60,14 @@ class WorkedSolution(NamedTuple):
     be chosen, or None; `beside` is the name of an iterative solver to compare with, or ''.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[WorkedStep, ...]
     branches: tuple[Branch, ...]
     legend: str = ""
     words: str = ""
     free: Free | None = None
     beside: str = ""
 
-    def steps_of(self, branch: Branch) -> tuple[Step, ...]:
+    def steps_of(self, branch: Branch) -> tuple[WorkedStep, ...]:
         """Return every step that leads to a branch, from the given numbers to its joint values."""
         return (*self.steps, *branch.steps)
 

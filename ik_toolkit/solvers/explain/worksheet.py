@@ -7,16 +7,16 @@ from typing import Any
 
 from sympy import Expr, Matrix, Symbol, lambdify, pi
 
-from .worked_solution import Step
+from .worked_solution import WorkedStep
 
 
 class Worksheet:
     """Steps in the order in which they are computed; each call adds one and returns its symbol for the formulas that follow."""
 
-    def __init__(self, before: Sequence[Step] = ()) -> None:
+    def __init__(self, before: Sequence[WorkedStep] = ()) -> None:
         """Start an empty sheet, whose formulas may use the symbols of the steps `before`."""
         self.values: dict[Any, float] = {step.symbol: step.value for step in before}
-        self.steps: list[Step] = []
+        self.steps: list[WorkedStep] = []
 
     def given(self, name: str, value: float, unit: str = "", words: str = "") -> Any:
         """Add a number [m, rad or 1] that no formula gives."""
@@ -58,7 +58,7 @@ class Worksheet:
     def _add(self, name: str, formula: Any, value: float, unit: str, words: str) -> Any:
         symbol = Symbol(name, real=True)
         self.values[symbol] = value
-        self.steps.append(Step(symbol, formula, value, unit, words))
+        self.steps.append(WorkedStep(symbol, formula, value, unit, words))
         return symbol
 
 

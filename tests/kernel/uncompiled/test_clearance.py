@@ -89,8 +89,8 @@ def test_ways_bend_by_the_second_order():
         for e in range(5)
         if moved[e]
     )
-    assert clearance.bend(turn, lever, moved, length) == pytest.approx(want)
-    assert clearance.bend(turn, lever, ~moved, length) < want + 9.0
+    assert clearance.second_order_motion(turn, lever, moved, length) == pytest.approx(want)
+    assert clearance.second_order_motion(turn, lever, ~moved, length) < want + 9.0
 
 
 def straight(speed, pieces, h, n=1):
