@@ -48,6 +48,4 @@ class SolveRecord(NamedTuple):
 
 
 # Making an outcome from all its fields with make_outcome is 0.2 microseconds faster than with Outcome(...).
-make_outcome = partial(
-    tuple.__new__, SolveRecord
-)
+make_outcome = partial(tuple.__new__, SolveRecord)

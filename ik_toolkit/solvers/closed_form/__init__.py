@@ -15,7 +15,9 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
     The chain's geometry decides; the answer is kept with the robot, so asking again costs a look-up.
     """
     if "closed forms" not in robot.memo:
-        robot.memo["closed forms"] = _recognise(robot.chain) if len(robot.tips) == 1 else {}  # Closed forms are for one tip.
+        robot.memo["closed forms"] = (
+            _recognise(robot.chain) if len(robot.tips) == 1 else {}
+        )  # Closed forms are for one tip.
     return robot.memo["closed forms"].get(kind)
 
 
