@@ -21,7 +21,6 @@ FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/null_space.py
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
 OTHERWISE = {  # names from other packages that mean something else here
-    "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"

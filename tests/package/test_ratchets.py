@@ -7,14 +7,14 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files": 284,
+    "files": 279,
     "public names defined in two files or more": 101,
     "file names used twice": 4,
     "functions of more than 9 parameters": 62,
     "constants of the most laden file of kernel and servo": 27,
-    "constants of modules": 1197,
-    "uses of by_tip": 105,
-    "imports for types alone": 16,
+    "constants of modules": 1190,
+    "uses of by_tip": 88,
+    "imports for types alone": 6,
     "files under 120 lines that one other imports": 12,
 }
 SHORT = 120  # lines: a file that only one other imports belongs into it below this length
