@@ -33,58 +33,56 @@ def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
     return columns | {name: rest[name] for name in rest if name not in ("q", "status", "success")}
 
 
-class CsvWriter:
-    """Appends parts to a CSV file, numbers written so that they read back the same."""
+class Writer:
+    """What writes the parts of a batch to `file`; joints are called `names`."""
 
     def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
-        """Write to `file`, joints called `names`."""
+        """Nothing is written yet."""
         self.file, self.names = file, names
-        self.started = False
+        self.table: Any = None  # from the first part on, where a file has one
+
+    def close(self) -> None:
+        """Write what is still missing: nothing."""
+
+
+class CsvWriter(Writer):
+    """Appends parts to a CSV file, numbers written so that they read back the same."""
 
     def add(self, part: BatchResult) -> None:
         """Append a part, whole or not at all."""
         columns = _columns(part, self.names)
         lines = io.StringIO()
         writer = csv.writer(lines)
-        if not self.started:
+        if self.table is None:
             writer.writerow(map(inert, columns))
-        self.started = True
+        self.table = writer
         writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
         self.file.write(lines.getvalue())
 
-    def close(self) -> None:
-        """A CSV file needs no ending."""
 
-
-class NpzWriter:
-    """Writes the one part of a batch that is in memory."""
-
-    def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
-        """Write to `file`, joints called `names`."""
-        self.file, self.names = file, names
+class NpzWriter(Writer):
+    """Writes the one part of a batch that is in memory, and of several tips their names in order."""
 
     def add(self, part: BatchResult) -> None:
-        """Write the arrays, and of several tips their names in order."""
+        """Write the arrays."""
         robot = part.plan.robot
         tips: dict[str, Any] = {"tips": np.array(robot.tips)} if robot.by_tip else {}
         np.savez(self.file.stream, **part.to_dict(), joint_names=np.array(self.names), **tips)
         self.file.mark()
 
-    def close(self) -> None:
-        """Nothing is missing."""
 
-
-class ParquetWriter:
+class ParquetWriter(Writer):
     """Appends parts to a Parquet file as row groups."""
 
     def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
-        """Write to `file`, joints called `names`. Raises InvalidOption without pyarrow."""
+        """Write to `file`. Raises InvalidOption without pyarrow."""
+        super().__init__(file, names)
         try:
             import pyarrow  # pyright: ignore[reportMissingImports]
             import pyarrow.parquet  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise InvalidOption("a .parquet file needs pyarrow, which is not installed; use .csv or .npz") from None
-        self.arrow, self.file, self.names, self.table = pyarrow, file, names, None
+        self.arrow = pyarrow
 
     def add(self, part: BatchResult) -> None:
         """Append a part."""

@@ -71,7 +71,7 @@ def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
     """
 
     def make(cls: Any) -> Any:
-        made = dataclass(frozen=True, kw_only=True)(cls)
+        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # what is not made here costs no time
         for one in _declared(made):
             info = one.metadata["info"]
             info.rich_help_panel = info.rich_help_panel or panel or "Options"

@@ -83,8 +83,7 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
         names = ("base", "lock", "package_dir", "xacro_arg", "srdf", "group")
         read = {f"--{name.replace('_', '-')}": getattr(robot, name) for name in names}
         _alone("--follow", {"--page": shown.page} | read | others)
-        from ..show.panel.follower import Follower
-        from ..show.panel.panel import Panel
+        from ..show.panel.panel import Follower, Panel
 
         served = Panel(robot.robot, robot.tip, port=shown.port, desk=Follower)
         wait(f"the robot is at {served.url}", served.url, shown.browse)

@@ -10,15 +10,15 @@ from ..errors import InvalidConfiguration
 from ..files import without_mark
 from ..robot.joints import Joints
 from ..robot.pose_files import check_arrays, read_json
-from .body import Shape, need_trimesh, smooth
+from .body import Shape, primitive
 
 OBSTACLE = (0.55, 0.58, 0.62)
-SLATE = (0.30, 0.34, 0.40)  # colour of the poses, as in the other scenes
+SLATE = (0.30, 0.34, 0.40)  # colour of poses and of where a motion starts
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
     (0.99, 0.75, 0.16),
 )  # fmt: skip
-MAX_FRAMES = 400  # per animation; a longer motion is thinned out
+MAX_FRAMES = 400  # per animation; a longer motion or run is thinned out
 SECONDS = 12.0  # duration of the animation of a motion without times
 
 
@@ -113,16 +113,9 @@ def _much(value: float, unit: str) -> str:
 # ------------------------------------------------------------------------------------------------------------- the scene
 def draw_obstacles(scene: Any, model: Any) -> None:
     """Draw the boxes, spheres, cylinders and capsules of a CollisionModel."""
-    trimesh = need_trimesh()
-    make = {
-        "box": lambda x, y, z: trimesh.creation.box((x, y, z)),
-        "sphere": lambda radius: trimesh.creation.uv_sphere(radius, count=(24, 24)),
-        "capsule": lambda radius, length: trimesh.creation.capsule(length, radius),
-        "cylinder": lambda radius, length: trimesh.creation.cylinder(radius, length, sections=40),
-    }
     for name, shape, T in model.placed():
-        if shape.kind in make:
-            scene.window.shape(f"obstacle/{name}", Shape(*smooth(make[shape.kind](*shape.sizes), 1.0), OBSTACLE, 0.75))
+        if shape.kind != "mesh":
+            scene.window.shape(f"obstacle/{name}", Shape(*primitive(shape.kind, shape.sizes), OBSTACLE, 0.75))
             scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
             corner = (scene.body.T_world_base @ T)[:3, 3]
             scene._corners.append(np.array([corner, corner]))

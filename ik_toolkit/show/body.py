@@ -5,6 +5,7 @@ be drawn are reported; a robot without any drawable part becomes a stick figure,
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -134,7 +135,6 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
 
 def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
     """Triangles of a link's shape, one Shape per material; () if none are left."""
-    creation = need_trimesh().creation
     *rgb, opacity = shape.color or (*GREY, 1.0)
     color = (rgb[0], rgb[1], rgb[2])
     if shape.kind == "mesh":
@@ -148,18 +148,24 @@ def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
             )
             for vertices, faces, c in _smoothed(shape.mesh)
         )
-    scale = np.array(shape.sizes) if shape.kind == "box" else np.full(3, shape.sizes[0])
-    if shape.kind == "box":
+    return (Shape(*primitive(shape.kind, shape.sizes), color, opacity),)
+
+
+def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
+    creation = need_trimesh().creation
+    scale = np.array(sizes) if kind == "box" else np.full(3, sizes[0])
+    if kind == "box":
         mesh = creation.box(extents=(1.0, 1.0, 1.0))
-    elif shape.kind == "sphere":
+    elif kind == "sphere":
         mesh = creation.uv_sphere(radius=1.0, count=(24, 24))
-    elif shape.kind == "cylinder":
+    elif kind == "cylinder":
         mesh = creation.cylinder(radius=1.0, height=1.0, sections=48)
-        scale[2] = shape.sizes[1]
+        scale[2] = sizes[1]
     else:
-        mesh = creation.capsule(height=shape.sizes[1] / shape.sizes[0], radius=1.0, count=(24, 24))
+        mesh = creation.capsule(height=sizes[1] / sizes[0], radius=1.0, count=(24, 24))
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return (Shape(*smooth(mesh, scale), color, opacity),)
+    return smooth(mesh, scale)
 
 
 @functools.lru_cache(256)

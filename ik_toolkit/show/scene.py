@@ -12,19 +12,18 @@ from ..copying import Unique
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
-from .animation import animate, motion_of
-from .attempts import iterates
+from .animation import MAX_FRAMES, SLATE, animate, motion_of
 from .body import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
 from .meshcat_server import Window, write_page
+from .plots import iterates
 
 # Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
-YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
+YELLOW, SKY, RED = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15)
 TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # of several tips
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
 FAR = 3.0  # extents; a target farther away is drawn but does not shrink the picture
-MAX_FRAMES = 400  # per animation; a longer run is thinned out
 BETWEEN = 6  # frames between two iterates, so that the eye can follow
 MAX_GHOSTS = 12
 

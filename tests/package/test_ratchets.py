@@ -7,15 +7,15 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files": 279,
+    "files": 274,
     "public names defined in two files or more": 101,
     "file names used twice": 4,
     "functions of more than 9 parameters": 62,
     "constants of the most laden file of kernel and servo": 27,
-    "constants of modules": 1190,
+    "constants of modules": 1187,
     "uses of by_tip": 88,
     "imports for types alone": 6,
-    "files under 120 lines that one other imports": 12,
+    "files under 120 lines that one other imports": 9,
 }
 SHORT = 120  # lines: a file that only one other imports belongs into it below this length
 MANY = 9  # parameters

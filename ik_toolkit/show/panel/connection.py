@@ -1,7 +1,8 @@
-"""A visitor of the panel: one thread that runs its requests, newest first, error messages, and camera control."""
+"""A visitor of the panel: one thread that runs its requests, newest first, undo, error messages, and camera control."""
 
 import html
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,8 +11,7 @@ import numpy as np
 from ...errors import IKError
 from ...style import BAD
 from .session import Session
-from .target_widget import Goal
-from .undo import Past
+from .solve_tab import Goal
 
 
 class Worker:
@@ -54,6 +54,32 @@ class Worker:
         with self._wake:
             self.ended = True
             self._wake.notify_all()
+
+
+KEPT = 100  # changes that can be undone
+TOGETHER = 1.0  # [s] changes of one kind within this time are merged: a drag, a slider being moved
+
+
+class Past:
+    """Undo history. Entries are (q (n,), poses (4, 4) of the targets by tip)."""
+
+    def __init__(self) -> None:
+        """Start with an empty history."""
+        self._entries: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
+        self._last = "", 0.0
+
+    def note(self, name: str, q: np.ndarray, targets: dict[str, Any]) -> None:
+        """Record the state before a change of the given kind."""
+        now = time.monotonic()
+        kind, at = self._last
+        self._last = name, now
+        if kind != name or now - at > TOGETHER:
+            self._entries = [*self._entries[1 - KEPT :], (q.copy(), {tip: T.copy() for tip, T in targets.items()})]
+
+    def back(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """Remove and return the state before the last change; None if there is none."""
+        self._last = "", 0.0
+        return self._entries.pop() if self._entries else None
 
 
 PLAIN = "#37424f"

@@ -11,15 +11,12 @@ from ...errors import IKError, InvalidConfiguration
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
 from ..body import Body
-from .chart import Chart
-from .connection import PLAIN, Visit
+from .connection import PLAIN, Past, Visit
 from .learn_tab import Learn
 from .scene_tab import Around, freedom, slide
 from .session import PATIENCE
-from .solutions_tab import Found
+from .solve_tab import Chart, Found, Goal
 from .tables import note_html, pose_html, sentence, table_html
-from .target_widget import Goal
-from .undo import Past
 from .viser_scene import Stage
 
 QUIET = (71, 85, 105)  # colour of secondary buttons
@@ -131,12 +128,16 @@ class Desk(Visit):
             self._on(gui.add_button(text, color=QUIET), name, job)
         self.pose = gui.add_html("")
 
+    def _build_goals(self) -> None:
+        """Controls of each tip's target."""
+        s, self.goals = self.session, []
+        for tip in s.robot.tips:
+            with self.gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
+                self.goals.append(Goal(self.gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+
     def _build_solve(self) -> None:
         s, gui = self.session, self.gui
-        self.goals = []
-        for tip in s.robot.tips:
-            with gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
-                self.goals.append(Goal(gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+        self._build_goals()
         go = gui.add_button("Solve", color="blue")
         self._on(go, "solve", self._solve)
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")

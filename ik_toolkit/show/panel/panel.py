@@ -29,6 +29,27 @@ HEARD = (  # messages accepted from a visitor's page: controls, the target's arr
 )
 
 
+class Follower(Desk):
+    """The page of `ik view --follow`: the targets' fields, the status line and the view, without the other controls."""
+
+    def _build_controls(self) -> None:
+        self.sliders: list[Any] = []
+        self.status = self.gui.add_html("")
+        self._build_goals()
+        home = self.gui.add_button("Reset to home")
+        self._on(home, "joints", self._home)
+        self.outcome = self.gui.add_html("", visible=False)
+        self.pose = self.gui.add_html("")
+
+    def _home(self) -> None:
+        s = self.session
+        s.q, s.followed = s.robot.home.copy(), None
+        self.outcome.visible = False
+        self.show()
+        self._target_to_tip()
+        self.say("at home")
+
+
 class Panel(Unique):
     """The panel's server. url: its address, including the access token; `close()` stops it. Several browsers may be open."""
 
