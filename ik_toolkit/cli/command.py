@@ -117,7 +117,7 @@ def add_commands(app: typer.Typer, module: Any) -> None:
     """Add the commands of a module to a program."""
     for one in vars(module).values():
         if getattr(one, "is_command", False) and one.__module__ == module.__name__:
-            said, _, examples = inspect.getdoc(one).partition("\n\nExamples:\n")  # type: ignore[union-attr]
+            said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")  # -OO leaves out docstrings
             app.command(cls=Command, help=said, epilog=inspect.cleandoc(examples))(one)
 
 
