@@ -101,7 +101,7 @@ def cli_page() -> str:
         usage = "".join(f"{placeholder(p)} " for p in arguments)
         parts.append(f"## ik {name}\n\n```text\nik {name} {usage}[OPTIONS]\n```\n\n{_plain(command.help or '')}")
         rows = []
-        for p in command.params:
+        for p in sorted(command.params, key=lambda one: one not in arguments):
             flag = getattr(p, "is_flag", False)
             shown = placeholder(p) if p in arguments else ""
             if p not in arguments:

@@ -1,4 +1,4 @@
-"""Shows a path or a trajectory in the scene: the robot moves along it, and the path of its tip is coloured by a value."""
+"""A path or a trajectory in the scene: the robot moves along it, the tip path is coloured by a value."""
 
 import csv
 from pathlib import Path
@@ -10,16 +10,16 @@ from ..errors import InvalidConfiguration
 from ..files import without_mark
 from ..robot.joints import Joints
 from ..robot.pose_files import check_arrays, read_json
-from .body import DrawnShape, need_trimesh, split_sharp_edges
+from .body import DrawnShape, primitive
 
 OBSTACLE = (0.55, 0.58, 0.62)
-SLATE = (0.30, 0.34, 0.40)  # Colour of the poses, as in the other scenes.
+SLATE = (0.30, 0.34, 0.40)  # colour of poses and of where a motion starts
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
     (0.99, 0.75, 0.16),
 )  # fmt: skip
-MAX_FRAMES = 400  # Limit on an animation's frames; a longer motion is thinned out.
-SECONDS = 12.0  # Duration [s] of the animation of a motion without times.
+MAX_FRAMES = 400  # per animation; a longer motion or run is thinned out
+SECONDS = 12.0  # duration of the animation of a motion without times
 
 
 class ShownMotion(NamedTuple):
@@ -43,7 +43,7 @@ class ShownMotion(NamedTuple):
 
 
 def of_path(result: Any) -> ShownMotion:
-    """Make the motion of a PathResult, with the bound on its deviation from the poses."""
+    """ShownMotion of a PathResult, with the bound on its deviation from the poses."""
     finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
     deviation = np.append(result.continuity.deviation, np.nan)[finite]
     values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
@@ -58,7 +58,7 @@ def of_path(result: Any) -> ShownMotion:
 
 
 def of_trajectory(trajectory: Any) -> ShownMotion:
-    """Make the motion of a Trajectory, with the speed of its fastest tip."""
+    """ShownMotion of a Trajectory, with the speed of its fastest tip."""
     speeds = []
     for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
         J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
@@ -82,7 +82,7 @@ def of_trajectory(trajectory: Any) -> ShownMotion:
 
 
 def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
-    """Make a motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip.
+    """Read a motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -98,7 +98,7 @@ def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
 
 
 def motion_of(what: Any) -> ShownMotion | None:
-    """Make the motion of a PathResult or a Trajectory; return None for anything else."""
+    """ShownMotion of a PathResult or a Trajectory; None for anything else."""
     if isinstance(what, ShownMotion):
         return what
     if hasattr(what, "curve") and hasattr(what, "continuity"):
@@ -113,18 +113,9 @@ def _much(value: float, unit: str) -> str:
 # ------------------------------------------------------------------------------------------------------------- the scene
 def draw_obstacles(scene: Any, model: Any) -> None:
     """Draw the boxes, spheres, cylinders and capsules of a CollisionModel."""
-    trimesh = need_trimesh()
-    make = {
-        "box": lambda x, y, z: trimesh.creation.box((x, y, z)),
-        "sphere": lambda radius: trimesh.creation.uv_sphere(radius, count=(24, 24)),
-        "capsule": lambda radius, length: trimesh.creation.capsule(length, radius),
-        "cylinder": lambda radius, length: trimesh.creation.cylinder(radius, length, sections=40),
-    }
     for name, shape, T in model.placed():
-        if shape.kind in make:
-            scene.window.shape(
-                f"obstacle/{name}", DrawnShape(*split_sharp_edges(make[shape.kind](*shape.sizes), 1.0), OBSTACLE, 0.75)
-            )
+        if shape.kind != "mesh":
+            scene.window.shape(f"obstacle/{name}", DrawnShape(*primitive(shape.kind, shape.sizes), OBSTACLE, 0.75))
             scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
             corner = (scene.body.T_world_base @ T)[:3, 3]
             scene._corners.append(np.array([corner, corner]))
@@ -164,7 +155,7 @@ def _coloured(
     first[[k + 1 for k in breaks]] = True
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
-        last = stop if stop - 1 in breaks else stop + 1  # A piece ends where the next one starts.
+        last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece
         scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
 
 
@@ -179,7 +170,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         names, values, t = _read(path)
     except InvalidConfiguration:
         raise
-    except Exception as error:  # Damaged files raise many types: zip, zlib, npy, json and csv errors.
+    except Exception as error:  # damaged files raise many types: zip, zlib, npy, json and csv errors
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
     missing = [joint for joint in robot.joint_names if joint not in names]
     if missing:

@@ -1,11 +1,11 @@
-"""Turns the visual shapes of a robot's URDF into coloured triangles, which Pinocchio places.
+"""The look of a robot: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
 
-Meshes go through trimesh, one shape for each material, because viewers that read .dae themselves drop parts of it.
-Parts that cannot be drawn are reported; a robot without any drawable part becomes a stick figure, so that every model
-can be seen.
+Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. Parts that cannot
+be drawn are reported; a robot without any drawable part becomes a stick figure, so that every model can be seen.
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,13 @@ from ..robot.geometry.meshes import Mesh
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
 
-FARTHEST = 1e9  # Links further away [m] are not drawn, because pages compute in 32 bits and multiply lengths.
-THINNEST = 1e-6  # Least radius [m] of a stick.
-MAX_SHAPES = 2_000  # Limit on the shapes of a robot. Robots have up to 150.
-COLORED = (".dae", ".obj", ".glb", ".gltf")  # Formats whose colours are worth showing.
+FARTHEST = 1e9  # [m]; pages compute in 32 bits and multiply lengths
+THINNEST = 1e-6  # [m] least radius of a stick
+MAX_SHAPES = 2_000  # per robot; robots have up to 150
+COLORED = (".dae", ".obj", ".glb", ".gltf")  # formats with colours worth showing
 GREY = (0.70, 0.72, 0.75)
-STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # Colours of stick figures.
-SMOOTH = np.radians(35.0)  # Edges sharper than this stay visible.
+STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # colours of stick figures
+SMOOTH = np.radians(35.0)  # edges sharper than this stay visible
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,8 @@ class BodyPart:
 class Body:
     """The drawn parts of a robot and their placements.
 
-    `parts` is a list of Part, `placements(q)` gives their poses (P, 4, 4) in the model's world. `notice` says what is
-    not drawn and why, or is ''. `T_world_base` (4, 4) is the pose of the base at rest, `floor` the height [m] of the
-    floor, below the robot's lowest part that never moves.
+    parts (list of BodyPart); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
+    why); T_world_base (4, 4) at rest; floor: height [m] of the floor, under the robot's lowest part that never moves.
     """
 
     def __init__(self, robot: Joints) -> None:
@@ -101,7 +100,7 @@ class Body:
                 corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
-        if still and not len(stacked):  # The base has no drawn part, so the model's origin is used.
+        if still and not len(stacked):  # the base has no drawn part: use the model's origin
             stacked = self.T_world_base[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
@@ -126,17 +125,16 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[BodyPart], str]:
     parts, drawn = [], []
     for shape in shapes:
         pieces = _pieces(shape)
-        if sum(len(piece.faces) for piece in pieces):  # A mesh may have only points and lines.
+        if sum(len(piece.faces) for piece in pieces):  # a mesh may have only points and lines
             parts.append(BodyPart(shape.name, pieces))
             drawn.append(shape)
-    # The shapes of the geometry are never used, only their placements.
+    # Only the placements of this geometry are used.
     geometry = geometry_model(robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn))
     return geometry, parts, f"not read: {problems_sentence(problems)}" if problems else ""
 
 
 def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
-    """Return the triangles of a link's shape, one Shape for each material, or () if none are left."""
-    creation = need_trimesh().creation
+    """Triangles of a link's shape, one DrawnShape per material; () if none are left."""
     *rgb, opacity = shape.color or (*GREY, 1.0)
     color = (rgb[0], rgb[1], rgb[2])
     if shape.kind == "mesh":
@@ -150,18 +148,24 @@ def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
             )
             for vertices, faces, c in _smoothed(shape.mesh)
         )
-    scale = np.array(shape.sizes) if shape.kind == "box" else np.full(3, shape.sizes[0])
-    if shape.kind == "box":
+    return (DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity),)
+
+
+def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
+    creation = need_trimesh().creation
+    scale = np.array(sizes) if kind == "box" else np.full(3, sizes[0])
+    if kind == "box":
         mesh = creation.box(extents=(1.0, 1.0, 1.0))
-    elif shape.kind == "sphere":
+    elif kind == "sphere":
         mesh = creation.uv_sphere(radius=1.0, count=(24, 24))
-    elif shape.kind == "cylinder":
+    elif kind == "cylinder":
         mesh = creation.cylinder(radius=1.0, height=1.0, sections=48)
-        scale[2] = shape.sizes[1]
+        scale[2] = sizes[1]
     else:
-        mesh = creation.capsule(height=shape.sizes[1] / shape.sizes[0], radius=1.0, count=(24, 24))
+        mesh = creation.capsule(height=sizes[1] / sizes[0], radius=1.0, count=(24, 24))
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return (DrawnShape(*split_sharp_edges(mesh, scale), color, opacity),)
+    return split_sharp_edges(mesh, scale)
 
 
 @functools.lru_cache(256)
@@ -187,8 +191,7 @@ def split_sharp_edges(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarr
     pairs, edges = mesh.face_adjacency[flat], mesh.face_adjacency_edges[flat]
     joined = []
     for end in (0, 1):
-        # corners (E, 2, 3) marks the corner of each of the two faces at which this end of the edge lies.
-        corners = faces[pairs] == edges[:, end][:, None, None]
+        corners = faces[pairs] == edges[:, end][:, None, None]  # (E, 2, 3): which corner of each face it is
         joined.append(3 * pairs + corners.argmax(axis=2))
     links = np.vstack(joined) if len(pairs) else np.empty((0, 2), dtype=int)
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
@@ -204,7 +207,7 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[BodyPart]
     model, geometry, parts = robot.model, pin.GeometryModel(), []
     data = model.createData()
     pin.framesForwardKinematics(model, data, robot.rest)
-    ball = pin.GeometryObject  # Only the placement of a ball is used.
+    ball = pin.GeometryObject  # only its placement is used
 
     def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:
@@ -257,15 +260,14 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)
     across[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
-    for k in range(1, len(P)):  # Parallel transport keeps the tube from twisting.
+    for k in range(1, len(P)):  # parallel transport, so that the tube does not twist
         side = across[k - 1] - along[k] * (along[k] @ across[k - 1])
         size = np.linalg.norm(side)
         across[k] = side / size if size > 1e-9 else across[k - 1]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(along, across)
     angle = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    # The points of the rings (10, N, 3).
-    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third
+    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3)
     vertices = (P + radius * ring).transpose(1, 0, 2).reshape(-1, 3)
     k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
     a, b = 10 * k + j, 10 * k + (j + 1) % 10

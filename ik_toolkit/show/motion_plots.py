@@ -1,8 +1,8 @@
-"""Figures of motions: a tracking run, a path or a trajectory.
-
-A run shows the arm along its path, the errors, and joints and speeds as shares of their limits.
+"""Figures of motions: a tracking run (the arm along its path, errors, joints and speeds in shares of their limits), a path, a
+trajectory.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..servo.result import TrackResult
 from ..style import COLOURS, DASHES, GREY, PALE
 from .plots import FLOOR, drawing, literal_text
 
-COLUMNS = 5  # Largest number of columns of the joints' legend.
+COLUMNS = 5  # of the legend of the joints, at most
 
 
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
@@ -41,7 +41,9 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
         axes = [figure.add_subplot(right[0])]
         axes += [figure.add_subplot(right[i], sharex=axes[0]) for i in range(1, 3 + slowed)]
         _errors(axes[0], result)
-        _positions(axes[1], result, robot)
+        _joints(axes[1], robot, result.joint_names, result.t, result.q, [])
+        axes[1].set_ylim(-1.15, 1.15)
+        axes[1].set_title("joint positions between their limits", loc="left")
         _speeds(axes[2], result, robot)
         if slowed:
             _clock(axes[3], result)
@@ -49,7 +51,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
             ax.tick_params(labelbottom=False)
         axes[-1].set_xlabel("time [s]")
         joints = axes[2].get_legend_handles_labels()
-        for columns in range(COLUMNS, 0, -1):  # The legend gets as many columns as fit, because names may be long.
+        for columns in range(COLUMNS, 0, -1):  # as many as fit: names may be long
             legend = figure.legend(*joints, fontsize=7.5, ncols=columns, loc="outside lower right")
             if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
                 break
@@ -84,8 +86,7 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
     first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
     corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    # No side is shorter than half the longest, because the box of a planar arm would be flat.
-    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # so that a planar arm still gets a readable box
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
         getattr(ax, f"set_{name}lim")(middle - size, middle + size)
     ax.set_box_aspect(half, zoom=0.92)
@@ -113,8 +114,7 @@ def _errors(ax: Any, result: TrackResult) -> None:
     ax.axhline(result.position_tolerance, color=COLOURS[0], lw=0.8, ls=":", label="tolerance")
     if result.orientation_error is not None:
         ax.axhline(result.orientation_tolerance, color=COLOURS[4], lw=0.8, ls=":")
-    # The padding makes room for the legend between title and curves.
-    ax.set_title("error at the samples", loc="left", pad=20)
+    ax.set_title("error at the samples", loc="left", pad=20)  # room for the legend between title and curves
     ax.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0)
 
 
@@ -128,27 +128,11 @@ def _clock(ax: Any, result: TrackResult) -> None:
     ax.set_title(f"clock rate: {result.added_time:.3g} s added to {result.clock[-1]:.4g} s{pace}", loc="left")
 
 
-def _positions(ax: Any, result: TrackResult, robot: Joints) -> None:
-    bounded = np.isfinite(robot.upper - robot.lower)
-    lower, upper = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
-    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    for i, name in enumerate(result.joint_names):
-        shown = (result.q[:, i] - middle[i]) / half[i]
-        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=literal_text(name), ls=DASHES[i // 8 % 8])
-    for edge in (-1, 1):
-        ax.axhline(edge, color=GREY, lw=0.8)
-    ax.set_ylim(-1.15, 1.15)
-    ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
-    ax.set_title("joint positions between their limits", loc="left")
-
-
 def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
     limit = np.where(robot.velocity_limits > 0, robot.velocity_limits, np.inf)
     bounded = bool(np.isfinite(limit).all())
     speed = np.diff(result.q, axis=0) / result.dt
-    for i, name in enumerate(result.joint_names):
-        values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
-        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls=DASHES[i // 8 % 8], label=literal_text(name))
+    _lines(ax, result.t[1:], 100.0 * speed / limit if bounded else speed, result.joint_names)
     ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
 
 
@@ -160,14 +144,16 @@ def plot_motion(what: Any) -> Any:
             3 if timed else 2, 1, figsize=(8.6, 7.2 if timed else 5.6), sharex=True, layout="constrained"
         )
         x = what.t if timed else what.at
-        _joints(axes[0], what.robot, x, what.q if timed else what.curve, [] if timed else _breaks(what))
+        breaks = [] if timed else [one.index + 0.5 for one in what.reconfigurations]
+        _joints(axes[0], what.robot, what.robot.joint_names, x, what.q if timed else what.curve, breaks)
+        axes[0].set_title("joints between their limits" + (" (dotted: the branch changes)" if breaks else ""))
         if timed:
             free = np.isnan(what.place)
             for ax, values, limit, title in (
                 (axes[1], what.dq, what.velocity, "joint speeds [% of the limit]"),
                 (axes[2], what.ddq, what.acceleration, "joint accelerations [% of the limit]"),
             ):
-                _lines(ax, x, 100.0 * values / limit, what.robot)
+                _lines(ax, x, 100.0 * values / limit, what.robot.joint_names)
                 ax.set_title(title)
                 ax.set_ylim(-112.0, 112.0)
                 ax.axhline(100.0, color=GREY, lw=0.8)
@@ -185,30 +171,27 @@ def plot_motion(what: Any) -> Any:
         return figure
 
 
-def _breaks(result: Any) -> list[float]:
-    return [one.index + 0.5 for one in result.reconfigurations]
-
-
-def _lines(ax: Any, x: np.ndarray, values: np.ndarray, robot: Joints) -> None:
-    for i, name in enumerate(robot.joint_names):
+def _lines(ax: Any, x: np.ndarray, values: np.ndarray, names: Sequence[str]) -> None:
+    for i, name in enumerate(names):
         ax.plot(x, values[:, i], color=COLOURS[i % 8], ls=DASHES[i // 8 % 8], lw=1.3, label=literal_text(name))
 
 
-def _joints(ax: Any, robot: Joints, x: np.ndarray, Q: np.ndarray, breaks: list[float]) -> None:
+def _joints(
+    ax: Any, robot: Joints, names: Sequence[str], x: np.ndarray, Q: np.ndarray, breaks: Sequence[float]
+) -> None:
     """Draw joints relative to their limits, and those without limits in half turns."""
-    bounded = np.isfinite(robot.lower + robot.upper)
+    bounded = np.isfinite(robot.upper - robot.lower)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
-    for k in breaks:  # No line is drawn across a change of branch.
+    for k in breaks:  # no line across a change of branch
         after = int(np.searchsorted(x, k))
         x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
-    _lines(ax, x, shown, robot)
+    _lines(ax, x, shown, names)
     for edge in (-1, 1):
         ax.axhline(edge, color=GREY, lw=0.8)
     for k in breaks:
         ax.axvline(k, color=GREY, lw=0.9, ls=":")
     ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
-    ax.set_title("joints between their limits" + (" (dotted: the branch changes)" if breaks else ""))
 
 
 def _deviation(ax: Any, result: Any) -> None:

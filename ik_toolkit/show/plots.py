@@ -1,4 +1,4 @@
-"""Charts in one style, readable in print, in grey and with colour blindness; each is a matplotlib Figure.
+"""Charts in one style, readable in print, in grey and with colour blindness. Each returns a matplotlib Figure.
 
 Lines differ in dashes as well as in colour, so that nothing depends on colour alone. `save` writes a figure to a file.
 """
@@ -13,9 +13,8 @@ import numpy as np
 from ..errors import InvalidOption, MissingExtra
 from ..files import as_path, whole_file
 from ..style import COLOURS, DASHES, GREY, STYLE
-from .attempts import attempts
 
-FLOOR = 1e-12  # Smaller values [m, rad] are drawn here, because a logarithmic axis has no zero.
+FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -35,8 +34,7 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
             interactive = plt.isinteractive()
-    # The first figure loads the backend, and a notebook's backend changes the mode.
-    if interactive != plt.isinteractive():
+    if interactive != plt.isinteractive():  # the first figure loads the backend, and a notebook's changes this
         plt.ion() if interactive else plt.ioff()
 
 
@@ -92,6 +90,38 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
     return figure
 
 
+def attempts(history: Mapping[str, Any], q: Any = None) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the rows of the winning attempt, up to its result, and those of each other attempt.
+
+    If the result q (n,) is not among the rows because it was refined, the last row is used instead, and without q the
+    row with the smallest position error. A history without the column `attempt` is one attempt.
+    """
+    error = np.asarray(history["position_error"], dtype=float)
+    number = np.asarray(history.get("attempt", np.zeros(len(error), dtype=int)))
+    rows = np.arange(len(error))
+    if q is None:
+        answer = int(np.argmin(error))
+    else:
+        same = np.flatnonzero((np.asarray(history["q"]) == q).all(axis=1))
+        answer = int(same[-1]) if len(same) else len(error) - 1
+    won = number[answer]
+    others = [rows[number == one] for one in np.unique(number[number >= 0]) if one != won]
+    return rows[(number == won) & (rows <= answer)], others
+
+
+def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Return joint values (N, n), position errors [m] and angles [rad] of the winning attempt of a Result with history.
+
+    They end at the result; an angle that does not count is NaN. The last value lists the rows of the other attempts.
+    """
+    won, others = attempts(result.history, result.q)
+    Q, position, angle = (np.asarray(result.history[key])[won] for key in ("q", "position_error", "orientation_error"))
+    if not np.array_equal(Q[-1], result.q):  # refined after the search
+        Q, position = np.vstack([Q, result.q]), np.append(position, result.position_error)
+        angle = np.append(angle, np.nan if result.orientation_error is None else result.orientation_error)
+    return Q, position, angle, others
+
+
 def tracking_errors(runs: Any, *, title: str = "") -> Any:
     """Draw position and orientation error over time of a TrackResult, or a dict label -> TrackResult, on logarithmic scales."""
     named = runs if isinstance(runs, Mapping) else {getattr(runs, "method", ""): runs}
@@ -115,43 +145,6 @@ def tracking_errors(runs: Any, *, title: str = "") -> Any:
             axes[1, 0].set_ylabel("orientation error [rad]")
         axes[-1, 0].set_xlabel("time [s]")
         axes[0, 0].legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-        _title(figure, title)
-    return figure
-
-
-def bars(
-    values: Mapping[str, float],
-    intervals: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    unit: str,
-    log: bool = False,
-    title: str = "",
-) -> Any:
-    """Draw horizontal bars with intervals and numbers, in the given order, for benchmarks.
-
-    values maps a label to its value, intervals to (low, high), which is drawn as a whisker; unit is the axis label.
-    """
-    names = list(values)
-    x = np.array([values[name] for name in names], dtype=float)
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(6.4, 0.9 + 0.36 * len(names)), layout="constrained")
-        place = np.arange(len(names))[::-1]
-        axis.barh(place, x, color=COLOURS[5], height=0.62)
-        ends = x.copy()
-        for k, name in enumerate(names):
-            if intervals and name in intervals:
-                low, high = intervals[name]
-                axis.plot([low, high], [place[k]] * 2, color="black", lw=1.2, marker="|", ms=6)
-                ends[k] = max(ends[k], high)
-        if log:
-            axis.set_xscale("log")
-        for at, value, end in zip(place, x, ends, strict=True):
-            axis.annotate(f"{value:.4g}", (end, at), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
-        axis.set_yticks(place, [literal_text(name) for name in names])
-        axis.grid(False, axis="y")
-        axis.tick_params(axis="y", length=0)
-        axis.margins(x=0.14)
-        axis.set_xlabel(unit)
         _title(figure, title)
     return figure
 

@@ -1,4 +1,4 @@
-"""The 3-D view of a robot, ghosts, targets, trails, clouds and animations: in a browser, in a notebook, or as one file."""
+"""The 3-D view: robot, ghosts, targets, trails, clouds and animations; live in a browser, in a notebook, or as one file."""
 
 import base64
 import html
@@ -12,20 +12,19 @@ from ..copying import Unique
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
-from .animation import animate, motion_of
-from .attempts import iterates
+from .animation import MAX_FRAMES, SLATE, animate, motion_of
 from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
+from .plots import iterates
 
-# The colours are those of Okabe and Ito (2008), as in the plots.
+# Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
-YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
-TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # The trails of several tips have these colours in turn.
+YELLOW, SKY, RED = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15)
+TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # of several tips
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
-AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # The x axis is red, y is green, z is blue.
-FAR = 3.0  # A target further away, in extents of the picture, is drawn but does not shrink the picture.
-MAX_FRAMES = 400  # Limit on an animation's frames; a longer run is thinned out.
-BETWEEN = 6  # Number of frames between two iterates, so that the eye can follow.
+AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
+FAR = 3.0  # extents; a target farther away is drawn but does not shrink the picture
+BETWEEN = 6  # frames between two iterates, so that the eye can follow
 MAX_GHOSTS = 12
 
 
@@ -72,8 +71,9 @@ class Scene(Unique):
                     self.show(q)
                 for part, T in zip(self.body.parts, poses, strict=True):
                     same = np.allclose(T, self.window.transforms[f"robot/{part.name}"], rtol=0.0, atol=1e-9)
-                    # Parts that coincide with the robot are not drawn twice.
-                    for k in range(0 if same else len(part.shapes)):
+                    for k in range(
+                        0 if same else len(part.shapes)
+                    ):  # parts that coincide with the robot are not drawn twice
                         self.window.copy(f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}", color, opacity)
         for part, T in zip(self.body.parts, poses, strict=True):
             self.window.place(f"{name}/{part.name}", T)
@@ -93,7 +93,7 @@ class Scene(Unique):
         """Draw the axes (x red, y green, z blue) of a pose; of a position (3,) or an axis target only what it fixes."""
         trimesh = need_trimesh()
         size = size or 0.14 * self._extent()
-        r = 0.035  # This radius is in units of size, like everything below.
+        r = 0.035  # in units of size, like everything below
         free = isinstance(T_base, AxisTarget)
         T = np.eye(4)
         shapes = []
@@ -223,7 +223,7 @@ class Scene(Unique):
         rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
         wide = 0.005 * self._extent()
         ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
-        for k in range(ways.shape[1]):  # Only the first tip gets labels.
+        for k in range(ways.shape[1]):  # labels only for the first tip
             self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
             self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
         labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
@@ -239,10 +239,14 @@ class Scene(Unique):
     def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
         """Aim the camera from `eye` at `target` [m], world axes; without arguments it sees everything drawn so far."""
         box = np.array([np.min([c[0] for c in self._corners], axis=0), np.max([c[1] for c in self._corners], axis=0)])
-        centre, radius = box.mean(axis=0), max(0.5 * float(np.linalg.norm(box[1] - box[0])), 1e-3)
+        centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
         to = centre if target is None else np.asarray(target, dtype=float)
-        at = to + 1.6 * radius * np.array([0.66, -0.63, 0.41]) if eye is None else np.asarray(eye, dtype=float)
-        cell = grid_cell(radius)
+        at = (
+            to + 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
+            if eye is None
+            else np.asarray(eye, dtype=float)
+        )
+        cell = grid_cell(max(radius, 1e-3))
         self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, self.body.floor])
         grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")
         self.window.say(legend=[*self._legend, grid])
@@ -385,7 +389,7 @@ def _each(robot: Joints, target: Any) -> dict[str, Any]:
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
     if not robot.by_tip:
-        return robot.each_tip(target)
+        return {robot.tips[0]: target}
     if len(target) != len(robot.tips):
         raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
     return dict(zip(robot.tips, target, strict=True))

@@ -22,7 +22,6 @@ FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reac
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
 OTHERWISE = {  # Other packages use these names, which mean something else here.
-    "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"

@@ -132,7 +132,6 @@ def test_charts(tmp_path):
     figures = [
         plots.convergence({evil: result}, title=evil),
         plots.tracking_errors({evil: run}, title=evil),
-        plots.bars({evil: 1.0}, unit="m", title=evil),
     ]
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # letters as letters, so that they can be read back
         pages = [plots.save(figure, tmp_path / f"{k}.svg") for k, figure in enumerate(figures)]

@@ -3,6 +3,7 @@
 import motions
 import numpy as np
 import pytest
+from robots import CONTINUOUS
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration
@@ -30,6 +31,15 @@ def test_nothing_is_drawn_across_a_change_of_branch():
     whole, broken = (motion_of(result(breaks)) for breaks in ((), (14,)))
     assert whole.breaks == () and len(broken.breaks) == 1
     np.testing.assert_array_equal(broken.q[broken.breaks[0]], result().q[14])
+
+
+def test_the_chart_of_a_path_draws_joints_without_limits_in_half_turns():
+    robot = ik.Robot.load(CONTINUOUS)
+    path = motions.as_result(robot, motions.wave(robot, 30), kind=POSITION)
+    drawn = {line.get_label(): line.get_ydata() for line in ik.plot(path).axes[0].lines}
+    for i, name in enumerate(robot.joint_names):
+        shown = path.curve[:, i] / (np.pi if np.isinf(robot.upper[i]) else 2.0)
+        np.testing.assert_allclose(drawn[name], shown, atol=1e-12)
 
 
 def test_trajectories_are_shown_in_real_time_and_read_back(tmp_path):

@@ -240,7 +240,7 @@ def test_other_addresses(monkeypatch, capsys):
 
     with contextlib.closing(Panel("planar_2r", host="127.0.0.2")) as made:
         assert asked(made)[0] == 200 and made.url.startswith("http://127.0.0.2:")
-    monkeypatch.setattr("ik_toolkit.cli.pictures.wait", lambda words, url, browse: print(words))
+    monkeypatch.setattr("ik_toolkit.cli.view.wait", lambda words, url, browse: print(words))
     assert main(["panel", "planar_2r", "--host", "0.0.0.0", "--no-open"]) == 0
     said = capsys.readouterr()
     assert "anyone who knows the address" in said.err and "http://127.0.0.1:" in said.out

@@ -196,7 +196,6 @@ def test_closed_forms_refuse_and_auto_searches():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"mask_frame": "tip"}, "now called frame"),
         ({"frame": "tool"}, "base, tip, target"),
         ({"frame": np.array(["base", "tip"])}, "base, tip, target"),
         ({"slack": [0.1] * 3}, "six half widths"),

@@ -1,7 +1,8 @@
-"""A visitor of the panel: one thread that runs its requests, newest first, error messages, and camera control."""
+"""A visitor of the panel: one thread that runs its requests, newest first, undo, error messages, and camera control."""
 
 import html
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,8 +11,7 @@ import numpy as np
 from ...errors import IKError
 from ...style import BAD
 from .session import Session
-from .target_widget import Goal
-from .undo import Past
+from .solve_tab import Goal
 
 
 class Worker:
@@ -38,7 +38,7 @@ class Worker:
                 self._wake.notify_all()
                 self._wake.wait_for(lambda: self._jobs or self.ended)
                 if self.ended:
-                    self._jobs.clear()  # Jobs keep references to the visitor's scene.
+                    self._jobs.clear()  # they keep references to the visitor's scene
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
                 self._busy = True
@@ -56,9 +56,35 @@ class Worker:
             self._wake.notify_all()
 
 
+KEPT = 100  # changes that can be undone
+TOGETHER = 1.0  # [s] changes of one kind within this time are merged: a drag, a slider being moved
+
+
+class Past:
+    """The states before a visitor's changes: pairs of q (n,) and poses (4, 4) of the targets by tip."""
+
+    def __init__(self) -> None:
+        """Start with an empty history."""
+        self._entries: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
+        self._last = "", 0.0
+
+    def note(self, name: str, q: np.ndarray, targets: dict[str, Any]) -> None:
+        """Store the state before a change of the given kind."""
+        now = time.monotonic()
+        kind, at = self._last
+        self._last = name, now
+        if kind != name or now - at > TOGETHER:
+            self._entries = [*self._entries[1 - KEPT :], (q.copy(), {tip: T.copy() for tip, T in targets.items()})]
+
+    def back(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """Remove and return the state before the last change, or None if there is none."""
+        self._last = "", 0.0
+        return self._entries.pop() if self._entries else None
+
+
 PLAIN = "#37424f"
-LONGEST = 600  # Limit on the characters of a status message.
-STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see stage.FREE */
+LONGEST = 600  # characters of a status message
+STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.FREE */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
 
 
@@ -72,7 +98,7 @@ class Visit:
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.stage: Any = None
         self.chart: Any = None
-        self.aspect = 0.0  # Width over height of the picture when the camera was last aimed.
+        self.aspect = 0.0  # of the picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)
         self.kinds: dict[str, str] = {}
@@ -84,7 +110,7 @@ class Visit:
         self.status: Any = None
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
-        if hasattr(client, "camera"):  # A server has no camera.
+        if hasattr(client, "camera"):  # a server has no camera
             client.camera.on_update(lambda _: self._resized())
 
     def close(self) -> None:
@@ -102,7 +128,7 @@ class Visit:
                 words = str(error)
             except Exception as error:
                 words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
-            if not self.worker.ended:  # After a visitor has left, the handles no longer exist.
+            if not self.worker.ended:  # after a visitor has left, the handles no longer exist
                 self.say(words, BAD)
 
         return run

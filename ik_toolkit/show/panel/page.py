@@ -1,4 +1,4 @@
-"""The page of one panel visitor: controls and a 3-D view (viser) for a Session."""
+"""The page of one panel visitor: controls and 3-D view (viser) for a Session."""
 
 import html
 from collections.abc import Sequence
@@ -11,21 +11,18 @@ from ...errors import IKError, InvalidConfiguration
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
 from ..body import Body
-from .chart import Chart
-from .connection import PLAIN, Visit
+from .connection import PLAIN, Past, Visit
 from .learn_tab import Learn
 from .scene_tab import Around, null_directions, slide
 from .session import PATIENCE
-from .solutions_tab import SolutionsTab
+from .solve_tab import Chart, Goal, SolutionsTab
 from .tables import as_sentence, note_html, pose_html, table_html
-from .target_widget import Goal
-from .undo import Past
 from .viser_scene import Stage
 
-QUIET = (71, 85, 105)  # Colour of secondary buttons.
-STEPS = 500  # Least number of slider steps.
-PUSH = 3.0  # Self-motion [rad, or reaches] from the middle of the slider to its end.
-MOST_TIPS = 4  # Limit on the tips that can be chosen on the page.
+QUIET = (71, 85, 105)  # colour of secondary buttons
+STEPS = 500  # least number of slider steps
+PUSH = 3.0  # [rad, or reaches] of self-motion from the middle of the slider to its end
+MOST_TIPS = 4  # tips that can be chosen on the page
 
 
 class PanelPage(Visit):
@@ -131,12 +128,16 @@ class PanelPage(Visit):
             self._on(gui.add_button(text, color=QUIET), name, job)
         self.pose = gui.add_html("")
 
+    def _build_goals(self) -> None:
+        """Controls of each tip's target."""
+        s, self.goals = self.session, []
+        for tip in s.robot.tips:
+            with self.gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
+                self.goals.append(Goal(self.gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+
     def _build_solve(self) -> None:
         s, gui = self.session, self.gui
-        self.goals = []
-        for tip in s.robot.tips:
-            with gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
-                self.goals.append(Goal(gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+        self._build_goals()
         go = gui.add_button("Solve", color="blue")
         self._on(go, "solve", self._solve)
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
@@ -195,7 +196,7 @@ class PanelPage(Visit):
         if self.learn is not None:
             self.learn.show(s.q)
         self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
-        self.client.flush()  # The messages are sent at once, not at the end of viser's next interval.
+        self.client.flush()  # at once, not at the end of viser's next interval
 
     # ------------------------------------------------------------------------------------------------------ actions
     def _switch(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -220,7 +221,7 @@ class PanelPage(Visit):
         s = self.session
         q = s.q.copy()
         for i, slider in enumerate(self.sliders):
-            if slider.value != self.shown[i]:  # Shown values are rounded, so an untouched joint keeps its exact value.
+            if slider.value != self.shown[i]:  # shown values are rounded: an untouched joint keeps its exact value
                 q[i] = slider.value / s.scale(i)
         if not np.isfinite(q).all():
             raise InvalidConfiguration("a joint value is not a finite number")
@@ -234,7 +235,7 @@ class PanelPage(Visit):
         if not np.isfinite(value) or not len(null_directions(s.robot, s.q, turns)):
             self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
-        along = np.cos(np.arange(s.robot.n))  # This direction is practically never orthogonal to an arm's self-motion.
+        along = np.cos(np.arange(s.robot.n))  # practically never orthogonal to an arm's self-motion
         s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)
         self.pushed = value
         self.show()
@@ -323,7 +324,7 @@ class PanelPage(Visit):
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
         """Return targets in the form the robot expects, without the tips that have none."""
-        return self.session.robot.for_tips({tip: T for tip, T in targets.items() if T is not None})
+        return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
 
     def _solve(self) -> None:
         target = self._typed()

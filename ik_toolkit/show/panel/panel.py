@@ -1,7 +1,7 @@
-"""The panel drives a robot by hand in a browser, with sliders, pose, target and solver.
+"""The panel: drive a robot by hand in a browser, with sliders, pose, target and solver.
 
-Every visitor has their own robot (a Session) and one worker thread that runs their requests, newest first, so that
-drags never queue up and visitors do not disturb each other.
+Every visitor has their own robot (a Session) and one worker thread that runs their requests, newest first, so that drags
+never queue up and visitors do not disturb each other.
 """
 
 import contextlib
@@ -20,13 +20,34 @@ from ..access import guarded, is_loopback, new_token
 from .page import PanelPage
 from .session import Session
 
-HEARD = (  # These messages are accepted from a visitor's page: controls, the target's arrows and rings, the camera.
+HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows and rings, the camera
     "GuiUpdateMessage",
     "TransformControlsUpdateMessage",
     "TransformControlsDragStartMessage",
     "TransformControlsDragEndMessage",
     "ViewerCameraMessage",
 )
+
+
+class Follower(PanelPage):
+    """The page of `ik view --follow`: the targets' fields, the status line and the view, without the other controls."""
+
+    def _build_controls(self) -> None:
+        self.sliders: list[Any] = []
+        self.status = self.gui.add_html("")
+        self._build_goals()
+        home = self.gui.add_button("Reset to home")
+        self._on(home, "joints", self._home)
+        self.outcome = self.gui.add_html("", visible=False)
+        self.pose = self.gui.add_html("")
+
+    def _home(self) -> None:
+        s = self.session
+        s.q, s.followed = s.robot.home.copy(), None
+        self.outcome.visible = False
+        self.show()
+        self._target_to_tip()
+        self.say("at home")
 
 
 class Panel(Unique):
@@ -55,22 +76,22 @@ class Panel(Unique):
         except ImportError:
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
-        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # viser warns of visitors who leave.
-        session = Session(source, tips)  # This raises for an invalid robot.
-        here = session.robot.for_tips(session.poses())
-        session.solve(here)  # It compiles now if necessary, so that no visitor has to wait.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
+        session = Session(source, tips)  # raises now if the robot is invalid
+        here = session.joined(session.poses())
+        session.solve(here)  # compile now if necessary, so that no visitor has to wait
         session.follow(here)
         token = new_token()
-        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner.
+        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, self.server.get_port()
         if port not in (0, self.port):
             self.close()
             raise InvalidOption(f"port {port} is in use")
-        name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - The server does not bind to it.
+        name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
-        _hear_only(self.server.gui._websock_interface, ())  # Messages are accepted only by a visitor's desk.
+        _hear_only(self.server.gui._websock_interface, ())  # messages are accepted only by a visitor's desk
         self.desks: dict[int, PanelPage] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")
@@ -81,7 +102,7 @@ class Panel(Unique):
     def _welcome(self, client: Any, source: str, tips: str | Sequence[str] | None, local: bool) -> None:
         _hear_only(client.gui._websock_interface, HEARD)
         self.desks[client.client_id] = self._desk(client, source, tips, files=local)
-        if client.client_id not in self.server.get_clients():  # The visitor left before being admitted.
+        if client.client_id not in self.server.get_clients():  # left before it was admitted
             self._goodbye(client)
 
     def _goodbye(self, client: Any) -> None:

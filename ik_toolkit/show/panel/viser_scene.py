@@ -10,16 +10,14 @@ import pinocchio as pin
 from ...errors import InvalidTarget
 from ..body import Body, need_trimesh
 
-RED = (204, 51, 38)  # Colour of the line to a target that is not reached.
+RED = (204, 51, 38)  # line to a target that is not reached
 GHOST = (0, 114, 178)
-# The camera looks along VIEW, so that it sees the robot from the front right and from above.
-VIEW = np.array([-0.66, 0.63, -0.41])
-LENS = 0.7  # Angle of view [rad] from top to bottom.
-FILL = 0.72  # The robot fills this share of the picture, because its arrows and the next poses need the rest.
-NARROW = 576  # On a page narrower than this [pixels] viser lays its controls over the lower part of the picture.
-# A target beyond 95 % of the way from the middle to the edge of the picture counts as outside.
-EDGE = 0.95
-FREE = 0.5  # On a narrow page this share of the height stays free, see STYLE in connection.py.
+VIEW = np.array([-0.66, 0.63, -0.41])  # along which the robot is looked at: from the front right, from above
+LENS = 0.7  # [rad] from top to bottom
+FILL = 0.72  # of the picture, by the robot: its arrows and the next poses need the rest
+NARROW = 576  # pixels of a page below which viser lays its controls over the lower part of the picture
+EDGE = 0.95  # of the way from the middle of the picture to its edge: a target further out counts as not in it
+FREE = 0.5  # of the height left there, see connection.STYLE
 
 
 class Handle:
@@ -42,7 +40,7 @@ class Handle:
 
     def _moved(self, event: Any, dragged: Callable[[], None]) -> None:
         dragged()
-        if getattr(event, "phase", "") == "end":  # Older releases of viser have no phases.
+        if getattr(event, "phase", "") == "end":  # older releases of viser have no phases
             self.stage.keep_in_view()
 
     def _put(self, target: np.ndarray) -> None:
@@ -81,7 +79,7 @@ class Stage:
 
         `widest` is the largest width [pixels] of the picture so far.
         """
-        self.widest, self.away = widest, False  # `away` tells whether the camera has moved away to see a target.
+        self.widest, self.away = widest, False  # whether the camera has moved away to see a target
         self.client, self.body = client, body
         self.robot: Any = body.robot
         scene, robot = client.scene, self.robot
@@ -214,9 +212,9 @@ class Stage:
     def aim(self, q: np.ndarray) -> None:
         """Look at the robot at q from the front right."""
         camera = getattr(self.client, "camera", None)
-        if camera is None:  # A server has no camera.
+        if camera is None:  # a server has no camera
             return
-        # The picture is as wide as the page until the controls are docked beside it.
+        # the picture is as wide as the page until the controls are docked beside it
         self.widest = max(self.widest, camera.image_width)
         self.extent, self.away = self.body.bounds(q), False
         camera.up_direction = (0.0, 0.0, 1.0)
