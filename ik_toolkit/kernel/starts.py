@@ -21,7 +21,7 @@ ROTATION_WEIGHT = 0.05  # weight of |dR|_F^2 against |dp|^2 in that comparison, 
 
 
 @compiled
-class Table(NamedTuple):
+class StartTable(NamedTuple):
     """Known configurations that attempts start from, and scratch to rank them for a target."""
 
     seeds: Array  # (N, n) the configurations
@@ -36,12 +36,12 @@ class Table(NamedTuple):
 
 @inline
 def make_table(block, seeds, features, tips):
-    """Make a Table with its scratch cut from a block."""
+    """Make a StartTable with its scratch cut from a block."""
     score, val = cut(block, np.float32, (seeds.shape[0], BEST))
     best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
     (total,) = cut(block, np.float64, (BEST,))
     (state,) = cut(block, np.uint64, (1,))
-    return Table(seeds, features, score, val, best, choice, total, state)
+    return StartTable(seeds, features, score, val, best, choice, total, state)
 
 
 @inline
