@@ -19,7 +19,7 @@ from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
-from ..solvers.batch.targets import blocks, known, mended
+from ..solvers.batch.targets import blocks, freed, known, mended
 from ..solvers.collision_free import collision_model
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
@@ -95,6 +95,7 @@ def solve_path(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
             )
     check_progress(progress, "a fraction and a text")
+    poses, options = freed(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # the variant with narrower limits, where they are given
     T, kinds = _read(robot, poses)
@@ -177,7 +178,7 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
     if isinstance(poses, Reference):
         made = poses.at(poses.times(DT))[0]
         poses = made[:, :3, 3] if poses.position_only else made
-    given = known(poses)
+    given = known(poses, robot.base)
     chunks: Iterator[Any] = iter([given]) if given is not None else iter(poses)
     parts = list(blocks(chunks, robot))
     if not sum(part.rows for part in parts):

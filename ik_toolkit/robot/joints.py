@@ -26,6 +26,7 @@ from .base import Given
 from .formats.srdf import Srdf
 from .narrow import narrowed
 from .probe import Path
+from .ros import read_joint_state
 
 LOG = logging.getLogger("ik_toolkit")
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # rows of each tip's Jacobian
@@ -165,14 +166,44 @@ class Joints(ReadOnly):
                 doubt_angles(name, far)
         return array
 
-    def _values(self, q: Any, name: str = "q") -> np.ndarray:
-        """As `check_q`, for any numbers."""
+    def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
+        """Joint values in any form as an array (n,), which is not checked, and a notice ('' or what was ignored).
+
+        Args:
+            q: numbers (n,); the name of a configuration (see `named`); or values by joint, as a dict or a ROS JointState, of
+                which other joints are ignored.
+            name: of the argument, for messages.
+
+        Raises:
+            InvalidConfiguration: a joint is missing, or these are no numbers.
+            ConfigurationNotFound: no configuration has this name.
+        """
+        notice = ""
+        if isinstance(q, str):
+            q = self.named[q]
+        elif not isinstance(q, np.ndarray | list | tuple):
+            by_joint = q if isinstance(q, Mapping) else read_joint_state(q, name)
+            if by_joint is not None:
+                missing = [joint for joint in self.joint_names if joint not in by_joint]
+                others = [str(joint) for joint in by_joint if joint not in self.joint_names]
+                if missing:
+                    meant = near_match(missing[0], others) if others else ""
+                    raise InvalidConfiguration(f"{name} has no value for joint {', '.join(missing)}.{meant}")
+                if others:
+                    notice = (
+                        f"{name}: joint{'s' * (len(others) > 1)} {', '.join(others)} ignored, not of this robot's q"
+                    )
+                q = [by_joint[joint] for joint in self.joint_names]
         array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
         if array.shape != (self.n,):
             raise InvalidConfiguration(
                 f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
             )
-        return array
+        return array, notice
+
+    def _values(self, q: Any, name: str = "q") -> np.ndarray:
+        """As `check_q`, for any numbers."""
+        return self.read_q(q, name)[0]
 
     def locked(self, joints: Mapping[str, float]) -> Self:
         """Return a copy with joints held at values [rad or m] and left out of q.

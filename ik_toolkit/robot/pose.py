@@ -7,11 +7,15 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ..errors import FEW_TURNS, InvalidTarget, doubt_angles, floats
+from ..errors import FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
+from .ros import read_pose
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
 PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+AXES |= {f"-{name}": tuple(-x for x in axis) for name, axis in AXES.items()}
+FORMS = "a 4x4 pose, a pin.SE3, a ROS pose or a position of 3 numbers"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +38,20 @@ class AxisTarget:
 
 
 def _unit(value: Any, name: str) -> np.ndarray:
-    vector = _numbers(value, 3, name)
+    vector = _numbers(named_axis(value, name, InvalidTarget), 3, name)
     length = float(np.linalg.norm(vector))
     if not length > 1e-9:
         raise InvalidTarget(f"{name} must not be the zero vector")
     return vector / length
+
+
+def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
+    """The axis (3,) that 'x', 'y', 'z', '-x', '-y' or '-z' names; anything but a text as it is. Raises `error`."""
+    if not isinstance(value, str):
+        return value
+    if value.strip().lower() not in AXES:
+        raise error(f"{name} must be {', '.join(AXES)} or three numbers, not {value!r:.60}")
+    return AXES[value.strip().lower()]
 
 
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -207,6 +220,35 @@ def pose(
     return check_target(T)[0]
 
 
+@overload
+def approach(target: AxisTarget, distance: float, axis: Numbers | str | None = None) -> AxisTarget: ...
+@overload
+def approach(target: Any, distance: float, axis: Numbers | str | None = None) -> Matrix: ...
+def approach(target: Any, distance: float, axis: Numbers | str | None = None) -> AxisTarget | np.ndarray:
+    """Return the pose before (or behind) a target, backed off along a tip axis: where a straight approach begins.
+
+    Args:
+        target: T_base_tip (4, 4), a pin.SE3 or ROS pose, or an AxisTarget.
+        distance: how far [m] the tip stands back, against the direction of the axis; negative: beyond the target.
+        axis: of the tip, "z" or three numbers; default that of an AxisTarget, else z.
+
+    Returns:
+        A target of the same kind: an AxisTarget, or T_base_tip (4, 4).
+
+    Raises:
+        InvalidTarget: no pose (a position has no axes), a distance that is not a finite number, or a zero axis.
+    """
+    free = isinstance(target, AxisTarget)
+    T = target.T_base_tip.copy() if free else check_target(target)[0]
+    if T.ndim == 1:
+        raise InvalidTarget("a position has no tip axis to back off along; give a pose, or ik.pose(xyz, direction=...)")
+    step = _numbers([distance], 1, "distance")[0] * _unit(
+        (target.axis if free else "z") if axis is None else axis, "axis"
+    )
+    T[:3, 3] -= T[:3, :3] @ step
+    return AxisTarget(T, target.axis) if free else T
+
+
 def _axes(T: np.ndarray, target: np.ndarray, frame: str) -> np.ndarray:
     """Rotation (3, 3) from base axes to the axes of `frame`."""
     if frame == "base" or (frame == "target" and target.ndim == 1):
@@ -282,14 +324,31 @@ def as_matrix(pose: Any) -> np.ndarray:
     return made
 
 
-def check_target(target: Any) -> tuple[np.ndarray, str]:
+def as_array(target: Any, base: str = "") -> Any:
+    """The array of a pin.SE3 or of a ROS message, see `ros.read_pose`; anything else as it is. Raises InvalidTarget."""
+    if isinstance(target, np.ndarray | list | tuple):
+        return target
+    if hasattr(target, "homogeneous"):
+        return target.homogeneous
+    found = read_pose(target, base)
+    if found is None:
+        return target
+    position, quat = found
+    if quat is None:
+        return position
+    if not np.isfinite([*position, *quat]).all():
+        return np.full((4, 4), np.nan)  # a pose that its reader refuses: a tracker goes on without it
+    return pose(position, quat_xyzw=quat)
+
+
+def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
 
-    Accepts a (4, 4) array, a (3,) position or anything with a `homogeneous` attribute (pin.SE3). A rotation within 1e-2 of
-    orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget otherwise.
+    Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
+    must be `base` where both are given. A rotation within 1e-2 of orthonormal is projected to the nearest one, and the notice
+    says so. Raises InvalidTarget otherwise.
     """
-    matrix = getattr(target, "homogeneous", target)
-    T = floats(matrix, "a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers", InvalidTarget)
+    T = floats(as_array(target, base), f"a target must be {FORMS}", InvalidTarget)
     if T.shape == (3,):
         return _near(_numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
@@ -298,9 +357,7 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
             if T.shape[1:] in ((4, 4), (3,))
             else ""
         )
-        raise InvalidTarget(
-            f"a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}{many}"
-        )
+        raise InvalidTarget(f"a target must be {FORMS}, not an array of shape {T.shape}{many}")
     if not np.isfinite(T).all():
         raise InvalidTarget("the target pose has entries that are not finite numbers")
     if np.abs(T[3] - LAST).max() > LAST_ROW:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
+from ..robot.pose import named_axis
 
 # Options that choose or finish one answer, left out where a plan is varied to search for more of them.
 PLAIN: dict[str, Any] = {
@@ -41,9 +42,10 @@ class Options:
     wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
     otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
     notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
-    left), along the axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then
-    slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it); then mask (6,), weights (0 =
-    free). Each is one value for every tip or a dict by tip, and the tolerances hold for what is left. relative_to: of a Tree,
+    left), along the axes of frame 'base', 'tip' or 'target': free_turn, a tip axis ("z", or three numbers) about which
+    rotation is free; then slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it);
+    then mask (6,), weights (0 = free). Each is one value for every tip or a dict by tip, and the tolerances hold for what
+    is left. relative_to: of a Tree,
     a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as
     usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for
     redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
@@ -105,7 +107,7 @@ class PathOptions(TypedDict, total=False):
     limits: Limits
     mask: Numbers | Mapping[str, Numbers | None] | None
     slack: Numbers | Mapping[str, Numbers | None] | None
-    free_turn: Numbers | Mapping[str, Numbers | None] | None
+    free_turn: str | Numbers | Mapping[str, str | Numbers | None] | None
     frame: Literal["base", "tip", "target"] | Mapping[str, Literal["base", "tip", "target"]]
     relative_to: Mapping[str, str] | None
     joint_weights: Numbers | None
@@ -245,6 +247,8 @@ def counting(name: str, value: Any) -> Any:
         if len(weights) != 6:
             raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(weights)}")
         return weights
+    if name == "free_turn":
+        value = named_axis(value, name, InvalidOption)
     array = floats(value, f"{name} must be numbers", InvalidOption)
     if name == "slack":
         if array.shape != (6,) or not (array >= 0).all():

@@ -209,7 +209,8 @@ class Plan:
     def check_start(self, q0: Any) -> tuple[np.ndarray, str]:
         """Validate q0 (n,); clamp it into the limits or refuse it. Returns (1, n) and a notice. Raises InvalidConfiguration."""
         robot = self.robot
-        q = robot.check_q(q0, "q0")
+        q, notice = robot.read_q(q0, "q0")
+        q = robot.check_q(q, "q0")
         inside = np.clip(q, robot.lower, robot.upper) if self.options.limits else q
         far = np.abs(inside / robot.chain.unit) >= LARGEST
         if far.any():
@@ -218,11 +219,12 @@ class Plan:
                 f"q0 is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
             )
         if (inside == q).all():
-            return q[None], ""
+            return q[None], notice
         names = ", ".join(robot.outside(q))
         if self.options.q0_outside == "refuse":
             raise InvalidConfiguration(f"q0 is outside the limits at joint {names}")
-        return inside[None], f"q0 was outside the limits at joint {names} and was clamped"
+        clamped = f"q0 was outside the limits at joint {names} and was clamped"
+        return inside[None], f"{notice}; {clamped}" if notice else clamped
 
 
 def held_joints(options: Options) -> np.ndarray:
