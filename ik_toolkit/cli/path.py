@@ -155,12 +155,12 @@ def path(
     line = SimpleNamespace(**locals())
     _refuse_contradictions(line)
     from ..paths.solve_path import PathInterrupted, solve_path
-    from ..robot.pose_files import read_poses
+    from ..robot.pose_files import Convention, read_poses
 
     tips = by_tip.choose_tips(robot, tip, None, None, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     arm = narrowed(arm, limit, deg)
-    _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
+    _, blocks = read_poses(poses, "poses", given=Convention(deg=deg), tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], poses.name)
     options = _options(line, arm)
     result = made = None

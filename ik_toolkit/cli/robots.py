@@ -312,7 +312,7 @@ def fk(
     as_json: Json = False,
 ) -> None:
     """Show where the tip stands for given joint values (pose in the robot's base frame)."""
-    from ..robot.pose import matrix_quat, matrix_rpy
+    from ..robot.rotation import matrix_quat, matrix_rpy
 
     arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     values = arm.home if q is None else joint_vector(arm, q, "--q", deg)

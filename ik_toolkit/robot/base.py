@@ -12,7 +12,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, floats, near_match
-from .pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
+from .pose import check_target
+from .rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
 PITCH = math.radians(85.0)  # limit of a floating base, either way: at 90 degrees yaw and roll share one axis
 BALL_PITCH = math.pi / 2  # limit of a ball joint: every rotation can be reached

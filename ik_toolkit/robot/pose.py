@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
 from .ros import read_pose
+from .rotation import nearest_rotation, numbers, quat_matrix, rpy_matrix, turn_onto
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
 PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
@@ -38,7 +39,7 @@ class AxisTarget:
 
 
 def _unit(value: Any, name: str) -> np.ndarray:
-    vector = _numbers(named_axis(value, name, InvalidTarget), 3, name)
+    vector = numbers(named_axis(value, name, InvalidTarget), 3, name)
     length = float(np.linalg.norm(vector))
     if not length > 1e-9:
         raise InvalidTarget(f"{name} must not be the zero vector")
@@ -52,93 +53,6 @@ def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
     if value.strip().lower() not in AXES:
         raise error(f"{name} must be {', '.join(AXES)} or three numbers, not {value!r:.60}")
     return AXES[value.strip().lower()]
-
-
-def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) that takes one unit vector onto another."""
-    cos = float(axis @ direction)
-    if cos < 0.0:  # 1 + cos loses its digits near 180 degrees: use two reflections through a third vector instead
-        between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
-        u, v = axis - between, direction - between
-        return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
-    K = np.outer(direction, axis) - np.outer(axis, direction)  # cross product matrix of axis x direction
-    return np.eye(3) + K + K @ K / (1.0 + cos)
-
-
-def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
-    """Rotation (3, 3) nearest to R and how far R was from it (largest deviation of a singular value from 1)."""
-    U, S, Vt = np.linalg.svd(R)
-    D = np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(U @ Vt)))])
-    return U @ D @ Vt, float(np.abs(S * np.diag(D) - 1.0).max())
-
-
-def _numbers(value: Any, size: int, name: str) -> np.ndarray:
-    array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
-    if array.shape != (size,):
-        raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
-    if not np.isfinite(array).all():
-        raise InvalidTarget(f"{name} must be finite numbers: {array.tolist()}")
-    return array
-
-
-def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Angles (N,) [rad] between rotations A and B (N, 3, 3)."""
-    chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
-    return 2.0 * np.arcsin(np.minimum(chord, 1.0))
-
-
-def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def matrix_rpy(R: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw [rad] of a rotation (3, 3); yaw = 0 where pitch is +-90 degrees.
-
-    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90 degrees.
-    """
-    cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding error
-    s, c = math.sin(yaw), math.cos(yaw)
-    roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
-
-
-def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
-    """Rotation (3, 3) of a quaternion (4,) in this order (normalised here)."""
-    q = _numbers(quat, 4, f"quat_{order}")
-    length = math.sqrt(float(q @ q))
-    if not length > 1e-6:
-        raise InvalidTarget(f"quat_{order} has length {length:.3g}: not a rotation")
-    x, y, z, w = np.roll(q / length, -1 if order == "wxyz" else 0).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def matrix_quat(R: np.ndarray) -> np.ndarray:
-    """Quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
-    K = np.array(
-        [
-            [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
-            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0, 0],
-            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0],
-            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
-        ]
-    )
-    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle
-    return q if q[3] >= 0 else -q
 
 
 Numbers = Sequence[float] | np.ndarray
@@ -194,13 +108,13 @@ def pose(
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
         T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
-        T[:3, 3] = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+        T[:3, 3] = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
         return AxisTarget(T, tuple(tip_axis.tolist()))
     if turned > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw, quat_wxyz and rotation, not several")
-    position = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+    position = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
     if rpy is not None:
-        angles = _numbers(rpy, 3, "rpy")
+        angles = numbers(rpy, 3, "rpy")
         if np.abs(angles).max() > FEW_TURNS:
             doubt_angles("rpy", {"": float(angles[np.abs(angles).argmax()])})
         R = rpy_matrix(angles)
@@ -242,7 +156,7 @@ def approach(target: Any, distance: float, axis: Numbers | str | None = None) ->
     T = target.T_base_tip.copy() if free else check_target(target)[0]
     if T.ndim == 1:
         raise InvalidTarget("a position has no tip axis to back off along; give a pose, or ik.pose(xyz, direction=...)")
-    step = _numbers([distance], 1, "distance")[0] * _unit(
+    step = numbers([distance], 1, "distance")[0] * _unit(
         (target.axis if free else "z") if axis is None else axis, "axis"
     )
     T[:3, 3] -= T[:3, :3] @ step
@@ -350,7 +264,7 @@ def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     """
     T = floats(as_array(target, base), f"a target must be {FORMS}", InvalidTarget)
     if T.shape == (3,):
-        return _near(_numbers(T, 3, "target position")), ""
+        return _near(numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
         many = (
             "; solve_batch takes many targets, solve_path gives one motion through them"

@@ -16,7 +16,7 @@ import pinocchio as pin
 from ..errors import ModelError
 from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .formats.urdf_values import reversed_advice
-from .pose import turn_onto
+from .rotation import turn_onto
 
 SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
 FAR = 1e-5  # of the distance from the model's origin: lengths below AGREE times this are lost in Pinocchio's own rounding there

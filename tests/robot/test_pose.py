@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget
-from ik_toolkit.robot.pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
+from ik_toolkit.robot.pose import check_target
+from ik_toolkit.robot.rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
 angle = st.floats(-math.pi, math.pi)
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..constraints import Constraint, End, Length, Loop, Relation
-from ..pose import quat_matrix
+from ..rotation import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
 SCALAR = ("hinge", "slide")

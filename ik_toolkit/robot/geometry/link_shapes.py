@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ...errors import ModelError
 from ..formats.urdf import Item, numbers, parse
-from ..pose import rpy_matrix
+from ..rotation import rpy_matrix
 from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
 
 MAX_TOTAL = 5_000_000  # triangles per robot: 2 GB as bounding volume trees for collisions; robots have up to 1,000,000
