@@ -13,7 +13,7 @@ import numpy as np
 
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..robot.pose import check_target
+from ..robot.pose import checked
 from ..validate import number, one_of, positive, switch
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
@@ -159,5 +159,5 @@ def log(R: np.ndarray) -> np.ndarray:
 
 def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
     """Position (3,) and rotation (3, 3), None when it is free, of a target. Raises InvalidTarget."""
-    T, _ = check_target(target)
+    T = checked(target)
     return (T, None) if T.ndim == 1 else (T[:3, 3].copy(), T[:3, :3].copy())

@@ -24,6 +24,7 @@ from ..kernel.records import POINTS
 from ..readonly import ReadOnly
 from .base import Given
 from .formats.srdf import Srdf
+from .mobility import mobility_of
 from .narrow import narrowed
 from .probe import Path
 from .ros import read_joint_state
@@ -144,6 +145,12 @@ class Joints(ReadOnly):
                 found[name] = self.home.copy()
                 found[name][[self.joint_names.index(joint) for joint in given]] = list(given.values())
         return found
+
+    @functools.cached_property
+    def mobility(self) -> Any:
+        """What the tip can never do, however the joints stand: a `Mobility`; of a Tree a dict of them by tip."""
+        found = {arm.tip: mobility_of(arm) for arm in self.arms}
+        return found if self.by_tip else found[self.tips[0]]
 
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""

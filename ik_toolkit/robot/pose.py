@@ -1,5 +1,6 @@
 """Poses: build them from user input and reject anything that is not one."""
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -131,7 +132,7 @@ def pose(
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = position
-    return check_target(T)[0]
+    return checked(T)
 
 
 @overload
@@ -230,7 +231,7 @@ def _near(position: np.ndarray) -> np.ndarray:
 
 def as_matrix(pose: Any) -> np.ndarray:
     """Pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation. Raises InvalidTarget."""
-    T = check_target(pose)[0]
+    T = checked(pose)
     if T.ndim == 2:
         return T
     made = np.eye(4)
@@ -291,6 +292,14 @@ def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     if off > 1e-12:
         T[:3, :3] = R
     return T, notice
+
+
+def checked(target: Any) -> np.ndarray:
+    """The target of `check_target`, whose notice goes to the log "ik_toolkit": for calls that return nothing but the target."""
+    T, notice = check_target(target)
+    if notice:
+        logging.getLogger("ik_toolkit").warning("%s", notice)
+    return T
 
 
 def length(value: float) -> str:

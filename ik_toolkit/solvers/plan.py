@@ -4,6 +4,7 @@ Where some joints are held, every start of a search has them at their values in 
 """
 
 import copy
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from ..kernel.packed_model import join
 from ..kernel.records import ANSWER, AT, MISS, POINTS, Orders
 from ..kernel.starts import BEST
 from .closed_form_then_search import with_search
-from .options import Options
+from .options import PLAIN, Options
 from .postprocess import finishing
 from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
@@ -28,6 +29,7 @@ MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that P
 KINDS_KEPT = 64  # kinds of target a plan stays ready for: every axis is a kind of its own, and axes have no end
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 FOLLOW_ITERATIONS = 100  # the single attempt of `follow` has no successor where it converges slowly
+WITHOUT_LIMITS = 20  # attempts that test whether limits are what blocks a target
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
@@ -68,6 +70,12 @@ class Plan:
     def varied(self, **options: Any) -> "Plan":
         """The same with some options changed."""
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
+
+    @functools.cached_property
+    def unlimited(self) -> "Plan":
+        """The same without limits and with a few attempts, which tells whether limits are what blocks a target."""
+        attempts = {} if self.row.closed else {"restarts": WITHOUT_LIMITS - 1}
+        return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **attempts})
 
     def search(self, **options: Any) -> "Plan":
         """The general search with the same options, some of them changed."""

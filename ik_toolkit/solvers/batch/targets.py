@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import InvalidOption, InvalidTarget, masked
+from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
 from ...kernel.counted_error import FREE, POSE, POSITION
 from ...robot.pose import AxisTarget, as_array, check_target
 
@@ -170,6 +170,10 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
         if kinds not in (None, block.kinds):
             raise InvalidTarget("a batch holds either poses or positions for each tip, not both")
         kinds = block.kinds
+        for tip, part in zip(robot.tips, block.parts, strict=True):
+            if part is not None and len(part):
+                places = np.abs(part if part.ndim == 2 else part[:, :3, 3])
+                doubt_lengths(f"targets of {tip} on {robot.name}", float(np.nanmax(places, initial=0.0)), robot.reach)
         yield block
 
 
