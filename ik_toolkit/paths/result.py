@@ -54,7 +54,8 @@ class PathResult:
     reconfigurations, and lower_bound, the proven minimum (None: not proven); unreachable poses. position_error (N,) [m] and
     orientation_error (N,) [rad] (None: free): the errors that count at the poses, the largest over the tips, by Pinocchio.
     The motion is linear in the joints between the rows of curve (M, n): q and the inserted poses; at (M,) is their place
-    among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it. robot,
+    among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it.
+    fraction: share of the path's length that one motion follows from its start (1 where it is FOLLOWED). robot,
     targets (N, F, 4, 4) [m] by tip, kinds and options: the request; max_step (rad, m), path_tolerance (m, rad),
     collision (model or None), seed; elapsed [s].
     """
@@ -79,6 +80,7 @@ class PathResult:
     collision: Any = field(default=None, repr=False)
     seed: int = 0
     elapsed: float = 0.0
+    fraction: float = 1.0
 
     @property
     def success(self) -> bool:
@@ -139,6 +141,7 @@ class PathResult:
                 "orientation_error": self.orientation_error,
                 "reconfigurations": [{"index": one.index, "move": one.move} for one in self.reconfigurations],
                 "lower_bound": self.lower_bound,
+                "fraction": self.fraction,
                 "unreachable": [one._asdict() for one in self.unreachable],
                 "curve": self.curve,
                 "at": self.at,
@@ -219,16 +222,17 @@ def sentence(path: PathResult, needed: int, allowed: float) -> str:
         last = int(reached[-1]) if len(reached) else -1
         most = f"{allowed:g} reconfiguration{'s' * (allowed != 1)}" if allowed else "no reconfiguration"
         ends = f"with {most} the path found ends at pose {last} of {N}"
+        far = f"from the start {100.0 * path.fraction:.3g} % of its length can be followed in one motion"
         if path.unreachable:
             first, more = path.unreachable[0], len(path.unreachable) - 1
             others = f" and {more} more" if more else ""
             cut = f"; {ends}, and all of them take {needed}" if needed > allowed else ""
             return (
-                f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; move the poses, "
-                "relax the targets (free_turn, slack, mask), or widen the limits"
+                f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; {far}; move the "
+                "poses, relax the targets (free_turn, slack, mask), or widen the limits"
             )
         return (
-            f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; allow them "
+            f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; {far}; allow them "
             "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
         )
     turn, slide = path.length

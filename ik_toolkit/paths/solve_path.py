@@ -26,6 +26,7 @@ from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
 from .finish import collapsed, finished, gaps, inserted
+from .fraction import fraction
 from .freedom import freedom
 from .path_problem import STEP, Problem
 from .path_search import Search
@@ -238,7 +239,7 @@ def _result(
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
         at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=least,
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
-        elapsed=perf_counter() - began,
+        elapsed=perf_counter() - began, fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
     result = replace(result, message=sentence(result, needed, allowed))
     o = problem.single.options
