@@ -65,11 +65,13 @@ class Piece(NamedTuple):
 class Trajectory:
     """A motion in time of n joints, sampled at N times (read-only).
 
-    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,) among the
-    poses of the path, NaN while the robot changes from one branch of solutions to another; success; message: a sentence, which
-    says why if the motion ends early. velocity, acceleration (n,): the limits, which hold at every instant, see `at`. deviation
-    (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in PathResult. pieces: the motion itself,
-    each from rest to rest. robot: the robot that moves; collision: the CollisionModel it keeps clear of, or None.
+    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,)
+    among the poses of the path, NaN while the robot changes from one branch of solutions to another; success; message: a
+    sentence, which says why if the motion ends early. velocity, acceleration (n,): the limits, which hold at every
+    instant, see `at`. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in
+    PathResult. pieces: the motion itself, each from rest to rest. robot: the robot that moves; collision: the
+    CollisionModel it keeps clear of, or None. stops: places among the poses where the robot stops because no smooth curve
+    was found there. slower: where a tip speed was asked for, from which place to which the limits keep the tip below it.
     """
 
     robot: Any
@@ -86,6 +88,8 @@ class Trajectory:
     clearance: float | None
     pieces: tuple[Piece, ...]
     collision: Any = field(default=None, repr=False)
+    stops: tuple[float, ...] = ()
+    slower: tuple[tuple[float, float], ...] = ()
 
     @property
     def duration(self) -> float:

@@ -81,6 +81,7 @@ class PathResult:
     seed: int = 0
     elapsed: float = 0.0
     fraction: float = 1.0
+    tolerance_given: bool = field(default=False, repr=False)
 
     @property
     def success(self) -> bool:
@@ -183,18 +184,37 @@ class PathResult:
         return file
 
     def retime(
-        self, velocity: Any = None, acceleration: Any = None, *, rate: float = 100.0, seed: int = 0
+        self,
+        velocity: Any = None,
+        acceleration: Any = None,
+        *,
+        rate: float = 100.0,
+        seed: int = 0,
+        path_tolerance: Any = None,
+        tip_speed: float | None = None,
     ) -> "Trajectory":
         """Time-optimal motion within joint speed and acceleration limits, see `Trajectory`.
 
-        velocity, acceleration: one number, or one per joint (n,) [rad or m per s, s^2]; velocity defaults to the
-        robot's own limits, accelerations must be given. rate [1/s] of the samples. At a reconfiguration the robot stops and
-        moves freely from one branch to the other; seed: of the search for that motion. Raises InvalidOption (limits missing or
-        not positive, a path that was not followed), MissingExtra.
+        The poses are samples of a motion: a smooth curve goes through them. It stops only where it must, which the result says
+        (`Trajectory.stops`). At a reconfiguration the robot stops and moves freely from one branch to the other.
+
+        Args:
+            velocity: one number, or one per joint (n,) [rad/s or m/s]; default the robot's own limits.
+            acceleration: the same [rad/s^2 or m/s^2]; must be given.
+            rate: of the samples [1/s].
+            seed: of the search for a free motion.
+            path_tolerance: how far (m, rad) a tip may leave the chords between the poses. Default: the one given to `solve_path`;
+                where none was, its default or the chords' own sagitta, which is how far an arc through the poses leaves them.
+            tip_speed: speed [m/s] of the tip along the path, kept wherever the limits allow (`Trajectory.slower` says where not).
+
+        Raises:
+            InvalidOption: limits are missing or not positive.
+            NotSolved: the path was not followed.
+            MissingExtra: without toppra or SciPy.
         """
         from .timing import retime
 
-        return retime(self, velocity, acceleration, rate, seed)
+        return retime(self, velocity, acceleration, rate, seed, path_tolerance, tip_speed)
 
     def __repr__(self) -> str:
         """One line."""

@@ -129,7 +129,8 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # not every choice of rotation directions was tried
         search.progress(0.9, "shortening and verifying the path")
-        return _result(search, allowed, step, tolerance, model, seed, began)
+        made = _result(search, allowed, step, tolerance, model, seed, began)
+        return replace(made, tolerance_given=path_tolerance is not None)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
