@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "Robot": "robot.robot",
     "Tree": "robot.tree",
+    "approach": "robot.pose",
     "pose": "robot.pose",
     "solve": "solvers.solve",
     "Solver": "solvers.solve",

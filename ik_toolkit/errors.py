@@ -18,6 +18,7 @@ COMPARED = 1_000  # most names that a misspelled one is compared with, as each c
 SHOWN = 100  # most characters of a name that are compared and shown, as the time to compare grows with their square
 # Characters that a terminal acts on instead of showing them: control characters but tab and newline, and bidirectional marks.
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
+FAR_AWAY = 50.0  # reaches; targets farther away are more often in millimetres
 FEW_TURNS = 4.0 * math.pi  # rad, a larger angle was more probably given in degrees than meant as turns
 DOUBTED: set[str] = set()  # angles that a warning was given for, so that it is not repeated
 # A requirement of an extra in the metadata of a package, such as: scipy>=1.10; extra == "tune".
@@ -203,6 +204,15 @@ def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
     logging.getLogger("ik_toolkit").warning(
         "%s: %g rad is %.3g turns; were degrees meant?", where, x, abs(x) / (2.0 * math.pi)
     )
+
+
+def doubt_lengths(what: str, away: float, reach: float) -> None:
+    """Warn, once for one `what`, that lengths [m] beyond FAR_AWAY reaches may have been meant in millimetres."""
+    if away > FAR_AWAY * reach and what not in DOUBTED:
+        DOUBTED.add(what)
+        logging.getLogger("ik_toolkit").warning(
+            "%s: %.4g m is %.3g times the robot's reach; were millimetres meant?", what, away, away / reach
+        )
 
 
 def extras() -> dict[str, list[str]]:

@@ -1,22 +1,31 @@
-"""Writing of files whole or not at all: a file is written under a temporary name, and renamed when it is complete.
+"""Files are written whole or not at all: under a temporary name, then renamed.
 
 An interruption, a full disk or a late error never destroys the existing file.
 """
 
 import csv
 import io
+import json
+import math
 import os
 import re
 import uuid
+import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from .errors import InvalidOption
+from .errors import IKError, InvalidOption
 
-PARTIAL = ".partial"  # suffix added to the name of a file when its work was cut short
-FORMULA = re.compile(r"'*[=+\-@\t\r]")  # how a formula begins, which a spreadsheet would run, also with quotes in front
+PARTIAL = ".partial"  # suffix for an incomplete result
+FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginnings of what a spreadsheet runs, also marked as text
+# Largest arrays of a file together [bytes]: the first, and the second for each byte of the file; poses compress to a fifth at best.
+UNPACKED, EXPANSION = 2**26, 20
+NAMES = 2**18  # bytes of an array of names
+NUMBERS, TEXTS = "fiu", "U"  # kinds of dtype that are read as numbers, and as names
+HEADER = 2**16  # bytes of an array's header, which numpy takes into memory before it looks at it
+JSON_BYTES = 20_000_000  # lists take up to 20 times as much, and a second for 5 MB
 
 
 def as_path(value: Any, what: str = "it") -> Path:
@@ -35,7 +44,7 @@ class WholeFile:
     def __init__(self, path: str | Path) -> None:
         """Open a temporary file beside `path`, or the device or pipe itself. Raises OSError."""
         self.path = Path(path)
-        place = Path(os.path.realpath(path))  # the file behind a symbolic link is replaced, not the link
+        place = Path(os.path.realpath(path))  # a symbolic link stays one
         self._place = place if place.is_file() or not place.exists() else None
         self.part = place if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
         self._good = 0
@@ -78,7 +87,7 @@ class WholeFile:
             return None
         kept = self.path.with_name(self.path.name + suffix)
         try:
-            self.stream.close()  # a full disk makes closing fail, too, which only loses what is cut off below
+            self.stream.close()  # on a full disk this fails again, on the part that is cut off below
         except OSError:
             pass
         try:
@@ -129,7 +138,7 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
 def inert(text: str) -> str:
     """Return text for a cell of a CSV file, with a quote in front if a spreadsheet would run it as a formula."""
     try:
-        float(text)  # a number such as -0.5 is no formula
+        float(text)  # -0.5 is a number
     except ValueError:
         return f"'{text}" if FORMULA.match(text) else text
     return text
@@ -147,3 +156,50 @@ def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float
     writer.writerow(map(inert, head))
     writer.writerows(["" if x != x else inert(x) if isinstance(x, str) else repr(x) for x in row] for row in rows)
     write_whole(path, text.getvalue())
+
+
+def read_json(path: Path, error: type[IKError]) -> Any:
+    """Read a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
+    if path.stat().st_size > JSON_BYTES:
+        raise error(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ or CSV")
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise error(f"'{path.name}': its lists are nested too deep") from None
+
+
+def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: type[IKError]) -> None:
+    """Check the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
+
+    Of the arrays called `names`, those in `texts` have names, all others real numbers (no dates, complex numbers, truth
+    values or objects). None may be larger than its data, and together they may take no more than a file of this size
+    can hold.
+    """
+    import numpy as np  # keeps `ik --help` light
+
+    packed, together = path.stat().st_size, 0
+    with zipfile.ZipFile(path) as archive:
+        members = [member for member in archive.infolist() if member.filename.removesuffix(".npy") in names]
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as stream:
+                start = io.BytesIO(stream.read(HEADER))
+                version = np.lib.format.read_magic(start)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(start)
+            what, kinds = ("names", TEXTS) if name in texts else ("real numbers", NUMBERS)
+            if dtype.kind not in kinds:
+                raise error(f"'{path.name}': the array {name} holds values of the type {dtype}, not {what}")
+            promised = math.prod(shape) * dtype.itemsize
+            if promised > member.file_size:
+                raise error(
+                    f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
+                )
+            together += member.file_size
+            if name in texts and promised > NAMES:
+                raise error(f"'{path.name}': the array {name} takes {promised:,} bytes, too many for names")
+            if together > UNPACKED + EXPANSION * packed:
+                raise error(
+                    f"'{path.name}': {member.filename} unpacks to {together / 1e6:,.1f} MB from {packed / 1e6:,.1f} MB; save it "
+                    "with numpy.savez, without compression"
+                )

@@ -24,7 +24,7 @@ import pinocchio as pin
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError
 from ik_toolkit.robot.load import read_source
-from ik_toolkit.robot.pose import rpy_matrix
+from ik_toolkit.robot.rotation import rpy_matrix
 from ik_toolkit.robot.tips import guess_tip, tip_candidates
 
 SUFFIXES = (".urdf", ".xacro", ".xml")

@@ -13,7 +13,7 @@ import typer
 
 from ..errors import InvalidOption, MissingExtra
 from ..files import PARTIAL, WholeFile, inert
-from ..robot.pose_files import read_poses
+from ..robot.pose_files import Convention, read_poses
 from ..solvers.batch.result import BatchCheckFailed, BatchInterrupted, BatchResult
 from ..solvers.batch.solve_batch import solve_batch, solve_parts
 from ..solvers.status import Status
@@ -242,7 +242,7 @@ def solve_file(
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    count, blocks = read_poses(path, "targets", deg=deg, tips=arm.tips if arm.by_tip else ())
+    count, blocks = read_poses(path, "targets", given=Convention(deg=deg), tips=arm.tips if arm.by_tip else ())
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()
     with _cluster(cluster) as executor, progress("solving", count) as show_done:

@@ -116,10 +116,10 @@ def path(
     """
     asked.check()
     from ..paths.solve_path import PathInterrupted, solve_path
-    from ..robot.pose_files import read_poses
+    from ..robot.pose_files import Convention, read_poses
 
     arm = robot.load(robot.choose_tips())
-    _, blocks = read_poses(asked.poses, "poses", deg=robot.deg, tips=arm.tips if arm.by_tip else ())
+    _, blocks = read_poses(asked.poses, "poses", given=Convention(deg=robot.deg), tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], asked.poses.name)
     options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
     options |= collisions.read(arm) | given(random)

@@ -279,7 +279,7 @@ def fk(robot: FkOptions, out: JsonOutput) -> None:
     ik fk hydrolek_7w
     ik fk inspection_7dof --deg --q 20 0.22 20 0 20 0 20
     """
-    from ..robot.pose import matrix_quat, matrix_rpy
+    from ..robot.rotation import matrix_quat, matrix_rpy
 
     arm, deg = robot.load(robot.tip), robot.deg
     values = arm.home if robot.q is None else joint_vector(arm, robot.q, "--q", deg)

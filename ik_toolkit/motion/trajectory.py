@@ -59,23 +59,15 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A motion over time of n joints, sampled at N times (read-only).
+    """A motion in time of n joints, sampled at N times (read-only).
 
-    Attributes:
-        robot: The robot that moves.
-        t: (N,) times from 0 [s], spaced by 1 / rate except for the last.
-        q: (N, n) joint values [rad or m].
-        dq: (N, n) joint rates [rad/s or m/s].
-        ddq: (N, n) joint accelerations [rad/s^2 or m/s^2].
-        place: (N,) place among the poses of the path, NaN while the robot changes from one branch of solutions to another.
-        success: Whether the motion reaches the end of the path.
-        message: A sentence, which says why if the motion ends early.
-        velocity: (n,) speed limits [rad/s or m/s]; they hold at every instant, see `at`.
-        acceleration: (n,) acceleration limits [rad/s^2 or m/s^2]; they hold at every instant.
-        deviation: Bound on how far a tip leaves the interpolated poses (m, rad).
-        clearance: Least distance [m] to what the robot keeps clear of, None without a collision model; see `PathResult`.
-        pieces: The motion itself, in pieces from rest to rest.
-        collision: The CollisionModel that the robot keeps clear of, or None.
+    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,)
+    among the poses of the path, NaN while the robot changes from one branch of solutions to another; success; message: a
+    sentence, which says why if the motion ends early. velocity, acceleration (n,): the limits, which hold at every
+    instant, see `at`. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in
+    PathResult. pieces: the motion itself, each from rest to rest. robot: the robot that moves; collision: the
+    CollisionModel it keeps clear of, or None. stops: places among the poses where the robot stops because no smooth curve
+    was found there. slower: where a tip speed was asked for, from which place to which the limits keep the tip below it.
     """
 
     robot: Any
@@ -92,6 +84,8 @@ class Trajectory:
     clearance: float | None
     pieces: tuple[Piece, ...]
     collision: Any = field(default=None, repr=False)
+    stops: tuple[float, ...] = ()
+    slower: tuple[tuple[float, float], ...] = ()
 
     @property
     def duration(self) -> float:

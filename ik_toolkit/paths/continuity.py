@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InvalidOption
 from ..kernel.chain import joint_levers
 from ..kernel.counted_error import FREE, POSITION
-from ..robot.pose import angles_between
+from ..robot.rotation import angles_between
 from ..solvers.task import relatives, what_counts
 from .certificate import Continuity
 from .contact import find_contacts

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel.counted_error import FREE, POSITION
-from ..robot.pose import angles_between
+from ..robot.rotation import angles_between
 from .certificate import Continuity
 from .continuity import check, densify
 from .interpolate import interpolate_poses

@@ -19,13 +19,14 @@ from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
-from ..solvers.batch.targets import blocks, known, mended
+from ..solvers.batch.targets import blocks, freed, known, mended
 from ..solvers.collision_free import collision_model
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
 from .finish import collapsed, finished, gaps, inserted
+from .fraction import fraction
 from .freedom import freedom
 from .path_problem import STEP, Problem
 from .path_search import Search
@@ -95,6 +96,7 @@ def solve_path(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
             )
     check_progress(progress, "a fraction and a text")
+    poses, options = freed(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # the variant with narrower limits, where they are given
     T, kinds = _read(robot, poses)
@@ -127,7 +129,8 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # not every choice of rotation directions was tried
         search.progress(0.9, "shortening and verifying the path")
-        return _result(search, allowed, step, tolerance, model, seed, began)
+        made = _result(search, allowed, step, tolerance, model, seed, began)
+        return replace(made, tolerance_given=path_tolerance is not None)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
@@ -177,7 +180,7 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
     if isinstance(poses, Reference):
         made = poses.at(poses.times(DT))[0]
         poses = made[:, :3, 3] if poses.position_only else made
-    given = known(poses)
+    given = known(poses, robot.base)
     chunks: Iterator[Any] = iter([given]) if given is not None else iter(poses)
     parts = list(blocks(chunks, robot))
     if not sum(part.rows for part in parts):
@@ -237,7 +240,7 @@ def _result(
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
         at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=least,
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
-        elapsed=perf_counter() - began,
+        elapsed=perf_counter() - began, fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
     result = replace(result, message=path_sentence(result, needed, allowed))
     o = problem.single.options

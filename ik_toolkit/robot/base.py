@@ -13,7 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, floats, near_match
-from .pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
+from .pose import check_target
+from .rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
 # The pitch of a floating base is at most 85 degrees either way, because at 90 degrees yaw and roll share one axis.
 PITCH = math.radians(85.0)

@@ -24,8 +24,10 @@ from ..kernel.records import POINTS
 from ..readonly import ReadOnly
 from .base import Given
 from .formats.srdf import Srdf
+from .mobility import mobility_of
 from .narrow import narrowed
 from .probe import JointPath
+from .ros import read_joint_state
 
 LOG = logging.getLogger("ik_toolkit")
 # Maps a word to rows of a tip's Jacobian.
@@ -176,6 +178,12 @@ class Joints(ReadOnly):
         """T_base_tip of each tip at a checked q (n,), in the order of `tips`, by Pinocchio."""
         return [arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)]
 
+    @functools.cached_property
+    def mobility(self) -> Any:
+        """What the tip can never do, however the joints stand: a `Mobility`; of a Tree a dict of them by tip."""
+        found = {arm.tip: mobility_of(arm) for arm in self.arms}
+        return self.for_tips(found)
+
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""
         for tip in names:
@@ -197,14 +205,45 @@ class Joints(ReadOnly):
                 doubt_angles(name, far)
         return array
 
-    def _values(self, q: Any, name: str = "q") -> np.ndarray:
-        """Return any numbers as `check_q` does, finite or not."""
+    def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
+        """Joint values in any form as an array (n,), which is not checked, and a notice ('' or what was ignored).
+
+        Args:
+            q: numbers (n,); the name of a configuration (see `named`); or values by joint, as a dict or a ROS JointState, of
+                which other joints are ignored.
+            name: of the argument, for messages.
+
+        Raises:
+            InvalidConfiguration: a joint is missing, or these are no numbers.
+            ConfigurationNotFound: no configuration has this name.
+        """
+        notice = ""
+        if isinstance(q, str):
+            q = self.named[q]
+        elif not isinstance(q, np.ndarray | list | tuple):
+            by_joint = q if isinstance(q, Mapping) else read_joint_state(q, name)
+            if by_joint is not None:
+                missing = [joint for joint in self.joint_names if joint not in by_joint]
+                others = [str(joint) for joint in by_joint if joint not in self.joint_names]
+                if missing:
+                    meant = near_match(missing[0], others) if others else ""
+                    raise InvalidConfiguration(f"{name} has no value for joint {', '.join(missing)}.{meant}")
+                if others:
+                    notice = (
+                        f"{name}: joint{'s' * (len(others) > 1)} {', '.join(others)} ignored, not of this robot's q"
+                    )
+                q = [by_joint[joint] for joint in self.joint_names]
+
         array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
         if array.shape != (self.n,):
             raise InvalidConfiguration(
                 f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
             )
-        return array
+        return array, notice
+
+    def _values(self, q: Any, name: str = "q") -> np.ndarray:
+        """Return joint values in any form as `check_q` does, finite or not."""
+        return self.read_q(q, name)[0]
 
     def locked(self, joints: Mapping[str, float]) -> Self:
         """Return a copy with joints held at values and left out of q.

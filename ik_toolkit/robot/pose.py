@@ -1,5 +1,6 @@
-"""Builds poses from user input and rejects anything that is not one."""
+"""Poses: build them from user input and reject anything that is not one."""
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +8,16 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ..errors import FEW_TURNS, InvalidTarget, doubt_angles, floats
+from ..errors import FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
+from .ros import read_pose
+from .rotation import nearest_rotation, numbers, quat_matrix, rpy_matrix, turn_onto
 
-LAST = (0.0, 0.0, 0.0, 1.0)  # Every pose has this last row.
-PROJECT_WITHIN = 1e-2  # A typed rotation is projected if no singular value deviates more than this from 1.
+LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
+PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+AXES |= {f"-{name}": tuple(-x for x in axis) for name, axis in AXES.items()}
+FORMS = "a 4x4 pose, a pin.SE3, a ROS pose or a position of 3 numbers"
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,100 +45,20 @@ class AxisTarget:
 
 
 def _unit(value: Any, name: str) -> np.ndarray:
-    vector = _numbers(value, 3, name)
+    vector = numbers(named_axis(value, name, InvalidTarget), 3, name)
     length = float(np.linalg.norm(vector))
     if not length > 1e-9:
         raise InvalidTarget(f"{name} must not be the zero vector")
     return vector / length
 
 
-def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return a rotation (3, 3) that takes one unit vector onto another."""
-    cos = float(axis @ direction)
-    # 1 + cos loses its digits near 180 degrees, so two reflections through a third vector are used instead.
-    if cos < 0.0:
-        between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
-        u, v = axis - between, direction - between
-        return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
-    K = np.outer(direction, axis) - np.outer(axis, direction)  # This is the cross product matrix of axis x direction.
-    return np.eye(3) + K + K @ K / (1.0 + cos)
-
-
-def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the rotation (3, 3) nearest to R and the largest deviation of R's singular values from 1."""
-    U, S, Vt = np.linalg.svd(R)
-    D = np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(U @ Vt)))])
-    return U @ D @ Vt, float(np.abs(S * np.diag(D) - 1.0).max())
-
-
-def _numbers(value: Any, size: int, name: str) -> np.ndarray:
-    array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
-    if array.shape != (size,):
-        raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
-    if not np.isfinite(array).all():
-        raise InvalidTarget(f"{name} must be finite numbers: {array.tolist()}")
-    return array
-
-
-def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the angles (N,) [rad] between rotations A and B (N, 3, 3)."""
-    chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
-    return 2.0 * np.arcsin(np.minimum(chord, 1.0))
-
-
-def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def matrix_rpy(R: np.ndarray) -> np.ndarray:
-    """Return roll, pitch, yaw [rad] of a rotation (3, 3), with yaw = 0 if pitch is +-90 degrees.
-
-    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90
-    degrees.
-    """
-    cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # At a pitch of 90 degrees yaw is 0.
-    s, c = math.sin(yaw), math.cos(yaw)
-    roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
-
-
-def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
-    """Return the rotation (3, 3) of a quaternion (4,) in this order, which is normalised here."""
-    q = _numbers(quat, 4, f"quat_{order}")
-    length = math.sqrt(float(q @ q))
-    if not length > 1e-6:
-        raise InvalidTarget(f"quat_{order} has length {length:.3g}: not a rotation")
-    x, y, z, w = np.roll(q / length, -1 if order == "wxyz" else 0).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def matrix_quat(R: np.ndarray) -> np.ndarray:
-    """Return the quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
-    K = np.array(
-        [
-            [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
-            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0, 0],
-            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0],
-            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
-        ]
-    )
-    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle only.
-    return q if q[3] >= 0 else -q
+def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
+    """The axis (3,) that 'x', 'y', 'z', '-x', '-y' or '-z' names; anything but a text as it is. Raises `error`."""
+    if not isinstance(value, str):
+        return value
+    if value.strip().lower() not in AXES:
+        raise error(f"{name} must be {', '.join(AXES)} or three numbers, not {value!r:.60}")
+    return AXES[value.strip().lower()]
 
 
 Numbers = Sequence[float] | np.ndarray
@@ -199,13 +125,13 @@ def pose(
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
         T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
-        T[:3, 3] = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+        T[:3, 3] = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
         return AxisTarget(T, tuple(tip_axis.tolist()))
     if turned > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw, quat_wxyz and rotation, not several")
-    position = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+    position = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
     if rpy is not None:
-        angles = _numbers(rpy, 3, "rpy")
+        angles = numbers(rpy, 3, "rpy")
         if np.abs(angles).max() > FEW_TURNS:
             doubt_angles("rpy", {"": float(angles[np.abs(angles).argmax()])})
         R = rpy_matrix(angles)
@@ -222,7 +148,36 @@ def pose(
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = position
-    return check_target(T)[0]
+    return checked(T)
+
+
+@overload
+def approach(target: AxisTarget, distance: float, axis: Numbers | str | None = None) -> AxisTarget: ...
+@overload
+def approach(target: Any, distance: float, axis: Numbers | str | None = None) -> Matrix: ...
+def approach(target: Any, distance: float, axis: Numbers | str | None = None) -> AxisTarget | np.ndarray:
+    """Return the pose before (or behind) a target, backed off along a tip axis: where a straight approach begins.
+
+    Args:
+        target: T_base_tip (4, 4), a pin.SE3 or ROS pose, or an AxisTarget.
+        distance: how far [m] the tip stands back, against the direction of the axis; negative: beyond the target.
+        axis: of the tip, "z" or three numbers; default that of an AxisTarget, else z.
+
+    Returns:
+        A target of the same kind: an AxisTarget, or T_base_tip (4, 4).
+
+    Raises:
+        InvalidTarget: no pose (a position has no axes), a distance that is not a finite number, or a zero axis.
+    """
+    free = isinstance(target, AxisTarget)
+    T = target.T_base_tip.copy() if free else check_target(target)[0]
+    if T.ndim == 1:
+        raise InvalidTarget("a position has no tip axis to back off along; give a pose, or ik.pose(xyz, direction=...)")
+    step = numbers([distance], 1, "distance")[0] * _unit(
+        (target.axis if free else "z") if axis is None else axis, "axis"
+    )
+    T[:3, 3] -= T[:3, :3] @ step
+    return AxisTarget(T, target.axis) if free else T
 
 
 def _axes(T: np.ndarray, target: np.ndarray, frame: str) -> np.ndarray:
@@ -271,7 +226,7 @@ def errors(
     if free_turn is not None and target.ndim == 2:
         now, wanted = T[:3, :3] @ free_turn, target[:3, :3] @ free_turn
         across, cosine = np.cross(now, wanted), float(now @ wanted)
-        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # The rotation is 180 degrees, about any perpendicular axis.
+        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # 180 degrees, about any perpendicular axis
             across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))])
             angle = math.pi
         else:
@@ -296,7 +251,7 @@ def as_matrix(pose: Any) -> np.ndarray:
 
     Raises InvalidTarget.
     """
-    T = check_target(pose)[0]
+    T = checked(pose)
     if T.ndim == 2:
         return T
     made = np.eye(4)
@@ -304,25 +259,40 @@ def as_matrix(pose: Any) -> np.ndarray:
     return made
 
 
-def check_target(target: Any) -> tuple[np.ndarray, str]:
+def as_array(target: Any, base: str = "") -> Any:
+    """The array of a pin.SE3 or of a ROS message, see `ros.read_pose`; anything else as it is. Raises InvalidTarget."""
+    if isinstance(target, np.ndarray | list | tuple):
+        return target
+    if hasattr(target, "homogeneous"):
+        return target.homogeneous
+    found = read_pose(target, base)
+    if found is None:
+        return target
+    position, quat = found
+    if quat is None:
+        return position
+    if not np.isfinite([*position, *quat]).all():
+        return np.full((4, 4), np.nan)  # a pose that its reader refuses: a tracker goes on without it
+    return pose(position, quat_xyzw=quat)
+
+
+def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
 
-    A target is a (4, 4) array, a (3,) position or anything with a `homogeneous` attribute (pin.SE3). A rotation within
-    1e-2 of orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget for anything else.
+    Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
+    must be `base` where both are given. A rotation within 1e-2 of orthonormal is projected to the nearest one, and the notice
+    says so. Raises InvalidTarget otherwise.
     """
-    matrix = getattr(target, "homogeneous", target)
-    T = floats(matrix, "a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers", InvalidTarget)
+    T = floats(as_array(target, base), f"a target must be {FORMS}", InvalidTarget)
     if T.shape == (3,):
-        return _near(_numbers(T, 3, "target position")), ""
+        return _near(numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
         many = (
             "; solve_batch takes many targets, solve_path gives one motion through them"
             if T.shape[1:] in ((4, 4), (3,))
             else ""
         )
-        raise InvalidTarget(
-            f"a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}{many}"
-        )
+        raise InvalidTarget(f"a target must be {FORMS}, not an array of shape {T.shape}{many}")
     if not np.isfinite(T).all():
         raise InvalidTarget("the target pose has entries that are not finite numbers")
     if np.abs(T[3] - LAST).max() > LAST_ROW:
@@ -342,6 +312,14 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
     if off > 1e-12:
         T[:3, :3] = R
     return T, notice
+
+
+def checked(target: Any) -> np.ndarray:
+    """The target of `check_target`, whose notice goes to the log "ik_toolkit": for calls that return nothing but the target."""
+    T, notice = check_target(target)
+    if notice:
+        logging.getLogger("ik_toolkit").warning("%s", notice)
+    return T
 
 
 def length(value: float) -> str:

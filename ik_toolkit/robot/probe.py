@@ -16,7 +16,7 @@ import pinocchio as pin
 from ..errors import ModelError
 from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .formats.urdf_values import reversed_advice
-from .pose import turn_onto
+from .rotation import turn_onto
 
 SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
 # Pinocchio's rounding of lengths is up to AGREE times FAR times the distance from the model's origin.

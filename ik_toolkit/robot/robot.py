@@ -327,7 +327,7 @@ class Robot(Joints):
         The target is a pose (4, 4) or pin.SE3 in the base frame, or a position (3,) [m], for which the angle is None. Raises
         InvalidConfiguration, InvalidTarget.
         """
-        return self._errors(self.check_q(q), check_target(target)[0])
+        return self._errors(self.check_q(q), check_target(target, self.base)[0])
 
     def _errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
         T = self._fk(q)

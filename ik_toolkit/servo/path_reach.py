@@ -8,7 +8,8 @@ import numpy as np
 
 from ..motion.reference import Reference
 from ..robot.joints import Joints
-from ..robot.pose import angles_between, length
+from ..robot.pose import length
+from ..robot.rotation import angles_between
 
 CLOSE = (1e-4, 2e-4)  # [m, rad] error that counts as reached: a tenth of what a run is allowed by default
 DENSE = 1000  # samples from which the length of a path is measured

@@ -14,8 +14,9 @@ from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, Portabl
 from ..kernel.counted_error import POSE, POSITION
 from ..motion.reference import Reference, Samples
 from ..robot.narrow import with_limits
-from ..robot.pose import PROJECT_WITHIN, angles_between
+from ..robot.pose import PROJECT_WITHIN
 from ..robot.robot import Robot
+from ..robot.rotation import angles_between
 from ..robot.tree import Tree
 from ..solvers.collision_free import collision_model
 from ..validate import number, one_of, positive

@@ -15,7 +15,7 @@ from ..kernel.checks import rigid
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import copy
 from ..motion.reference import exp, log
-from ..robot.pose import AxisTarget
+from ..robot.pose import AxisTarget, as_array
 from ..solvers.task import read_one, read_target
 from .time_scaling import turn_left
 from .workspace import Samples, new_samples, samples_of
@@ -295,7 +295,7 @@ class Stream(CopiesViews):
             return T.reshape(self.tips, 4, 4), kinds
         if isinstance(target, AxisTarget):
             return target.T_base_tip[None], ((read_one(target)[1]),)
-        raw = floats(getattr(target, "homogeneous", target), "a tracker takes a 4x4 pose or a position", InvalidTarget)
+        raw = floats(as_array(target, self.robot.base), "a tracker takes a 4x4 pose or a position", InvalidTarget)
         if raw.shape not in ((3,), (4, 4)):
             raise InvalidTarget(f"a tracker takes a 4x4 pose or a position of 3 numbers, not shape {raw.shape}")
         if not np.isfinite(raw).all():
@@ -329,9 +329,7 @@ class Stream(CopiesViews):
 def _finite(one: Any) -> bool:
     """Whether all numbers of a tip's target are finite; anything that is not a target is left to its reader."""
     try:
-        return bool(
-            np.isfinite(np.asarray(getattr(one, "homogeneous", getattr(one, "T_base_tip", one)), dtype=float)).all()
-        )
+        return bool(np.isfinite(np.asarray(getattr(one, "T_base_tip", as_array(one)), dtype=float)).all())
     except (TypeError, ValueError):
         return True
 

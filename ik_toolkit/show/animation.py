@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration
-from ..files import without_mark
+from ..files import check_arrays, read_json, without_mark
 from ..robot.joints import Joints
-from ..robot.pose_files import check_arrays, read_json
 from .body import DrawnShape, primitive
 
 OBSTACLE = (0.55, 0.58, 0.62)

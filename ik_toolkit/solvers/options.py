@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
+from ..robot.pose import named_axis
 
 # The options in PLAIN choose or finish one answer, so a plan that is varied to search for more answers leaves them out.
 PLAIN: dict[str, Any] = {
@@ -34,39 +35,26 @@ FRAMES = ("base", "tip", "target")
 class Options:
     """How to run a solver.
 
-    Three options say what counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
-    left) along the axes of `frame`: free_turn applies first, then slack, then mask. Each is one value for every tip or
-    a dict by tip, and the tolerances hold for what is left.
-
-    Attributes:
-        position_tolerance, orientation_tolerance: Both errors [m], [rad] must be below theirs.
-        max_iterations: Steps of an attempt.
-        restarts: Further attempts from other starts; None is the solver's own number.
-        max_evaluations: Limit on the FK evaluations of all attempts.
-        timeout: The same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
-            found. The first slice, of 256 evaluations, is always made.
-        seed: Seed of the random starts.
-        limits: Whether joints stay inside their limits. Calls also take narrower ones, a dict from joints to (lower,
-            upper) or a pair of arrays (see `robot.narrowed`).
-        wrap: Whether a bounded joint with a full turn or more may continue from the other end of its range. None is the
-            solver's own way: the default search wraps, the published methods stop at the limit.
-        q0_outside: 'clamp' moves a q0 outside the limits inside, with a notice; 'refuse' raises an error.
-        mask: Weights (6,) of the errors; 0 frees one.
-        slack: Half widths (6,) inside which there is no error; inf, and pi for a rotation, frees one.
-        free_turn: Axis (3,) of the tip about which rotation is free.
-        frame: 'base', 'tip' or 'target'.
-        relative_to: For a Tree, a dict from a tip to the tip in whose frame its target is given.
-        joint_weights: How freely each joint (n,) moves; 1 is usual, 0 holds it where q0, or home, has it.
-        closest: Whether the solution nearest q0 is returned if there are several.
-        objective: What to improve in the null space of a redundant task: 'mid-range', 'reference' (near q0) or
-            'manipulability'.
-        history: Whether errors and q of every evaluation are kept.
-        check: Whether Pinocchio checks the answer again.
-        avoid_collisions: True (the robot's own links), a margin [m] between them, or a CollisionModel. Only answers
-            that touch nothing count, and the search continues until one is found.
-        follow: For control loops, one attempt from q0 (required) in which no joint moves further than this [rad;
-            prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It does not
-            go with closed forms, closest, restarts or objective.
+    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
+    restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
+    attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
+    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. limits: keep joints inside their
+    limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair of arrays (see `robot.narrowed`).
+    wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
+    otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
+    notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
+    left), along the axes of frame 'base', 'tip' or 'target': free_turn, a tip axis ("z", or three numbers) about which
+    rotation is free; then slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it);
+    then mask (6,), weights (0 = free). Each is one value for every tip or a dict by tip, and the tolerances hold for what
+    is left. relative_to: of a Tree,
+    a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as
+    usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for
+    redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
+    history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the robot's own
+    links), a margin [m] to keep between them, or a CollisionModel: only answers that touch nothing count, and the search goes
+    on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further than this
+    [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed
+    forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6
@@ -120,7 +108,7 @@ class PathOptions(TypedDict, total=False):
     limits: Limits
     mask: Numbers | Mapping[str, Numbers | None] | None
     slack: Numbers | Mapping[str, Numbers | None] | None
-    free_turn: Numbers | Mapping[str, Numbers | None] | None
+    free_turn: str | Numbers | Mapping[str, str | Numbers | None] | None
     frame: Literal["base", "tip", "target"] | Mapping[str, Literal["base", "tip", "target"]]
     relative_to: Mapping[str, str] | None
     joint_weights: Numbers | None
@@ -260,6 +248,8 @@ def counting(name: str, value: Any) -> Any:
         if len(weights) != 6:
             raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(weights)}")
         return weights
+    if name == "free_turn":
+        value = named_axis(value, name, InvalidOption)
     array = floats(value, f"{name} must be numbers", InvalidOption)
     if name == "slack":
         if array.shape != (6,) or not (array >= 0).all():

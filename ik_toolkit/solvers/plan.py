@@ -4,6 +4,7 @@ If some joints are held, every start of a search has them at their values in the
 """
 
 import copy
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from ..kernel.packed_model import join
 from ..kernel.records import ANSWER, AT, MISS, POINTS, Orders
 from ..kernel.starts import BEST
 from .closed_form_then_search import with_search
-from .options import Options
+from .options import PLAIN, Options
 from .postprocess import finishing
 from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
@@ -30,6 +31,7 @@ KINDS_KEPT = 64
 CLOSEST = 16  # This many solutions are compared if the one nearest q0 is asked for.
 # The single attempt of `follow` gets at least 100 iterations, because no other attempt follows if it converges slowly.
 FOLLOW_ITERATIONS = 100
+WITHOUT_LIMITS = 20  # attempts that test whether limits are what blocks a target
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
@@ -70,6 +72,12 @@ class Plan:
     def varied(self, **options: Any) -> "Plan":
         """Return the same plan with some options changed."""
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
+
+    @functools.cached_property
+    def unlimited(self) -> "Plan":
+        """The same without limits and with a few attempts, which tells whether limits are what blocks a target."""
+        attempts = {} if self.row.closed else {"restarts": WITHOUT_LIMITS - 1}
+        return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **attempts})
 
     def search(self, **options: Any) -> "Plan":
         """Return the general search with the same options, some of them changed."""
@@ -214,7 +222,8 @@ class Plan:
         Raises InvalidConfiguration.
         """
         robot = self.robot
-        q = robot.check_q(q0, "q0")
+        q, notice = robot.read_q(q0, "q0")
+        q = robot.check_q(q, "q0")
         inside = np.clip(q, robot.lower, robot.upper) if self.options.limits else q
         far = np.abs(inside / robot.chain.unit) >= LARGEST
         if far.any():
@@ -223,11 +232,12 @@ class Plan:
                 f"q0 is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
             )
         if (inside == q).all():
-            return q[None], ""
+            return q[None], notice
         names = ", ".join(robot.outside(q))
         if self.options.q0_outside == "refuse":
             raise InvalidConfiguration(f"q0 is outside the limits at joint {names}")
-        return inside[None], f"q0 was outside the limits at joint {names} and was clamped"
+        clamped = f"q0 was outside the limits at joint {names} and was clamped"
+        return inside[None], f"{notice}; {clamped}" if notice else clamped
 
 
 def held_joints(options: Options) -> np.ndarray:

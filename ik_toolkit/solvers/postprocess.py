@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import CHECK_FAILED, CONVERGED
+from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED
 from ..kernel.records import ANSWER, AT, ORDER
 from ..robot.pose import check_target
 from .options import OBJECTIVES
@@ -34,10 +34,26 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         *([] if o.timeout is None else [extend]),
         *([record] if o.history else []),
         *improving,
+        *([acquit] if o.limits else []),
         *([confirm] if o.check else []),
         *([keep_constraints] if plan.robot.constraints else []),
     ]
     return tuple(steps), improving
+
+
+def acquit(outcome: Any) -> Any:
+    """Call LIMIT_BLOCKED what a short search without limits solves; a target that it does not reach either is STALLED."""
+    if outcome.row[AT.status] == LIMIT_BLOCKED:
+        acquit_rows(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
+    return outcome
+
+
+def acquit_rows(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
+    """The same for rows (m, width) of targets T, in place."""
+    for k in np.flatnonzero(rows[:, AT.status] == LIMIT_BLOCKED):
+        row = plan.unlimited.solve(T[k : k + 1], kinds, start[k : k + 1] if len(start) > 1 else start, given)
+        if row[AT.status] != CONVERGED:
+            rows[k, AT.status] = STALLED
 
 
 # Each slice of a timed search is 4 times as long as the last and repeats it, which costs at most a third more.

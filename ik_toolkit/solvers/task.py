@@ -163,10 +163,10 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
     dict. Raises FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """
     if not robot.by_tip and (isinstance(target, AxisTarget) or not isinstance(target, Mapping)):
-        T, kind, notice = read_one(target)
+        T, kind, notice = read_one(target, robot.base)
         return T[None], (kind,), notice
     tips = robot.tips
-    made = [_read_tip(tip, one) for tip, one in zip(tips, _in_order(robot, target), strict=True)]
+    made = [_read_tip(tip, one, robot.base) for tip, one in zip(tips, _in_order(robot, target), strict=True)]
     T = np.array([one[0] for one in made]).reshape(1, *robot.pose_shape)
     kinds = tuple(one[1] for one in made)
     if all(kind == FREE for kind in kinds):
@@ -190,22 +190,22 @@ def _in_order(robot: Any, targets: Any) -> list[Any]:
     return list(targets)
 
 
-def _read_tip(tip: str, target: Any) -> tuple[np.ndarray, Any, str]:
+def _read_tip(tip: str, target: Any, base: str) -> tuple[np.ndarray, Any, str]:
     if target is None:
         return np.eye(4), FREE, ""
     try:
-        return read_one(target)
+        return read_one(target, base)
     except InvalidTarget as error:
         raise InvalidTarget(f"{tip}: {error}") from None
 
 
-def read_one(target: Any) -> tuple[np.ndarray, Any, str]:
-    """Return one target as (4, 4), with its kind and a notice."""
+def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
+    """One target, in the frame `base` -> (4, 4), kind and notice."""
     if isinstance(target, AxisTarget):
         return target.T_base_tip, (AXIS, target.axis), ""
     if isinstance(target, str):
         raise InvalidTarget(f"a target must be a pose or a position, not the text {target!r}")
-    checked, notice = check_target(target)
+    checked, notice = check_target(target, base)
     if checked.ndim == 2:
         return checked, POSE, notice
     T = np.eye(4)

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, UnknownSolver, check_progress, whole
-from ..files import as_path, whole_file
-from ..robot.pose_files import check_arrays
+from ..files import as_path, check_arrays, whole_file
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import solve_batch

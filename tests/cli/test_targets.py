@@ -14,7 +14,7 @@ import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidTarget
 from ik_toolkit.robot import pose_files
-from ik_toolkit.robot.pose import matrix_quat, matrix_rpy
+from ik_toolkit.robot.rotation import matrix_quat, matrix_rpy
 
 ARM = "hydrolek_7w"
 

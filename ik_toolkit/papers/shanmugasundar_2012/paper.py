@@ -14,8 +14,8 @@ from ...kernel.counted_error import POSE
 from ...kernel.records import WEIGHTS
 from ...robot.formats.dh import read_dh_table
 from ...robot.library import find
-from ...robot.pose import nearest_rotation
 from ...robot.robot import Robot
+from ...robot.rotation import nearest_rotation
 from ...solvers.closed_form import inspection, reach
 from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import Solver

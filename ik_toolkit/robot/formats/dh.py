@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidConfiguration, ModelError, near_match
-from ..pose import rpy_matrix
+from ..rotation import rpy_matrix
 from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, new_robot, shift, to_text
 
 KINDS = ("revolute", "prismatic", "continuous")

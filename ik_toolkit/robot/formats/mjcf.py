@@ -19,7 +19,7 @@ from ...errors import MissingExtra, ModelError
 from ..base import BALL_PITCH, TURNS
 from ..constraints import Constraint
 from ..geometry.meshes import mesh_folders
-from ..pose import matrix_rpy, quat_matrix
+from ..rotation import matrix_rpy, quat_matrix
 from .mjcf_constraints import Ties, read_ties
 from .mjcf_text import flatten
 from .sandbox import ask

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..constraints import Constraint, End, LinearLength, Loop, Relation
-from ..pose import quat_matrix
+from ..rotation import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
 SCALAR = ("hinge", "slide")

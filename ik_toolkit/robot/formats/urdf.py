@@ -280,7 +280,7 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
         return origin
     unit = [x / math.hypot(*quaternion) for x in quaternion]
-    from ..pose import matrix_rpy, quat_matrix  # This import loads numba, which a mere list of robots does not need.
+    from ..rotation import matrix_rpy, quat_matrix
 
     rpy = " ".join(map(repr, matrix_rpy(quat_matrix(unit)).tolist()))
     return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}

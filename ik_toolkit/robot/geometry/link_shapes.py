@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ...errors import ModelError
 from ..formats.urdf import Item, attribute_numbers, parse
-from ..pose import rpy_matrix
+from ..rotation import rpy_matrix
 from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
 
 # Limit on a robot's triangles, which take 2 GB as bounding volume trees for collisions. Robots have up to 1,000,000.

@@ -14,8 +14,9 @@ from ...kernel.counted_error import POSE, POSITION
 from ...robot.geometry.collision import CollisionModel
 from ...robot.geometry.distance import Near
 from ...robot.library import find
-from ...robot.pose import check_target, length, matrix_quat, matrix_rpy, pose
+from ...robot.pose import check_target, length, pose
 from ...robot.robot import Robot
+from ...robot.rotation import matrix_quat, matrix_rpy
 from ...robot.tips import path_ends
 from ...robot.tree import Tree
 from ...solvers.registry import find_row, list_rows, make_rule

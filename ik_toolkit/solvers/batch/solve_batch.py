@@ -21,7 +21,7 @@ from ..plan import Plan
 from ..solve import Solver, require_robot
 from .parts import Job, Tables, check_executor, on_executor, on_threads
 from .result import BatchCheckFailed, BatchInterrupted, BatchResult
-from .targets import Block, blocks, known
+from .targets import Block, blocks, freed, known
 
 PART, REMOTE_PART = 2048, 4096  # Most rows given to a thread, and to a worker of an executor.
 LEAST_PART = 128  # Smaller batches are divided evenly between the threads, but not into smaller parts than this.
@@ -56,11 +56,12 @@ def solve_parts(
     count = whole(threads, "threads") if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check must be the fraction of results to verify, 0 to 1, not {check!r}")
-    given = known(targets)
+    targets, options = freed(robot, targets, options)
+    given = known(targets, robot.base)
     total = None if given is None else _length(given)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
     first = next(chunks, None)
-    starts = _checked_starts(q0, robot.n, total)
+    starts = _checked_starts(robot, q0, total)
     local = Solver(robot, solver, **options)
     if first is None:
         return iter(())
@@ -82,10 +83,13 @@ def _length(targets: Any) -> int:
     return len(next(iter(targets.values()), ())) if isinstance(targets, Mapping) else len(targets)
 
 
-def _checked_starts(q0: Any, n: int, rows: int | None) -> np.ndarray | None:
+def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarray | None:
     """Return starts (n,) or (rows, n), with any number of rows if that is None. Raises InvalidConfiguration."""
     if q0 is None:
         return None
+    n = robot.n
+    if not isinstance(q0, np.ndarray | list | tuple):
+        return robot.read_q(q0, "q0")[0]
     starts = floats(q0, "q0 must be numbers", InvalidConfiguration)
     if starts.shape not in ((n,), (len(starts) if rows is None else rows, n)):
         wanted = f"({n},)" if rows == 1 else f"({n},) or ({'N' if rows is None else rows}, {n})"
@@ -171,7 +175,9 @@ def solve_batch(
         UnknownSolver, InvalidOption: The solver or an option is wrong.
     """
     check_progress(progress, "the number of targets done")
-    given = known(targets)
+    require_robot(robot)
+    targets, options = freed(robot, targets, options)
+    given = known(targets, robot.base)
     parts = solve_parts(
         robot,
         targets if given is None else given,

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import InvalidTarget, masked
+from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
 from ...kernel.counted_error import FREE, POSE, POSITION
-from ...robot.pose import check_target
+from ...robot.pose import AxisTarget, as_array, check_target
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
@@ -61,18 +61,66 @@ def _straighten(T: np.ndarray) -> None:
         T[rough, :3, :3] = U @ Vt
 
 
-def known(targets: Any) -> Any:
-    """Return targets as one array or a dict of arrays, or None for an iterator."""
+def freed(robot: Any, targets: Any, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Targets with AxisTargets in their lists as poses, and options with the free turn about the axis that they share.
+
+    Raises:
+        InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
+        InvalidOption: `free_turn` is given as well.
+    """
+    if isinstance(targets, Mapping):
+        columns = dict(targets)
+    elif not isinstance(targets, list | tuple) or not targets:
+        return targets, options
+    elif not robot.by_tip:
+        columns = {robot.tips[0]: targets}
+    elif all(isinstance(row, list | tuple) and len(row) == len(robot.tips) for row in targets):
+        columns = {tip: [row[f] for row in targets] for f, tip in enumerate(robot.tips)}
+    else:
+        return targets, options
+    axes = {tip: axis for tip, column in columns.items() if (axis := _shared_axis(tip, column)) is not None}
+    if not axes:
+        return targets, options
+    if options.get("free_turn") is not None:
+        raise InvalidOption("an axis target frees the turn about its axis; leave free_turn out")
+    made = {tip: [one.T_base_tip for one in columns[tip]] if tip in axes else column for tip, column in columns.items()}
+    if robot.by_tip:
+        return made, {**options, "free_turn": axes}
+    return made[robot.tips[0]], {**options, "free_turn": axes[robot.tips[0]]}
+
+
+def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
+    """The tip axis of a list of AxisTargets; None where it holds none."""
+    axes = (
+        [one.axis if isinstance(one, AxisTarget) else None for one in column]
+        if isinstance(column, list | tuple)
+        else []
+    )
+    if not any(axes):
+        return None
+    for k, axis in enumerate(axes):
+        if axis != axes[0]:
+            raise InvalidTarget(
+                f"target {k} of {tip} has {'no free axis' if axis is None else f'the axis {axis}'} and target 0 "
+                f"{'none' if axes[0] is None else axes[0]}; the targets of one call share the tip axis about which they may turn"
+            )
+    return axes[0]
+
+
+def known(targets: Any, base: str = "") -> Any:
+    """Targets, given in the frame `base`, as one array or a dict of arrays; None for an iterator."""
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
         return targets
     if isinstance(targets, Mapping):
-        return {tip: _named(tip, known, part) for tip, part in targets.items() if part is not None}
+        return {
+            tip: _named(tip, lambda part: known(part, base), part) for tip, part in targets.items() if part is not None
+        }
     if isinstance(targets, Iterator):
         return None
     try:
-        return np.array([_plain(target) for target in targets])
+        return np.array([_plain(target, base) for target in targets])
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidTarget):
             raise
@@ -87,17 +135,19 @@ def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
         raise InvalidTarget(f"{tip}: {error}") from None
 
 
-def _plain(target: Any) -> np.ndarray:
+def _plain(target: Any, base: str) -> np.ndarray:
     """Return one target of a list, or the list of those of several tips, as numbers."""
-    if isinstance(target, list | tuple) and any(hasattr(one, "homogeneous") for one in target):
-        return np.array([_numbers(getattr(one, "homogeneous", one)) for one in target])
-    return _numbers(getattr(target, "homogeneous", target))
+    if isinstance(target, list | tuple) and any(not isinstance(one, float | int | list | tuple) for one in target):
+        return np.array([_numbers(as_array(one, base)) for one in target])
+    return _numbers(as_array(target, base))
 
 
 def _numbers(targets: Any) -> np.ndarray:
     """Return targets as an array of real numbers (see `errors.floats`), a view if they are one."""
     if masked(targets):
         raise InvalidTarget("targets must be numbers, and some of these are masked")
+    if isinstance(targets, AxisTarget):
+        raise InvalidTarget("an AxisTarget goes into a list of them; or give its T_base_tip, and its axis as free_turn")
     try:
         array = np.asarray(targets)
     except (TypeError, ValueError):
@@ -121,6 +171,10 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
         if kinds not in (None, block.kinds):
             raise InvalidTarget("a batch holds either poses or positions for each tip, not both")
         kinds = block.kinds
+        for tip, part in zip(robot.tips, block.parts, strict=True):
+            if part is not None and len(part):
+                places = np.abs(part if part.ndim == 2 else part[:, :3, 3])
+                doubt_lengths(f"targets of {tip} on {robot.name}", float(np.nanmax(places, initial=0.0)), robot.reach)
         yield block
 
 
