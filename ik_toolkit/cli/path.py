@@ -9,8 +9,8 @@ import typer
 
 from ..errors import InvalidOption, InvalidTarget
 from ..text import numbers
-from . import by_tip
 from . import solve_options as asked
+from . import tip_texts
 from .arguments import (
     PLOTS,
     Base,
@@ -157,7 +157,7 @@ def path(
     from ..paths.solve_path import PathInterrupted, solve_path
     from ..robot.pose_files import read_poses
 
-    tips = by_tip.choose_tips(robot, tip, None, None, False, group)
+    tips = tip_texts.choose_tips(robot, tip, None, None, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     arm = narrowed(arm, limit, deg)
     _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())

@@ -29,9 +29,9 @@ from .arguments import (
     load_robot,
     narrowed,
 )
-from .by_tip import choose_tips, in_base
 from .output import facts, notice, number, show, table, unit, write_json
 from .pictures import Chart, Html, Live, draw
+from .tip_texts import choose_tips, in_base
 
 if TYPE_CHECKING:
     from ..solvers.result import Result
@@ -177,21 +177,18 @@ def _solve_one(arm: Any, target: Any, method: Any, start: Any, options: dict[str
 
 def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
     """A target of the same form as the given one that is met at home."""
-    T = arm.fk(arm.home)
-    if not arm.by_tip:
-        return T.translation if getattr(target, "ndim", 2) == 1 else T
+    T = arm.each_tip(arm.fk(arm.home))
     relative = options.get("relative_to") or {}  # an unknown tip among them is refused by the solver
-    return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
+    made = arm.for_tips({tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T})
+    return made.translation if getattr(target, "ndim", 2) == 1 else made
 
 
 def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
     """The request, for JSON."""
-    plain = target if arm.by_tip else {arm.tip: target}
-    plain = {tip: getattr(one, "T_base_tip", one) for tip, one in plain.items()}
-    if not arm.by_tip:
-        return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}
+    plain = {tip: getattr(one, "T_base_tip", one) for tip, one in arm.each_tip(target).items()}
     relative = options.get("relative_to")
-    return {"base": arm.base, "target": plain, **({"relative_to": relative} if relative else {})}
+    more = {"relative_to": relative} if relative else {} if arm.by_tip else {"tip": arm.tip}
+    return {"base": arm.base, "target": arm.for_tips(plain), **more}
 
 
 def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
@@ -248,7 +245,7 @@ def _show(result: "Result", target: Any, options: dict[str, Any], deg: bool) -> 
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
     show(joints)
-    if robot.by_tip:
+    if len(robot.tips) > 1:
         relative = options.get("relative_to") or {}
         tips = table("<tip", "<target in", ">position\nerror", ">orientation\nerror")
         for tip, position in result.position_errors.items():
@@ -260,7 +257,11 @@ def _show(result: "Result", target: Any, options: dict[str, Any], deg: bool) -> 
     counts = f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}"
     errors = {"position error": _length(result.position_error), "orientation error": _angle(result.orientation_error)}
     status = {"status": f"{result.status.name}, solver {result.solver}"}
-    show(facts({**status, **({} if robot.by_tip else errors), "iterations": counts, "time": _time(result.elapsed)}))
+    show(
+        facts(
+            {**status, **({} if len(robot.tips) > 1 else errors), "iterations": counts, "time": _time(result.elapsed)}
+        )
+    )
 
 
 def _angle(value: float | None) -> str:

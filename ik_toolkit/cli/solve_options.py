@@ -9,7 +9,7 @@ import typer
 
 from ..errors import InvalidOption, InvalidTarget
 from ..text import parameter, vector
-from . import by_tip
+from . import tip_texts
 from .arguments import assignments, joint_vector, solver_named
 from .obstacles import avoided
 
@@ -286,11 +286,11 @@ def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
 def read_counting(line: SimpleNamespace) -> dict[str, Any]:
     """Options that select which part of a target counts, only those given. Raises InvalidOption."""
     given = {
-        "mask": by_tip.vectors(line.mask, "--mask", 6),
-        "slack": by_tip.values(line.slack, "--slack", lambda text: _slack(text, line.deg)),
-        "free_turn": by_tip.values(line.free_turn, "--free-turn", _axis),
-        "frame": by_tip.values(line.frame, "--frame", str),
-        "relative_to": by_tip.relations(line.relative),
+        "mask": tip_texts.vectors(line.mask, "--mask", 6),
+        "slack": tip_texts.values(line.slack, "--slack", lambda text: _slack(text, line.deg)),
+        "free_turn": tip_texts.values(line.free_turn, "--free-turn", _axis),
+        "frame": tip_texts.values(line.frame, "--frame", str),
+        "relative_to": tip_texts.relations(line.relative),
     }
     return {name: value for name, value in given.items() if value is not None}
 
@@ -324,15 +324,15 @@ def make_target(line: SimpleNamespace, direction: list[str] | None = None, tip_a
         ):
             raise InvalidOption("--matrix gives the whole pose; omit --xyz, the rotation options and --direction")
         x = vector(line.matrix, "--matrix")
-        if len(x) not in by_tip.MATRIX:
+        if len(x) not in tip_texts.MATRIX:
             raise InvalidTarget(f"--matrix takes 12 or 16 numbers, row by row; got {len(x)}")
-        return by_tip.matrix(x)
+        return tip_texts.matrix(x)
     angles = vector(line.rpy, "--rpy", 3) if line.rpy is not None else None
     if angles is not None and line.deg:
         angles = [math.radians(x) for x in angles]
     xyzw = vector(line.quat_xyzw, "--quat-xyzw", 4) if line.quat_xyzw is not None else None
     wxyz = vector(line.quat_wxyz, "--quat-wxyz", 4) if line.quat_wxyz is not None else None
-    towards, axis = by_tip.directions(direction, tip_axis)
+    towards, axis = tip_texts.directions(direction, tip_axis)
     for option, one in (("--direction", towards), ("--tip-axis", axis)):
         if isinstance(one, dict):
             raise InvalidOption(f"{option} TIP:... goes with --target; for --xyz leave out the tip")
@@ -341,7 +341,7 @@ def make_target(line: SimpleNamespace, direction: list[str] | None = None, tip_a
         rpy=angles,
         quat_xyzw=xyzw,
         quat_wxyz=wxyz,
-        axis=axis or by_tip.Z,
+        axis=axis or tip_texts.Z,
         direction=towards,
     )
 
@@ -352,7 +352,7 @@ def read_target(line: SimpleNamespace) -> Any:
     None is for a file of targets, and for --from-q, which needs the robot (see `reached`).
     """
     if line.targets:
-        return by_tip.targets(line.targets, line.deg, line.direction, line.tip_axis)
+        return tip_texts.targets(line.targets, line.deg, line.direction, line.tip_axis)
     if line.file is not None or line.from_q is not None:
         return None
     return make_target(line, line.direction, line.tip_axis)
@@ -361,7 +361,7 @@ def read_target(line: SimpleNamespace) -> Any:
 def reached(line: SimpleNamespace, arm: Any) -> Any:
     """Target of --from-q: the pose (4, 4) of the tip there, of several tips a dict by tip."""
     at = arm.fk(joint_vector(arm, line.from_q, "--from-q", line.deg))
-    return {tip: T.homogeneous for tip, T in at.items()} if arm.by_tip else at.homogeneous
+    return arm.for_tips({tip: T.homogeneous for tip, T in arm.each_tip(at).items()})
 
 
 def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:

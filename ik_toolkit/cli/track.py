@@ -33,10 +33,10 @@ from .arguments import (
     narrowed,
     writes,
 )
-from .by_tip import choose_tips
 from .obstacles import avoided
 from .output import facts, notice, partial, progress, show, table, turns, unit, write_json
 from .streams import uninterrupted
+from .tip_texts import choose_tips
 from .track_path import Asked, advice, asked_path, doubt_metres
 
 if TYPE_CHECKING:

@@ -73,10 +73,8 @@ def doubt_metres(arm: Any, reference: "References") -> None:
     """Warn, once, that a path far beyond the reach may have been meant in millimetres."""
     import numpy as np
 
-    at = arm.fk(arm.home)
-    tips = at if arm.by_tip else {arm.tip: at}
-    each = reference if isinstance(reference, Mapping) else {arm.tip: reference}
-    for tip, one in each.items():
+    tips = arm.each_tip(arm.fk(arm.home))
+    for tip, one in arm.each_tip(reference).items():
         way = one.at(np.linspace(0.0, one.duration, SEEN))[0][:, :3, 3] - tips[tip].translation
         away = float(np.linalg.norm(way, axis=1).max())
         if away > FAR * arm.reach:
@@ -128,7 +126,7 @@ def _drawn(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> "
     from ..servo.default_path import paths
 
     if line.start is not None or (line.path == "line" and line.end is not None):
-        if arm.by_tip:
+        if len(arm.tips) > 1:
             raise InvalidOption("--start and --end are for one tip; choose it with --tip")
         return _from_to(arm.fk(arm.home if q is None else q).homogeneous, line)
     relative = counts.get("relative_to") or {}

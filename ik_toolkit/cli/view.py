@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from ..errors import InvalidOption
-from . import by_tip
+from . import tip_texts
 from .arguments import (
     Base,
     BaseRpy,
@@ -120,8 +120,8 @@ def view(
 
     target: Any = None
     if solving:
-        target = by_tip.targets(targets, deg) if targets else make_target(line)
-    tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, is_posed(line), group)
+        target = tip_texts.targets(targets, deg) if targets else make_target(line)
+    tips = tip_texts.choose_tips(robot, tip, target if targets else None, relative, is_posed(line), group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     if page is not None:
         written(make(arm).page(page))
@@ -135,10 +135,10 @@ def view(
         what = joint_vector(arm, q, "--q", deg)
     elif solving:
         start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
-        related = by_tip.relations(relative)
+        related = tip_texts.relations(relative)
         what, solved = _solve(arm, target, solver, start, every, {"relative_to": related} if related else {})
         at = what[0] if isinstance(what, list) else what.q
-        target = by_tip.in_base(target, arm.fk(at), related)
+        target = tip_texts.in_base(target, arm.fk(at), related)
     present(make(arm, what, target=target), html, port, browse)
     if not solved:
         raise typer.Exit(1)
