@@ -17,7 +17,7 @@ LENS = 0.7  # [rad] from top to bottom
 FILL = 0.72  # of the picture, by the robot: its arrows and the next poses need the rest
 NARROW = 576  # pixels of a page below which viser lays its controls over the lower part of the picture
 EDGE = 0.95  # of the way from the middle of the picture to its edge: a target further out counts as not in it
-FREE = 0.5  # of the height left there, see desk.STYLE
+FREE = 0.5  # of the height left there, see connection.STYLE
 
 
 class Handle:
