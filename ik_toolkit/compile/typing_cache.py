@@ -37,7 +37,7 @@ class Passes(PassManager):
 
 
 def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-    """Replace PostProcessor.run: only code that counts references, and generators, need to know how long variables live."""
+    """Replace PostProcessor.run, whose search for how long variables live only reference counts and generators need."""
     if emit_dels or self.func_ir.is_generator:
         everything(self, emit_dels, extend_lifetimes)
     else:

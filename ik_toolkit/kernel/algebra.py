@@ -88,7 +88,7 @@ class Sym3(NamedTuple):
         )
 
     def plus(self, a, b):
-        """Return the matrix plus a b', where a is parallel to b."""
+        """Return the matrix plus the outer product a b', which is symmetric because a is parallel to b."""
         return Sym3(
             self.xx + a.x * b.x, self.xy + a.y * b.x, self.xz + a.z * b.x,
             self.yy + a.y * b.y, self.yz + a.z * b.y, self.zz + a.z * b.z,
@@ -122,16 +122,16 @@ class Factors(NamedTuple):
     pivots: V3
 
     def forward(self, v):
-        """Return L^-1 v."""
+        """Return L^-1 v, the first step of solving L D L' x = v."""
         y = v.y - self.l10 * v.x
         return V3(v.x, y, v.z - self.l20 * v.x - self.l21 * y)
 
     def scaled(self, v):
-        """Return D^-1 v."""
+        """Return D^-1 v, the second step of solving L D L' x = v."""
         return V3(self.pivots.x * v.x, self.pivots.y * v.y, self.pivots.z * v.z)
 
     def back(self, v):
-        """Return L'^-1 v."""
+        """Return L'^-1 v, the last step of solving L D L' x = v."""
         y = v.y - self.l21 * v.z
         return V3(v.x - self.l10 * y - self.l20 * v.z, y, v.z)
 
@@ -152,7 +152,7 @@ class Blocks(NamedTuple):
     S: Sym3
 
     def with_column(self, a, b, u, v):
-        """Return the matrix plus [a; b] [u; v]', where [a; b] is parallel to [u; v]."""
+        """Return the matrix plus the outer product [a; b] [u; v]', which is symmetric because the two are parallel."""
         Q = self.Q
         return Blocks(self.P.plus(a, u), M3(Q.x + b * u.x, Q.y + b * u.y, Q.z + b * u.z), self.S.plus(b, v))
 

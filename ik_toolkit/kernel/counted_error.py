@@ -176,7 +176,10 @@ def turn_axis(task, kept, out):
 # ----------------------------------------------------------------------------------------------------------------- measure
 @inline
 def vector_ratio(kind, rr):
-    """Return the factor that makes a rotation error of squared length rr a rotation vector; where a part counts it is one."""
+    """Return the factor between a rotation error of squared length rr and its rotation vector.
+
+    Where only a part of the error counts (PART), the rotation error already is a rotation vector, and the factor is 1.
+    """
     return 1.0 if kind == PART else angle_ratio(rr)
 
 

@@ -46,7 +46,7 @@ def make_table(block, seeds, features, tips):
 
 @inline
 def product_64(a, b):
-    """Return a b modulo 2^64 of two uint64, computed by halves because numpy, uncompiled, warns of an overflow."""
+    """Return the product of two uint64 modulo 2^64, computed by halves because numpy would warn of an overflow."""
     half, low_bits = np.uint64(32), np.uint64(0xFFFFFFFF)
     low = (a & low_bits) * (b & low_bits)
     cross = (((a & low_bits) * (b >> half)) & low_bits) + (((a >> half) * (b & low_bits)) & low_bits)

@@ -31,8 +31,8 @@ def closed_form(x, y, l1, l2):
 def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
     """Return angles, number of steps (negative if it did not converge) and final |error| of Newton-Raphson by eqs. (6) to (9).
 
-    kind: the full step (PLAIN), halved until the error falls (SEARCH), Levenberg-Marquardt, or at most LONGEST per joint
-    (STEP). clip: joints are cut to +-clip after every step.
+    The step is the full one (PLAIN), halved until the error falls (SEARCH), that of Levenberg-Marquardt (LEVENBERG), or at most
+    LONGEST for each joint (STEP), as `kind` says. After every step the joints are cut to +-clip.
     """
     damping, k, n1, n2 = 1e-3, 0, t1, t2
     ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x
