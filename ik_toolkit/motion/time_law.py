@@ -51,9 +51,7 @@ def time_law(
     if np.isfinite(acceleration).any() or np.isfinite(gain):
         bound = np.flatnonzero(np.isfinite(acceleration))
         rows = np.ascontiguousarray(slope[:, bound]), np.ascontiguousarray(bend[:, bound])
-        by = np.full(len(s), -1)
-        sweep(*rows, np.diff(s), acceleration[bound], gain, z, by)
-        joint = np.where(by >= 0, np.append(bound, -1)[by], joint)
+        sweep(*rows, np.diff(s), acceleration[bound], bound, gain, z, joint)
     return np.sqrt(z), joint
 
 
@@ -75,9 +73,10 @@ def coordinate_at(
 
 
 @cached
-def sweep(slope, bend, steps, acceleration, gain, z, joint):
-    """Lower z (N + 1,), the squares of the rates, to what accelerations allow; joint (N + 1,) of those lowered says by which.
+def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
+    """Lower z (N + 1,), the squares of the rates, to what accelerations allow; joint (N + 1,) then says by which of `names` (n,).
 
+    Where `gain` alone limits z, on the way to or from a slower place, it is the joint that limits that place.
     In an interval the highest z is a linear program in (z, u): u is eliminated from all pairs of its lower and upper bounds.
     """
     n, last = slope.shape[1], steps.shape[0]
@@ -97,10 +96,10 @@ def sweep(slope, bend, steps, acceleration, gain, z, joint):
                 g = slope[k + at, i] + at * 2.0 * h * b  # z at the end is z + 2 h u
                 if abs(g) <= TINY * (1.0 + abs(b)):
                     if abs(b) * top > acceleration[i]:
-                        top, by = acceleration[i] / abs(b), i
+                        top, by = acceleration[i] / abs(b), names[i]
                     continue
-                low[count], low_z[count], low_by[count] = -acceleration[i] / abs(g), b / g, i
-                high[count], high_z[count], high_by[count] = acceleration[i] / abs(g), b / g, i
+                low[count], low_z[count], low_by[count] = -acceleration[i] / abs(g), b / g, names[i]
+                high[count], high_z[count], high_by[count] = acceleration[i] / abs(g), b / g, names[i]
                 count += 1
         for j in range(count):
             for l in range(count):
@@ -111,7 +110,7 @@ def sweep(slope, bend, steps, acceleration, gain, z, joint):
         if top < z[k]:
             z[k], joint[k] = top, by
     for k in range(last):
-        h, most, by = steps[k], gain, -1
+        h, most, by = steps[k], gain, joint[k]
         for i in range(n):
             for at in range(2):
                 b = bend[k + at, i]
@@ -119,7 +118,7 @@ def sweep(slope, bend, steps, acceleration, gain, z, joint):
                 if abs(g) > TINY * (1.0 + abs(b)):
                     u = (acceleration[i] - np.sign(g) * b * z[k]) / abs(g)
                     if u < most:
-                        most, by = u, i
+                        most, by = u, names[i]
         reached = max(z[k] + 2.0 * h * most, 0.0)
         if reached < z[k + 1]:
             z[k + 1], joint[k + 1] = reached, by

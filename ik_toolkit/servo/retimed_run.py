@@ -16,13 +16,12 @@ from ..motion.reference import Reference
 from ..motion.time_law import coordinate_at, time_law, times_of
 from ..robot.pose import PROJECT_WITHIN
 from ..validate import LATE
-from . import laws
+from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
 from .path_reach import bound_lm, samples_of, targets_at
 from .singular_step import SIDE
 from .target_stream import samples_from
 from .tracker import Tracker
-from .viability import ACCELERATION, VELOCITY
 from .workspace import Samples, new_record
 
 QUICK = 10.0  # [1/s^2] largest d2s/dt2: a run stops or starts in a tenth of a second
@@ -34,6 +33,8 @@ TOLERANCE = 0.8  # share of the tolerances that a law uses for the error of a st
 # Shares of acceleration limits that a law uses: in turn, where a run has missed. With 0.95 31 of 288 runs needed a second one.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
 ENOUGH = 0.8  # of a tolerance that is aimed at where a run has missed it ...
+LEAST = 0.25  # share to which the square of its rate is lowered there at a time
+HELPED = 0.8  # share of the samples off the reference that have to remain fewer after a run was taken again
 FASTER, OVER = 5, 1.2  # times that the limits of a law are raised, each by this factor
 NEAR = 0.05  # [s] ... and how long before and after that it is slower
 HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
@@ -43,6 +44,7 @@ LEAD = 0.5  # share of what is missing to a path of `solve_path` that a step mak
 EXACT = 1e-6  # [m, rad] of that path: errors of neighbouring samples must not look like accelerations
 STRIDE = (0.5, 0.2)  # [rad, m] that its joints may move between two poses: they are near each other
 POSES = 40  # least number that must all be in reach before it is sought
+MOST_POSES = 2001  # it is given; in between it is linear
 
 
 class Clock(NamedTuple):
@@ -96,7 +98,7 @@ class Run:
         """Keep what is to be run at times (N + 1,) [s]; stretch: how many times as long a run may take, counts: what counts."""
         self.tracker, self.references, self.times, self.dt = tracker, references, times, float(times[1])
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
-        self.count, self.stretch = len(times) - 1, stretch
+        self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.own = samples_along(references, Clock(times, np.ones(len(times)), np.zeros(len(times)), times * 0))
         tracker._late = LATE * self.dt
         self.start = tracker.carried()
@@ -119,7 +121,7 @@ class Run:
             if not self.made:
                 raise
             self.interrupted = True
-        best = min(self.made, key=lambda taken: (taken.missed, len(taken.Q)))
+        best = min(self.made, key=lambda taken: (taken.missed, -taken.clock.s[-1], len(taken.Q)))
         tracker.put_back(best.end)
         self.searched = time.perf_counter() - began - best.elapsed
         return best
@@ -144,30 +146,32 @@ class Run:
 
     def _slowly(self, way: Way, jerks: bool) -> None:
         """Take runs along a law for a joint path, with more and more in reserve."""
-        top, start = np.ones(len(way.s)), 0.0 if jerks else np.inf
+        top, start, last = np.ones(len(way.s)), 0.0 if jerks else np.inf, np.inf
         for share in ACCELERATION:
             clock = self._law(way, share, top, start)
             taken = self._take(clock, samples_along(self.references, clock), way)
             if taken.missed == 0:
                 self._faster(way, share, top, start)
-            if taken.missed == 0 or clock.s[-1] < self.times[-1]:
+            if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
                 return
+            last = taken.missed
             moved = np.append(True, np.diff(clock.s) > 0.0)
             if not way.led and len(taken.Q) == len(clock.s):  # the path that the joints really took
                 way = way._replace(Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1))
             excess, near = self._excess(taken.E), round(NEAR / self.dt)
-            for k in np.flatnonzero(excess > 1.0):  # a step's error grows with the square of its length
+            for k in np.flatnonzero(excess > 1.0) if share < ACCELERATION[0] else ():  # a step's error grows with its square
                 begin, end = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
                 here = slice(*np.searchsorted(way.s, (begin, end)))
-                top[here] = np.minimum(top[here], np.sqrt(ENOUGH / excess[k]) * clock.rate[k])
+                top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
 
     def _faster(self, way: Way, share: float, top: np.ndarray, start: float) -> None:
         """Take runs along a law for more than there is, while the joints beside the slow one can do its part."""
-        if self.tracker.robot.n <= (self.tracker._settings.counts[0] > 0.0).sum():
+        if not self._redundant():
             return
         for k in range(1, FASTER + 1):
             clock = self._law(way, share, top, start, OVER**k)
-            if len(clock.s) >= len(self.made[-1].Q):
+            before = self.made[-1].clock.s
+            if (len(clock.s), -clock.s[-1]) >= (len(before), -before[-1]):
                 return
             if self._take(clock, samples_along(self.references, clock), way).missed > 0:
                 return
@@ -186,21 +190,27 @@ class Run:
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
         slower = np.full(len(s), 1.0 / parts)
         samples = samples_along(self.references, Clock(s, slower, 0.0 * s, s))
-        first, plain = None, here.avoid == AVOID and not here.posture[1].any()
-        for way in (here, *(self._besides(here) if plain else ())):
-            Q, off = self._follow(samples, way._replace(s=s))
-            if first is None:
-                first = way._replace(s=s, Q=Q)
-            if off == 0:
-                yield way._replace(s=s, Q=Q)
+        plain = here.avoid == AVOID and not here.posture[1].any()  # nothing else was asked for beside the task
+        found: list[tuple[int, int, Way]] = []  # samples off it, steps that its law needs
+        for way in (here, *(self._besides(here) if plain and self._redundant() else ())):
+            Q, off = self._follow(samples, way)
+            way = way._replace(s=s, Q=Q)
+            found.append((off, len(self._law(way, ACCELERATION[0], np.ones(len(s)), np.inf).s), way))
+            if found[0][:2] == (0, self.count + 1):
                 break
-        if plain and self.tracker.engine.waits and not self.tracker.one_by_one:
-            found = self._planned(samples)
-            if found is not None:
-                for across in (False, True):
-                    yield Way(s, found, 0.0, here.posture, led=True, across=across)
-        if first is not None and off:
-            yield first
+        found.sort(key=lambda one: one[:2])
+        yield from (way for off, _, way in found if off == 0)
+        slowest = found[0][0] == 0 and found[0][1] > self.most  # another posture would hardly be so much faster
+        if plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one:
+            planned = self._planned(samples)
+            for across in (False, True) if planned is not None else ():
+                yield Way(s, planned, 0.0, here.posture, led=True, across=across)
+        if found[0][0] > 0:
+            yield found[0][2]
+
+    def _redundant(self) -> bool:
+        """Whether joints are free to do something beside the task."""
+        return self.tracker.robot.n > (self.tracker._settings.counts[0] > 0.0).sum()
 
     def _besides(self, here: Way) -> Iterator[Way]:
         """What can be tried beside the task."""
@@ -238,12 +248,14 @@ class Run:
             return None
         from ..paths.solve_path import solve_path
 
-        poses = samples.T if robot.by_tip else samples.T[:, 0]
+        some = np.unique(np.linspace(0, len(samples.T) - 1, min(len(samples.T), MOST_POSES)).astype(int))
+        poses = samples.T[some] if robot.by_tip else samples.T[some, 0]
         found = solve_path(
             robot, poses[..., :3, 3] if self.references[0].position_only else poses, q0=q0, reconfigurations="none",
             max_step=STRIDE, position_tolerance=EXACT, orientation_tolerance=EXACT, **self.counts,
         )  # fmt: skip
-        return found.q / unit if found.success else None
+        every = np.arange(len(samples.T))
+        return np.stack([np.interp(every, some, one) for one in found.q.T / unit[:, None]], axis=1) if found.success else None
 
     # ------------------------------------------------------------------------------------------------ the law
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: float = 1.0) -> Clock:
@@ -268,7 +280,7 @@ class Run:
         times = times_of(s, rate)
         steps = max(int(np.ceil(times[-1] / self.dt - 1e-6)), 1)
         slower = times[-1] / (steps * self.dt)  # by less than a step, so that its end is a sample
-        t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: int(np.ceil(self.stretch * self.count)) + 1]
+        t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # whatever rounding says
         return Clock(at, now * slower, gain * slower**2, joint[np.searchsorted(s, at, side="right") - 1])
@@ -318,13 +330,12 @@ class Run:
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
         """A run, or what there is of it."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
-        C = C[: len(Q) - 1]  # every sample but the last has a step after it, if Ctrl-C was heard
+        whole, C = len(clock.s), C[: len(Q) - 1]  # every sample but the last has a step after it, if Ctrl-C was heard
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:
-            missed = int(((C & (VELOCITY | ACCELERATION)) > 0).any(axis=1).sum())
-        # A reference not followed to its end is worse than one that was left.
-        missed += round(float(self.times[-1] - clock.s[-1]) / self.dt * self.stretch * self.count)
+            missed = int(((C & (viability.VELOCITY | viability.ACCELERATION)) > 0).any(axis=1).sum())
+        missed += (whole - len(Q)) * self.most  # worse than one that was left
         most = max(pairs, key=lambda pair: pairs[pair], default=None)
         return Taken(missed, Q, R, E, S, C, clock, self.tracker.carried(), time.perf_counter() - began, most)
 

@@ -205,7 +205,7 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
         orientation_tolerance=float(run.tolerances[1]),
         settle=run.settle,
         clock=clock,
-        sigma=np.minimum(np.diff(clock) / run.dt, 1.0),
+        sigma=best.clock.rate[1:],
         pace=best.clock.joint[:done],
         end=float(run.times[-1]),
         tips=robot.tips,
