@@ -30,12 +30,15 @@ def time_law(
     tracked runs had twice of it.
 
     Args:
-        slope, bend: First and second derivatives (N + 1, n) of the joint values with respect to s.
+        slope: First derivatives (N + 1, n) of the joint values with respect to s.
+        bend: Second derivatives (N + 1, n).
         s: Path coordinate (N + 1,), increasing.
-        speed, acceleration: Limits (n,), infinite where there are none.
+        speed: Limits (n,) of joint speeds [rad/s or m/s], infinite where there are none.
+        acceleration: Limits (n,) of joint accelerations [rad/s^2 or m/s^2], infinite where there are none.
         top: Largest ds/dt, one or (N + 1,).
         gain: Largest magnitude of d2s/dt2.
-        start, end: Largest ds/dt at the ends.
+        start: Largest ds/dt at the first point.
+        end: Largest ds/dt at the last point.
 
     Returns:
         Rates (N + 1,), and the number (N + 1,) of the joint that limits each, -1 where `top`, `start` or `end` does.
@@ -102,11 +105,11 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
                 high[count], high_z[count], high_by[count] = acceleration[i] / abs(g), b / g, names[i]
                 count += 1
         for j in range(count):
-            for l in range(count):
-                both = high_z[l] - low_z[j]
-                if both * top > high[l] - low[j]:
-                    top = max((high[l] - low[j]) / both, 0.0)
-                    by = high_by[l] if high_by[l] >= 0 else low_by[j]
+            for m in range(count):
+                both = high_z[m] - low_z[j]
+                if both * top > high[m] - low[j]:
+                    top = max((high[m] - low[j]) / both, 0.0)
+                    by = high_by[m] if high_by[m] >= 0 else low_by[j]
         if top < z[k]:
             z[k], joint[k] = top, by
     for k in range(last):

@@ -194,7 +194,7 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
         position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
         orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
         limited=best.C,
-        damped=best.S[:done, 3] > 0.0,
+        damped=best.S[:done] > 0.0,
         between_position=between[0],
         between_orientation=between[1],
         elapsed=best.elapsed,
