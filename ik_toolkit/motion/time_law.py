@@ -43,7 +43,7 @@ def time_law(
     Returns:
         Rates (N + 1,), and the number (N + 1,) of the joint that limits each, -1 where `top`, `start` or `end` does.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(np.isfinite(speed), speed, np.inf) / np.abs(slope)
     share[np.isnan(share)] = np.inf
     joint = np.argmin(share, axis=1)
