@@ -132,7 +132,11 @@ class Trajectory:
 def _motion_of(arm: Robot, columns: Any, pieces: Any, t: np.ndarray) -> Samples:
     """Motion of the tip of an arm, whose joints are these columns."""
     q, dq, ddq, _ = sample(pieces, t)
-    q, dq, ddq = q[:, columns], dq[:, columns], ddq[:, columns]
+    return tip_motion(arm, q[:, columns], dq[:, columns], ddq[:, columns])
+
+
+def tip_motion(arm: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Samples:
+    """Motion of the tip of an arm whose joints (N, n) move as given."""
     T, J = arm.chain.forward(q, jacobian=True)
     ahead, behind = (arm.chain.forward(q + h * dq, jacobian=True)[1] for h in (DIFFERENCE, -DIFFERENCE))
     drift = np.einsum("tij,tj->ti", ahead - behind, dq) / (2.0 * DIFFERENCE)

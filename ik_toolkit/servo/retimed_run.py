@@ -157,9 +157,13 @@ class Run:
             last = taken.missed
             moved = np.append(True, np.diff(clock.s) > 0.0)
             if not way.led and len(taken.Q) == len(clock.s):  # the path that the joints really took
-                way = way._replace(Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1))
+                way = way._replace(
+                    Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
+                )
             excess, near = self._excess(taken.E), round(NEAR / self.dt)
-            for k in np.flatnonzero(excess > 1.0) if share < ACCELERATION[0] else ():  # a step's error grows with its square
+            for k in (
+                np.flatnonzero(excess > 1.0) if share < ACCELERATION[0] else ()
+            ):  # a step's error grows with its square
                 begin, end = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
                 here = slice(*np.searchsorted(way.s, (begin, end)))
                 top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
@@ -255,7 +259,11 @@ class Run:
             max_step=STRIDE, position_tolerance=EXACT, orientation_tolerance=EXACT, **self.counts,
         )  # fmt: skip
         every = np.arange(len(samples.T))
-        return np.stack([np.interp(every, some, one) for one in found.q.T / unit[:, None]], axis=1) if found.success else None
+        return (
+            np.stack([np.interp(every, some, one) for one in found.q.T / unit[:, None]], axis=1)
+            if found.success
+            else None
+        )
 
     # ------------------------------------------------------------------------------------------------ the law
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: float = 1.0) -> Clock:
