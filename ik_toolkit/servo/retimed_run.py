@@ -33,9 +33,12 @@ TOLERANCE = 0.8  # share of the tolerances that a law uses for the error of a st
 # Shares of acceleration limits that a law uses: in turn, where a run has missed. With 0.95 31 of 288 runs needed a second one.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
 ENOUGH = 0.8  # of a tolerance that is aimed at where a run has missed it ...
+ROUNDED = 2  # samples before and after over which a clock is averaged: a step errs where it begins to slow down or to run faster
+FAR_OFF = 4.0  # times its tolerance above which that is no error of a step, at first
 LEAST = 0.25  # share to which the square of its rate is lowered there at a time
 HELPED = 0.8  # share of the samples off the reference that have to remain fewer after a run was taken again
-FASTER, OVER = 5, 1.2  # times that the limits of a law are raised, each by this factor
+FASTER = 5  # times that the limits of a law are raised, where a run has kept to the reference ...
+JOINTS, TIP = 1.2, 1.5  # ... each by these factors: those of redundant joints, that of the tip
 NEAR = 0.05  # [s] ... and how long before and after that it is slower
 HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
 RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
@@ -145,7 +148,7 @@ class Run:
         return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
     def _slowly(self, way: Way, jerks: bool) -> None:
-        """Take runs along a law for a joint path, with more and more in reserve."""
+        """Take runs along a law for a joint path, with more and more in reserve; then along faster ones."""
         top, start, last = np.ones(len(way.s)), 0.0 if jerks else np.inf, np.inf
         for share in ACCELERATION:
             clock = self._law(way, share, top, start)
@@ -154,31 +157,39 @@ class Run:
                 self._faster(way, share, top, start)
             if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
                 return
-            last = taken.missed
             moved = np.append(True, np.diff(clock.s) > 0.0)
             if not way.led and len(taken.Q) == len(clock.s):  # the path that the joints really took
                 way = way._replace(
                     Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
                 )
-            excess, near = self._excess(taken.E), round(NEAR / self.dt)
-            for k in (
-                np.flatnonzero(excess > 1.0) if share < ACCELERATION[0] else ()
-            ):  # a step's error grows with its square
-                begin, end = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
-                here = slice(*np.searchsorted(way.s, (begin, end)))
-                top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
+            if last < np.inf or self._excess(taken.E).max() < FAR_OFF:
+                self._lower(top, way, taken)
+                last = taken.missed
+            else:
+                last = np.inf if share == ACCELERATION[0] else taken.missed
 
     def _faster(self, way: Way, share: float, top: np.ndarray, start: float) -> None:
-        """Take runs along a law for more than there is, while the joints beside the slow one can do its part."""
-        if not self._redundant():
-            return
-        for k in range(1, FASTER + 1):
-            clock = self._law(way, share, top, start, OVER**k)
-            before = self.made[-1].clock.s
+        """Take runs along laws for more than there is: other joints may do what a slow one cannot, and smooth steps err less."""
+        over, before = 1, self.made[-1].clock.s
+        for _ in range(FASTER):
+            clock = self._law(way, share, top, start, over)
             if (len(clock.s), -clock.s[-1]) >= (len(before), -before[-1]):
                 return
-            if self._take(clock, samples_along(self.references, clock), way).missed > 0:
+            taken = self._take(clock, samples_along(self.references, clock), way)
+            if taken.missed == 0:
+                over, before = over + 1, clock.s
+            elif self._excess(taken.E).max() < FAR_OFF:
+                self._lower(top, way, taken)
+            else:
                 return
+
+    def _lower(self, top: np.ndarray, way: Way, taken: Taken) -> None:
+        """Lower the highest rates (K + 1,) of a law where a run has missed: the error of a step grows with their square."""
+        excess, near, clock = self._excess(taken.E), round(NEAR / self.dt), taken.clock
+        for k in np.flatnonzero(excess > 1.0):
+            ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
+            here = slice(*np.searchsorted(way.s, ends))
+            top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
 
     # ------------------------------------------------------------------------------------------------ joint paths
     def _wishes(self) -> tuple[float, np.ndarray]:
@@ -266,20 +277,23 @@ class Run:
         )
 
     # ------------------------------------------------------------------------------------------------ the law
-    def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: float = 1.0) -> Clock:
+    def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
         """The fastest clock along a joint path, at `start` first, at most at `top`; share: of acceleration limits that it uses.
 
-        over: factor of the limits.
+        over: times that its limits are raised.
         """
         limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
         secant = np.diff(way.Q, axis=0) / np.diff(s)[:, None]
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
-        speed, most = over * SPEED * limits[2], over * share * limits[3]
+        more = JOINTS**over if self._redundant() else 1.0
+        speed, most = more * SPEED * limits[2], more * share * limits[3]
         if self.tracker.engine.waits:  # a step misses by half of the tip's acceleration times dt^2
             _, V, A = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))[1:4]
             slope, bend = np.hstack([slope, V]), np.hstack([bend, A])
-            allowed = np.tile(np.repeat(2.0 * TOLERANCE * self.tolerances / self.dt**2, 3), len(self.references))
+            allowed = np.tile(
+                np.repeat(2.0 * TOLERANCE * TIP**over * self.tolerances / self.dt**2, 3), len(self.references)
+            )
             counted = self.tracker._settings.counts[0] > 0.0
             speed = np.append(speed, np.full(len(counted), np.inf))
             most = np.append(most, np.where(counted, allowed, np.inf))
@@ -291,7 +305,8 @@ class Run:
         t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # whatever rounding says
-        return Clock(at, now * slower, gain * slower**2, joint[np.searchsorted(s, at, side="right") - 1])
+        limits = joint[np.searchsorted(s, at, side="right") - 1]
+        return Clock(*(smoothed(one) for one in (at, now * slower, gain * slower**2)), limits)
 
     # ------------------------------------------------------------------------------------------------ runs
     def _begin(self, way: Way) -> None:
@@ -355,6 +370,13 @@ class Run:
 
 
 NOWHERE = np.zeros((0, 0))
+
+
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """Means of values (M,) over ROUNDED of them to each side, fewer next to the ends."""
+    total, k = np.append(0.0, np.cumsum(values)), np.arange(len(values))
+    side = np.minimum(np.minimum(k, k[::-1]), ROUNDED)
+    return (total[k + side + 1] - total[k - side]) / (2 * side + 1)
 
 
 def samples_along(references: list[Reference], clock: Clock) -> Samples:
