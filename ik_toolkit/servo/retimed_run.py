@@ -46,6 +46,7 @@ AT_ONCE = 20_000  # steps between which Ctrl-C is heard
 LEAD = 0.5  # share of what is missing to a path of `solve_path` that a step makes up for, in the null space
 EXACT = 1e-6  # [m, rad] of that path: errors of neighbouring samples must not look like accelerations
 STRIDE = (0.5, 0.2)  # [rad, m] that its joints may move between two poses: they are near each other
+SLOWEST = 0.02  # rate of the clock at which what touches is passed, or not at all
 POSES = 40  # least number that must all be in reach before it is sought
 MOST_POSES = 2001  # it is given; in between it is linear
 
@@ -149,7 +150,7 @@ class Run:
 
     def _slowly(self, way: Way, jerks: bool) -> None:
         """Take runs along a law for a joint path, with more and more in reserve; then along faster ones."""
-        top, start, last = np.ones(len(way.s)), 0.0 if jerks else np.inf, np.inf
+        top, start, last = self._clear(way), 0.0 if jerks else np.inf, np.inf
         for share in ACCELERATION:
             clock = self._law(way, share, top, start)
             taken = self._take(clock, samples_along(self.references, clock), way)
@@ -308,12 +309,29 @@ class Run:
         limits = joint[np.searchsorted(s, at, side="right") - 1]
         return Clock(*(smoothed(one) for one in (at, now * slower, gain * slower**2)), limits)
 
+    def _clear(self, way: Way) -> np.ndarray:
+        """Highest rates (K + 1,) of a law at which the arm can brake before what is in its way, see servo/collision_guard.py."""
+        guard, unit, rates = self.tracker._guard, self.tracker.robot.chain.unit, np.ones(len(way.s))
+        if guard is None:
+            return rates
+        slope = np.gradient(way.Q, way.s, axis=0) * unit
+        some = np.unique(np.linspace(0, len(rates) - 1, min(len(rates), FEWEST)).astype(int))
+        for k in some:
+            guard.restart(way.Q[k] * unit)
+            r = guard.rows(way.Q[k] * unit, slope[k], self.dt)
+            nearer = guard.A[:r] @ slope[k]
+            least = np.min(guard.b[:r][nearer > 0.0] / nearer[nearer > 0.0], initial=1.0)
+            rates[k] = max(SPEED * least, SLOWEST) if least < 1.0 else 1.0
+        return np.interp(way.s, way.s[some], rates[some])
+
     # ------------------------------------------------------------------------------------------------ runs
     def _begin(self, way: Way) -> None:
         """Go back to the start."""
         self.tracker.put_back(self.start)
         secondary = self.tracker.secondary
         secondary.avoid, secondary.wish[:2], secondary.wish[2] = way.avoid, way.posture, 0.0
+        if self.tracker._guard:
+            self.tracker._guard.restart(self.tracker.q)
 
     def _take(self, clock: Clock, samples: Samples, way: Way) -> Taken:
         """Run from the start to the end of a clock, or until Ctrl-C."""
