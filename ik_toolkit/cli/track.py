@@ -59,10 +59,10 @@ def track(
 
     Several tips of one robot (those of --tip, or the robot's own) each follow a path of their own and are tracked together.
 
-    Without --radius, --length, --start or --end the command chooses a path that the robot can follow and reports it. A path
-    given with any of them is used as it is; if the robot cannot follow it, the command says how far it gets and which changes
-    work. Gains that are unstable at the given rate are reported, with better ones. Ctrl-C keeps the part of the run that is done
-    as FILE.partial.
+    By default it is the path of the tip while all joints swing a little from --q0 or home, and back, which every robot can
+    follow. A path that is given is used as it is; if the robot cannot follow it, the command says how far it gets and which
+    changes work. Gains that are unstable at the given rate are reported, with better ones. Ctrl-C keeps the part of the run that
+    is done as FILE.partial.
 
     Exit code 0 when every sample was within tolerance (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run
     diverged.

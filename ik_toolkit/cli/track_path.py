@@ -1,4 +1,4 @@
-"""The path of `ik track`: as the options give it, or placed so that the robot can follow it; and what to try if it cannot."""
+"""The path of `ik track`: as the options give it, or one that every robot can follow; and what to try if it cannot."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -22,6 +22,7 @@ FAR = 20.0  # times the reach: a path that goes further away is more often in mi
 SEEN = 65  # points of a path that are looked at for that
 TIMES = ("duration", "law", "turns")
 DRAWN = ("radius", "length", "axis", "start", "end", *TIMES)
+PLACED = (*DRAWN[:5], "law", "turns")  # options of a path that say more than how long a default one takes
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
@@ -29,18 +30,15 @@ AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 class TrackOptions:
     """The path, and how it is followed."""
 
-    path: str = option("SHAPE|FILE", "circle, line, eight, or a .csv or .npz file.", default="circle")
+    path: str | None = option(
+        "SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: all joints swing a little."
+    )
     method: str = option(
         "NAME", "cv, av, ca, aa, aad, or a solver that can track, as lm and dls can.", "-m", "--method", default="cv"
     )
-    radius: float | None = option(
-        "M", "Radius of the circle, half width of the eight [m]; default: as the robot can follow."
-    )
-    length: float | None = option("M", "Length of the line [m], along --axis; default: as with --radius.")
-    axis: str | None = option(
-        "X Y Z",
-        "Normal of circle and eight (with --radius default z), direction of the line (with --length default x).",
-    )
+    radius: float | None = option("M", "Radius of the circle, half width of the eight [m]; default: 0.1.")
+    length: float | None = option("M", "Length of the line [m], along --axis; default: 0.2.")
+    axis: str | None = option("X Y Z", "Normal of circle and eight (default z), direction of the line (default x).")
     start: str | None = option("X Y Z", "Start of the path [m]; default: the tip at home or --q0.")
     end: str | None = option("X Y Z", "End of the line [m]; default: --length along --axis.")
     turns: float | None = option("N", "Turns of circle or eight (default 1); rounds of a line, 0: one way.")
@@ -87,14 +85,14 @@ class TrackOptions:
     plot: Path | None = option("FILE", "Draw the run to a .png, .pdf or .svg file.", writes=PLOTS)
 
     @property
-    def in_part(self) -> bool:
-        """Whether the options give the path's place or size: then it is used as given."""
-        return any(given is not None for given in (self.radius, self.length, self.start, self.end))
+    def shape(self) -> str | None:
+        """The path asked for; where only options of a shape are given, a circle; None where nothing is said of it."""
+        return self.path or ("circle" if any(getattr(self, name) is not None for name in PLACED) else None)
 
     @property
     def size(self) -> float:
         """Length of the line, or radius, as asked or by default [m]."""
-        given, usual = (self.length, LENGTH) if self.path == "line" else (self.radius, RADIUS)
+        given, usual = (self.length, LENGTH) if self.shape == "line" else (self.radius, RADIUS)
         return usual if given is None else given
 
     def rest(self, seconds: float | None = DURATION) -> dict[str, Any]:
@@ -111,7 +109,9 @@ class TrackOptions:
 
     def check(self) -> None:
         """Refuse options that the path does not have, rather than pass over them. Raises InvalidOption."""
-        kind = self.path if self.path in SHAPES else "file"
+        if self.shape is None:
+            return
+        kind = self.shape if self.shape in SHAPES else "file"
         fit = PLACE[kind] + (TIMES if kind != "file" else ())
         what = "a path from a file" if kind == "file" else f"--path {kind}"
         if self.end is not None and kind == "line":
@@ -153,20 +153,23 @@ def asked_path(arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any], to
     from ..servo.path_reach import freed
 
     asked.check()
-    if asked.path not in SHAPES:
+    if asked.shape is None and not counts.get("relative_to"):
+        from ..servo.default_path import joint_motion
+
+        motion = joint_motion(
+            arm, q, position_only=asked.position_only, duration=asked.duration, dt=1.0 / asked.rate,
+            position_tolerance=tolerance,
+        )  # fmt: skip
+        seconds = next(iter(motion.values())).duration if isinstance(motion, Mapping) else motion.duration
+        start = "home" if q is None else "--q0"
+        words = f"all joints swing a little from {start}, and back, in {seconds:g} s"
+        return Asked(motion, arm.home if q is None else q, words)
+    if asked.path is not None and asked.path not in SHAPES:
         if Path(asked.path).suffix.lower() not in (".csv", ".npz"):
             raise InvalidOption(f"no path '{asked.path}'.{near_match(asked.path, SHAPES)} Or give a .csv or .npz file.")
         reference = reference_from_file(asked.path)
         return Asked(freed(reference) if asked.position_only and not reference.position_only else reference, q, "")
-    if asked.in_part:
-        return Asked(_drawn(arm, asked, q, counts), arm.home if q is None and asked.start is None else q, "")
-    from ..servo.default_path import place
-
-    placed = place(
-        arm, asked.path, q0=q, axis=asked.read_axis(), position_only=asked.position_only, **asked.rest(None),
-        dt=1.0 / asked.rate, position_tolerance=tolerance, **counts,
-    )  # fmt: skip
-    return Asked(placed.reference, placed.q0, placed.words)
+    return Asked(_drawn(arm, asked, q, counts), arm.home if q is None and asked.start is None else q, "")
 
 
 def doubt_metres(arm: Any, reference: Any) -> None:
@@ -189,13 +192,22 @@ def _drawn(arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any]) -> Any
     """The path as it is given: from the tip at --q0 or home, or from --start, with the tip's orientation."""
     from ..servo.default_path import paths
 
-    if asked.start is not None or (asked.path == "line" and asked.end is not None):
+    if asked.start is not None or (asked.shape == "line" and asked.end is not None):
         if arm.by_tip:
             raise InvalidOption("--start and --end are for one tip; choose it with --tip")
         return _from_to(arm.fk(arm.home if q is None else q).homogeneous, asked)
     relative = counts.get("relative_to") or {}
     start = arm.home if q is None else q
-    return paths(arm, start, asked.path, asked.size, asked.read_axis(), asked.position_only, relative, **asked.rest())
+    return paths(
+        arm,
+        start,
+        asked.shape or "circle",
+        asked.size,
+        asked.read_axis(),
+        asked.position_only,
+        relative,
+        **asked.rest(),
+    )
 
 
 def _from_to(T: Any, asked: TrackOptions) -> Any:
@@ -208,8 +220,8 @@ def _from_to(T: Any, asked: TrackOptions) -> Any:
     if asked.start is not None:
         T[:3, 3] = vector(asked.start, "--start", 3)
     at: Any = T[:3, 3].copy() if asked.position_only else T
-    if asked.path != "line" or asked.end is None:
-        return draw(asked.path, at, asked.size, asked.read_axis(), **asked.rest())
+    if asked.shape != "line" or asked.end is None:
+        return draw(asked.shape or "circle", at, asked.size, asked.read_axis(), **asked.rest())
     end = np.array(vector(asked.end, "--end", 3))
     T1 = T.copy()
     T1[:3, 3] = end
@@ -241,7 +253,7 @@ def advice(
     if found.whole:
         share, seconds = found.pace[0], asked.duration or DURATION
         slower = float(f"{1.1 * share * seconds:.2g}")
-        fits = share > 1.0 and asked.path in SHAPES and follows(drawn({"duration": slower}), path.q0)
+        fits = share > 1.0 and asked.shape in SHAPES and follows(drawn({"duration": slower}), path.q0)
         return [f"--duration {slower:g}"] if fits else []
     one: dict[str, str] = {}  # the largest of several sizes, the first of several axes
     for words, more in _ways(asked, found):
@@ -262,11 +274,11 @@ def _ways(asked: TrackOptions, found: Any) -> Iterator[tuple[str, dict[str, Any]
     """Other options to try: as words, and as changes of the command line."""
     from ..servo.path_reach import smaller
 
-    if asked.path not in SHAPES or not asked.in_part:
+    if asked.shape not in SHAPES:
         return
     if not asked.position_only:
         yield "--position-only", {"position_only": True}
-    name = "length" if asked.path == "line" else "radius"
+    name = "length" if asked.shape == "line" else "radius"
     size = asked.size
     if asked.end is None:
         for factor in smaller(found):

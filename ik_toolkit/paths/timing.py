@@ -1,13 +1,13 @@
-"""Time-optimal motion along a path: TOPP-RA (Pham and Pham, 2018) on exactly the curve that is verified (see `smooth_curve`)."""
+"""Time-optimal motion along a path: the time law on exactly the curve that is verified (see `smooth_curve`)."""
 
 import itertools
-import logging
 import math
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra, floats, whole
+from ..errors import InvalidOption, floats, whole
+from ..motion.time_law import time_law, times_of
 from ..motion.trajectory import Piece, Trajectory, sample
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
@@ -16,8 +16,6 @@ from ..validate import positive
 from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
-# Length scales to try: toppra's solver has absolute tolerances and fails on some curves.
-SCALES = (1.0, 10.0, 0.1, 30.0, 0.3, 3.0, 100.0)
 GRID = 200  # least number of grid points of the time law
 FINER = 3  # how often the grid may be doubled when limits are exceeded between its points by more than TOO_FAST
 TOO_FAST = 1.02
@@ -114,9 +112,8 @@ def _pieces(
     if run.stop - run.start < 2:
         return []
     found = smooth_curve(plan, result, allowed, run)
-    piece = None if found is None else _spline(found, plan.robot, limits, tip_speed)
-    if piece is not None:
-        return [(found, piece, run)]
+    if found is not None:
+        return [(found, _spline(found, plan.robot, limits, tip_speed), run)]
     places = np.flatnonzero(corners(result.targets, result.kinds))
     cuts = [int(k) for k in np.searchsorted(result.at, places) if run.start < k < run.stop - 1]
     if cuts:
@@ -178,8 +175,8 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 
 
 # ------------------------------------------------------------------------------------------------------------- the times
-def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece | None:
-    """Time-optimal motion along a curve, by TOPP-RA; the limits also hold between the grid points. None if there is no time law."""
+def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
+    """Time-optimal motion along a curve; the limits also hold between the grid points."""
     knots = found.knots
     piece = Piece(knots, found.cubics, knots, knots, knots, found.at)
     between = max(1, math.ceil(GRID / (len(knots) - 1)))
@@ -188,66 +185,14 @@ def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], 
         top = np.full(len(grid), np.inf)
         if tip_speed < math.inf:
             top = tip_speed / np.maximum(_tip_rates(robot, piece, grid), 1e-9)
-        speed = _topp(piece, grid, limits, top)
-        if speed is None:
-            return None
-        times = np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (speed[1:] + speed[:-1])))
-        made = piece._replace(s=grid, speed=speed, t=times)
+        _, slope, bend = piece.curve(grid)
+        speed, _ = time_law(slope, bend, grid, *limits, top=top, start=0.0, end=0.0)
+        made = piece._replace(s=grid, speed=speed, t=times_of(grid, speed))
         factor = _excess(made, limits)
         if factor <= TOO_FAST:
             break
         between *= 2
     return made.slower(factor)
-
-
-def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray], top: np.ndarray) -> np.ndarray | None:
-    """Fastest speeds (G,) along a curve at the grid points, within joint limits and at most `top`; None if toppra finds none."""
-    try:
-        import toppra
-        import toppra.algorithm
-        import toppra.constraint
-    except ImportError:
-        raise MissingExtra("toppra", "paths") from None
-
-    class Path(toppra.interpolator.AbstractGeometricPath):
-        """The curve in toppra's interface, with lengths times `scale`."""
-
-        dof, scale = piece.coefficients.shape[2], 1.0
-
-        @property
-        def path_interval(self) -> np.ndarray:
-            """First and last path coordinate."""
-            return self.scale * piece.knots[[0, -1]]
-
-        def __call__(self, s: Any, order: int = 0) -> np.ndarray:
-            values = piece.curve(np.atleast_1d(s) / self.scale)[order] / self.scale**order
-            return values if np.ndim(s) else values[0]
-
-    # A joint that moves at |q'| per unit of s is at its share of `top` when all of the path is: a limit on each is one on ds/dt.
-    slopes = np.abs(piece.curve(grid)[1])
-    moving = slopes > 1e-3 * slopes.max(axis=1, keepdims=True)
-    highest = np.where(moving, np.minimum(limits[0], slopes * np.minimum(top, 1e9)[:, None]), limits[0])
-
-    def speeds(s: float) -> np.ndarray:
-        k = int(np.abs(grid - s / path.scale).argmin())
-        return np.stack([-highest[k], highest[k]], axis=1)
-
-    gains = np.stack([-limits[1], limits[1]], axis=1)
-    logging.getLogger("toppra").setLevel(logging.CRITICAL)  # its messages about a failing scale help nobody
-    for scale in SCALES:
-        path = Path()
-        path.scale = scale
-        constraints = [
-            toppra.constraint.JointVelocityConstraintVarying(speeds),
-            toppra.constraint.JointAccelerationConstraint(
-                gains, discretization_scheme=toppra.constraint.DiscretizationType.Interpolation
-            ),
-        ]
-        solver = toppra.algorithm.TOPPRA(constraints, path, gridpoints=scale * grid, solver_wrapper="seidel")
-        speed = solver.compute_parameterization(0.0, 0.0)[1]
-        if speed is not None and np.isfinite(speed).all() and (speed[1:-1] > 0.0).all():
-            return np.asarray(speed) / scale
-    return None
 
 
 def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
@@ -294,6 +239,5 @@ def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.nda
     peak = math.sqrt(2.0 * gain * ramp)
     s = np.array([0.0, ramp, length - ramp, length]) if ramp < 0.5 * length else np.array([0.0, ramp, length])
     speed = np.array([0.0, peak, peak, 0.0]) if len(s) == 4 else np.array([0.0, peak, 0.0])
-    t = np.append(0.0, np.cumsum(2.0 * np.diff(s) / (speed[1:] + speed[:-1])))
     cubics = np.stack([np.zeros_like(a), np.zeros_like(a), slope, a])[:, None]
-    return Piece(np.array([0.0, length]), cubics, s, speed, t, at)
+    return Piece(np.array([0.0, length]), cubics, s, speed, times_of(s, speed), at)

@@ -8,11 +8,10 @@ from numba.extending import overload
 from ..compile.jit import INLINE, inline
 from ..kernel.records import copy
 from .command import Published
-from .constrained_step import LEAVE, SHORT, SLOW, WANTED, constrain
+from .constrained_step import LEAVE, SHORT, WANTED, constrain
 from .laws import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
 from .null_space_motion import PRESSED
 from .singular_step import by_modes
-from .time_scaling import QUICK, WHOLE
 from .viability import RECOVERING, ROW, clip
 
 LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
@@ -37,13 +36,13 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
-    """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted.
+def by_constraints(law, s, count, mu, h, state, work, active, kept, starts, code):
+    """Rates that the limits allow, to s.x; returns whether anything prevented those wanted.
 
     mu above 0: those of a step down, which `descend` has asked for.
     """
     n, m = s.J.shape
-    mode, size = LEAVE if state[STATE.leaving] > 0.0 and law.mode == SLOW else int(law.mode), s.size
+    mode, size = int(law.mode), s.size
     if mu > 0.0:
         mode, size = LEAVE, s.even
     else:
@@ -57,22 +56,12 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, start
             s.v[i] = s.x[i] - s.v[i]
         by_modes(s.J, s.W, s.U, s.lost, s.f, s.ask, s.y)
     copy(s.x, s.w)
-    least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
-    status, share, part = WANTED, 1.0, 1.0
-    for _ in range(2):
-        status, part = constrain(
-            s.J, s.weight, s.ask, s.f, s.w, s.v, size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
-            work, s.x, active, kept, starts, s.multiplier, h, mu,
-        )  # fmt: skip
-        share *= part
-        if status >= SHORT:
-            state[STATE.pressed] = PRESSED
-        if mode != SLOW or share * sigma >= least - WHOLE:
-            break
-        share, mode = least / sigma, LEAVE  # the clock cannot stop so fast: the path is left for a moment
-        for k in range(m):
-            s.ask[k] += share * s.f[k]
-            s.f[k] = 0.0
+    status, _ = constrain(
+        s.J, s.weight, s.ask, s.f, s.w, s.v, size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
+        work, s.x, active, kept, starts, s.multiplier, h, mu,
+    )  # fmt: skip
+    if status >= SHORT:
+        state[STATE.pressed] = PRESSED
     for i in range(n):
         code[i] = (s.why_low[i] | s.why_top[i]) & RECOVERING
         if status != WANTED and active[i] == 1:
@@ -86,38 +75,25 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, start
                 if abs(s.planes[k, i]) > abs(s.planes[k, most]):
                     most = i
             code[most] = code[most] | ROW
-    return sigma * share if law.mode == SLOW else sigma, status != WANTED
+    return status != WANTED
 
 
 @inline
-def by_clipping(law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
+def by_clipping(law, s, count, mu, h, state, work, active, kept, starts, code):
     """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
     clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
-    return sigma, False
+    return False
 
 
-def obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
+def obey(rule, law, s, count, mu, h, state, work, active, kept, starts, code):
     """Rates that the limits allow, see `by_constraints`."""
     how = by_constraints if isinstance(rule, Published) else by_clipping
-    return how(law, s, count, sigma, mu, h, state, work, active, kept, starts, code)
+    return how(law, s, count, mu, h, state, work, active, kept, starts, code)
 
 
 @overload(obey, jit_options=INLINE)
-def _obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
+def _obey(rule, law, s, count, mu, h, state, work, active, kept, starts, code):
     how = by_constraints if rule.instance_class is Published else by_clipping
-    return lambda rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code: how(
-        law, s, count, sigma, mu, h, state, work, active, kept, starts, code
+    return lambda rule, law, s, count, mu, h, state, work, active, kept, starts, code: how(
+        law, s, count, mu, h, state, work, active, kept, starts, code
     )
-
-
-@inline
-def pacing(s, active, done, sigma, ahead):
-    """Joint that sets the clock's rate, -1: none."""
-    joint, most = -1.0, 0.0
-    if done < sigma:
-        for i in range(active.shape[0]):
-            if (active[i] == 1 or active[i] == -1) and abs(s.multiplier[i]) * s.size[i] > most:
-                joint, most = float(i), abs(s.multiplier[i]) * s.size[i]
-    if joint < 0.0 and done < 1.0:
-        joint = ahead
-    return joint

@@ -17,7 +17,7 @@ from ik_toolkit.paths.continuity import interpolate_poses
 from ik_toolkit.paths.result import PathStatus
 from ik_toolkit.paths.smooth_curve import sagittas
 
-pytest.importorskip("toppra")
+pytest.importorskip("scipy")
 
 
 @functools.cache

@@ -43,7 +43,7 @@ def test_the_chart_of_a_path_draws_joints_without_limits_in_half_turns():
 
 
 def test_trajectories_are_shown_in_real_time_and_read_back(tmp_path):
-    pytest.importorskip("toppra")
+    pytest.importorskip("scipy")
     made = result().retime(1.0, 2.0, rate=50.0)
     scene = ik.view(made.robot, made)
     told = scene.window.about["animation"]

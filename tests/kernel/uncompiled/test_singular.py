@@ -209,7 +209,6 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             limits,
             none,
             0,
-            1.0,
             h,
             rate,
             memory,
