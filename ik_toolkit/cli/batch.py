@@ -232,7 +232,7 @@ def solve_file(
     *,
     threads: int | None,
     cluster: str | None,
-    deg: bool,
+    given: Convention,
     as_json: bool,
 ) -> None:
     """Solve all targets of a file and write their solutions; exit code 1 when any is not solved.
@@ -242,7 +242,7 @@ def solve_file(
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    count, blocks = read_poses(path, "targets", given=Convention(deg=deg), tips=arm.tips if arm.by_tip else ())
+    count, blocks = read_poses(path, "targets", given=given, tips=arm.tips if arm.by_tip else ())
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()
     with _cluster(cluster) as executor, progress("solving", count) as show_done:

@@ -248,6 +248,24 @@ class ToleranceOptions:
     orientation_tolerance: float | None = option("RAD", "Orientation tolerance [rad].")
 
 
+@options("Files of poses")
+class FileOptions:
+    """In what a file gives its poses."""
+
+    length_unit: str | None = option("UNIT", "Unit of the positions in the file: m (default), cm, mm or in.")
+    euler: str | None = option(
+        "AXES",
+        "Axes about which three angles in the file turn one after another, such as zyx or zyz. Columns roll,pitch,yaw or "
+        "rx,ry,rz are about x, y and z; a,b,c are in order. Default: URDF's roll, pitch, yaw.",
+    )
+
+    def convention(self, deg: bool) -> Any:
+        """The convention for the reader of a file."""
+        from ..robot.pose_files import Convention
+
+        return Convention(self.length_unit or "m", deg, self.euler)
+
+
 @options("Collisions")
 class CollisionOptions:
     """What must not be touched."""

@@ -9,13 +9,14 @@ import typer
 from ..errors import InvalidOption, InvalidTarget
 from ..text import numbers
 from .command import PLOTS, REQUIRED, command, flag, option, options, same
-from .options import CollisionOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
+from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
 from .output import facts, notice, partial, progress, show, table, write_json
 from .pictures import present
 from .solve import SolverOptions
 from .streams import uninterrupted
 from .target import CountOptions, TargetOptions
 
+TURN = math.radians(1.0)  # [rad] path tolerance of the orientation where that of the position is given
 LISTED = 5  # unreached poses listed on the terminal; the file lists all
 
 
@@ -45,6 +46,13 @@ class PathOptions:
     acceleration: str | None = option(
         "A [A2 ...]", "With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint."
     )
+    tip_speed: float | None = option(
+        "M/S", "With --retime: speed of the tip along the path, kept where the limits allow."
+    )
+    path_tolerance_mm: float | None = option(
+        "MM",
+        "How far the tip may leave the chords between poses; default 1, and with --retime the chords' own sagitta.",
+    )
     rate: float = option("HZ", "With --retime: samples per second.", default=100.0)
     output: Path | None = option(
         "FILE",
@@ -59,11 +67,14 @@ class PathOptions:
         """Raise InvalidOption for options that do not go together."""
         if not self.retime and (self.velocity is not None or self.acceleration is not None):
             raise InvalidOption("--velocity and --acceleration belong to --retime")
+        if not self.retime and self.tip_speed is not None:
+            raise InvalidOption("--tip-speed belongs to --retime")
         if self.retime and self.acceleration is None:
             raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
         if self.retime and self.output is not None and self.output.suffix.lower() == ".npz":
             raise InvalidOption(f"a trajectory is written as .csv or .json, not '{self.output}'")
-        for name, value in (("--max-step-deg", self.max_step_deg), ("--max-step-mm", self.max_step_mm)):
+        sizes = ("--max-step-deg", self.max_step_deg), ("--max-step-mm", self.max_step_mm)
+        for name, value in (*sizes, ("--path-tolerance-mm", self.path_tolerance_mm or 1.0)):
             if not 0.0 < value < math.inf:
                 raise InvalidOption(f"{name} must be positive, not {value:g}")
 
@@ -75,6 +86,7 @@ class PathOptions:
             **{name: q for name, q in ends.items() if q is not None},
             "reconfigurations": int(words) if words.isdecimal() else words,
             "max_step": (math.radians(self.max_step_deg), 1e-3 * self.max_step_mm),
+            **({} if self.path_tolerance_mm is None else {"path_tolerance": (1e-3 * self.path_tolerance_mm, TURN)}),
         }
 
 
@@ -95,6 +107,7 @@ class Seed:
 @command
 def path(
     asked: PathOptions,
+    file: FileOptions,
     counts: PathCounts,
     collisions: CollisionOptions,
     tolerances: ToleranceOptions,
@@ -116,10 +129,10 @@ def path(
     """
     asked.check()
     from ..paths.solve_path import PathInterrupted, solve_path
-    from ..robot.pose_files import Convention, read_poses
+    from ..robot.pose_files import read_poses
 
     arm = robot.load(robot.choose_tips())
-    _, blocks = read_poses(asked.poses, "poses", given=Convention(deg=robot.deg), tips=arm.tips if arm.by_tip else ())
+    _, blocks = read_poses(asked.poses, "poses", given=file.convention(robot.deg), tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], asked.poses.name)
     options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
     options |= collisions.read(arm) | given(random)
@@ -129,7 +142,7 @@ def path(
             result = solve_path(arm, targets, progress=lambda share, words: bar(100.0 * share, words), **options)
         if asked.retime and result.success:
             bounds = _numbers(asked.velocity, "--velocity"), _numbers(asked.acceleration, "--acceleration")
-            made = result.retime(*bounds, rate=asked.rate, seed=random.seed)
+            made = result.retime(*bounds, rate=asked.rate, seed=random.seed, tip_speed=asked.tip_speed)
     except KeyboardInterrupt as stop:
         found = stop.result if isinstance(stop, PathInterrupted) else result
         if asked.output is not None and found is not None:
@@ -152,7 +165,7 @@ def path(
         _show(result, made)
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
-    elif made is not None and not made.success:
+    elif made is not None and (not made.success or made.stops or asked.tip_speed is not None):
         notice(made.message)
     if not result.success or (made is not None and not made.success):
         raise typer.Exit(1)

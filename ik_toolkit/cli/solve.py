@@ -14,6 +14,7 @@ from . import first_use
 from .command import PLOTS, command, flag, option, options, same
 from .options import (
     CollisionOptions,
+    FileOptions,
     ObjectOutput,
     RobotOptions,
     SceneOutput,
@@ -140,6 +141,7 @@ def solve(
     counts: CountOptions,
     collisions: CollisionOptions,
     many: ManyOptions,
+    file: FileOptions,
     robot: RobotOptions,
     out: SolveOutput,
 ) -> None:
@@ -167,6 +169,8 @@ def solve(
     ik solve hydrolek_7w --targets poses.csv -o solutions.csv
     """
     _refuse_contradictions(target, wish, many, out)
+    if many.file is None and (file.length_unit is not None or file.euler is not None):
+        raise InvalidOption("--length-unit and --euler go with --targets FILE")
     deg = robot.deg
     aim = target.read(deg) if many.file is None and target.from_q is None else None
     rule = method.choose()
@@ -179,7 +183,7 @@ def solve(
     if many.file is not None:
         from .batch import solve_file
 
-        how = {"threads": many.threads, "cluster": many.cluster, "deg": deg, "as_json": out.as_json}
+        how = {"threads": many.threads, "cluster": many.cluster, "given": file.convention(deg), "as_json": out.as_json}
         solve_file(arm, many.file, out.output, rule, start, options, **how)
     elif wish.every:
         _solve_all(arm, aim, rule, start, options, out, deg)
