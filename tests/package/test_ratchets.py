@@ -10,7 +10,7 @@ CEILINGS = {
     "files": 280,
     "public names defined in two files or more": 17,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 62,
+    "functions of more than 9 parameters": 59,
     "constants of the most laden file of kernel and servo": 27,
     "constants of modules": 1196,
     "uses of by_tip": 27,
