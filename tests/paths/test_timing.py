@@ -61,7 +61,9 @@ def test_the_tip_stays_as_near_to_the_poses_as_is_said(name):
     assert made.deviation[0] <= result.path_tolerance[0] and made.deviation[1] <= result.path_tolerance[1]
     # Joints and poses are functions of one parameter, so at a place the tip is where that pose is.
     for q, place in zip(made.q, made.place, strict=True):
-        position, angle = result.robot.errors(q, interpolate_poses(result.targets, np.array([place]), result.kinds)[0, 0])
+        position, angle = result.robot.errors(
+            q, interpolate_poses(result.targets, np.array([place]), result.kinds)[0, 0]
+        )
         assert position <= made.deviation[0] and angle <= made.deviation[1]
 
 
