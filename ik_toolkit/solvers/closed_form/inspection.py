@@ -131,7 +131,8 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     p = opt[WEIGHTS + n :]
     box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
     P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
-    q, trial, best = np.empty(n), np.empty(n), np.empty(n)
+    tries, best = np.empty((2, n)), np.empty(n)
+    q, trial = tries[0], tries[1]
     row, limits = np.empty(6), np.empty(WINDOWS)
     goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
     for t in range(T.shape[0]):
@@ -160,9 +161,9 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 if count < 0:
                     low, high = lift_limits(p, box)
                     count = lift_intervals(P, p[A4], p[A6], low, high, spans)
-                broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
+                broken = scan_lifts(p, P, box, near, spans[:count], moved, sols, tries, best)
                 if broken > 0.0:
-                    broken = narrow_windows(p, P, box, near, spans, count, limits, row, q, best)
+                    broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
             elif gap > 0.0:
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
                 # The target would be in reach with more stroke, so the lift's limit stops the arm.

@@ -146,33 +146,33 @@ def stopped_at(p, P, box, d, gap, spans):
 
 
 @inner
-def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
+def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
     """Try a few feasible lifts for a branch within limits: best receives the nearest one, or what breaks the limits least.
 
     Lifts are closer together at the ends of an interval, where the angles change fastest. Returns the limit broken.
     """
     least, nearest = np.inf, np.inf
-    for k in range(count):
+    for k in range(spans.shape[0]):
         middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
         for j in range(SCAN):
             d = middle - half * math.cos(math.pi * j / (SCAN - 1))
-            worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+            worst, distance = pick(p, P, d, box, near, moved, sols, tries[0], tries[1])
             if worst < least or (worst == least and distance < nearest):
                 least, nearest = worst, distance
-                copy(trial, best)
+                copy(tries[1], best)
     return least
 
 
 @inner
-def at_turn(p, P, k, middle, half, turn, box, near, row, q):
-    """Fill q with branch k at the lift middle - half cos(turn); return the worst limit broken and the distance."""
-    d = middle - half * math.cos(turn)
+def at_turn(p, P, k, span, turn, box, near, row, q):
+    """Fill q with branch k at a share (1 - cos(turn)) / 2 of a span of lifts; return the worst limit broken and the distance."""
+    d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
     return joint_values(p, row, d, box, q)
 
 
 @inner
-def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
+def narrow_windows(p, P, box, near, spans, broken, row, q, best):
     """Search every branch over the feasible lifts for windows inside all limits, however narrow.
 
     Such a window lies where the worst limit broken has a minimum; each minimum is approached by golden section until it
@@ -180,31 +180,31 @@ def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
-    for span in range(count):
-        middle, half = 0.5 * (spans[span, 0] + spans[span, 1]), 0.5 * (spans[span, 1] - spans[span, 0])
+    for s in range(spans.shape[0]):
+        span = spans[s]
         for k in range(8):
             for j in range(WINDOWS):
-                broken[j] = at_turn(p, P, k, middle, half, j * step, box, near, row, q)[0]
+                broken[j] = at_turn(p, P, k, span, j * step, box, near, row, q)[0]
             for j in range(WINDOWS):
                 if (j > 0 and broken[j - 1] < broken[j]) or (j + 1 < WINDOWS and broken[j + 1] < broken[j]):
                     continue
                 a, b = max(j - 1, 0) * step, min(j + 1, WINDOWS - 1) * step
                 u, v = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
-                at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
-                at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                at_u = at_turn(p, P, k, span, u, box, near, row, q)[0]
+                at_v = at_turn(p, P, k, span, v, box, near, row, q)[0]
                 for _ in range(CLOSING):
                     if broken[j] == 0.0 or min(at_u, at_v) == 0.0:
                         break
                     if at_u < at_v:
                         b, v, at_v = v, u, at_u
                         u = b - GOLDEN * (b - a)
-                        at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
+                        at_u = at_turn(p, P, k, span, u, box, near, row, q)[0]
                     else:
                         a, u, at_u = u, v, at_v
                         v = a + GOLDEN * (b - a)
-                        at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                        at_v = at_turn(p, P, k, span, v, box, near, row, q)[0]
                 turn = j * step if broken[j] <= min(at_u, at_v) else (u if at_u <= at_v else v)
-                worst, distance = at_turn(p, P, k, middle, half, turn, box, near, row, q)
+                worst, distance = at_turn(p, P, k, span, turn, box, near, row, q)
                 if worst < least or (worst == least and distance < nearest):
                     least, nearest = worst, distance
                     copy(q, best)
