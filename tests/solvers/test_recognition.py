@@ -160,3 +160,36 @@ def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
         assert sum(batch[k].solver == "inspection" for k in range(100)) > 90
         found = [ik.solve_all(held, pose, q0=q) for pose, q in zip(T[:20], Q, strict=False)]
         assert not any(one.complete for one in found) and all(len(one) for one in found)
+
+
+H = PI / 2
+STRUCTURE = [  # column, shoulder, elbow and wrist of an arm without a lift, at right angles and parallel in turn
+    ((0, 0, 0), (0, 0, 0)),
+    ((0, 0, 0), (H, 0, 0)),
+    ((0, 0, 0), (H, 0, 0)),
+    ((0.5, 0, 0), (0, 0, 0)),
+    ((0, 0, 0), (-H, 0, 0)),
+    ((0.4, 0, 0), (0, 0, 0)),
+]
+
+
+@pytest.mark.parametrize(
+    ("joint", "moved", "turned", "words"),
+    [
+        (1, (0, 0, 0), (H - 0.5, 0, 0), "joints 1 and 2 are not at right angles"),
+        (2, (0, 0, 0), (H - 0.5, 0, 0), "joints 2 and 3 are not at right angles"),
+        (3, (0.5, 0, 0), (0.5, 0, 0), "joints 3 and 4 are not parallel"),
+        (4, (0, 0, 0), (-H + 0.5, 0, 0), "joints 4 and 5 are not at right angles"),
+        (5, (0.4, 0, 0), (0.5, 0, 0), "joints 5 and 6 are not parallel"),
+        (2, (0.2, 0, 0), (H, 0, 0), "third revolute axis misses the point"),
+        (4, (0, 0, 0.2), (-H, 0, 0), "fifth revolute axis does not cross the fourth"),
+        (3, (0, 0, 0), (0, 0, 0), "parallel revolute axes coincide"),
+    ],
+)
+def test_each_part_of_the_inspection_structure_is_required(joint, moved, turned, words):
+    def recognised(places):
+        joints = [("continuous", where, angles, (0, 0, 1), -1.0, 1.0) for where, angles in places]
+        return inspection.recognise(ik.Robot.load(urdf(joints, ((0.1, 0, 0.2), (0, 0, 0.3))), tip="tip").chain)[1]
+
+    assert recognised(STRUCTURE) == ""
+    assert words in recognised([*STRUCTURE[:joint], (moved, turned), *STRUCTURE[joint + 1 :]])
