@@ -8,15 +8,14 @@ from numba.extending import overload
 from ..compile.jit import INLINE, inline
 from ..kernel.records import copy
 from .command import Published
-from .constrained_step import LEAVE, SHORT, SLOW, WANTED, constrain
-from .laws import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
+from .constrained_step import LEAVE, SHORT, SLOW, WANTED, Allowed, Asked, Taken, constrain
+from .laws import CLIP, NOT_FINITE, RUNAWAY, STATE
 from .null_space_motion import PRESSED
 from .singular_step import by_modes
 from .time_scaling import QUICK, WHOLE
 from .viability import RECOVERING, ROW, clip
 
 LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
-SINGULAR, DAMPING = 1e-6, 1e-6  # of `constrain`: lost directions are removed from the task before it sees them
 
 
 @inline
@@ -37,7 +36,7 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
+def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, code):
     """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted.
 
     mu above 0: those of a step down, which `descend` has asked for.
@@ -48,22 +47,21 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, start
         mode, size = LEAVE, s.even
     else:
         for k in range(m):
+            if mode == SLOW:  # what joints cannot follow of the target's motion is no reason for a slower clock
+                s.f[k] = 0.0
+                for i in range(n):
+                    s.f[k] += sigma * s.J[i, k] * s.lead[i]
             s.ask[k] = -s.f[k]
             for i in range(n):
                 s.ask[k] += s.J[i, k] * s.x[i]
-            s.t[k] = s.ask[k] + s.f[k]
-        apply(s.J, m, s.G, s.t, s.y, s.v)
-        for i in range(n):
-            s.v[i] = s.x[i] - s.v[i]
         by_modes(s.J, s.W, s.U, s.lost, s.f, s.ask, s.y)
     copy(s.x, s.w)
     least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
+    allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), Taken(s.x, active, kept, s.multiplier)
     status, share, part = WANTED, 1.0, 1.0
     for _ in range(2):
-        status, part = constrain(
-            s.J, s.weight, s.ask, s.f, s.w, s.v, size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
-            work, s.x, active, kept, starts, s.multiplier, h, mu,
-        )  # fmt: skip
+        asked = Asked(s.J, s.weight, s.ask, s.f, s.w, size, mode, h, mu)
+        status, part = constrain(asked, allowed, work, taken)
         share *= part
         if status >= SHORT:
             state[STATE.pressed] = PRESSED
@@ -90,23 +88,23 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, start
 
 
 @inline
-def by_clipping(law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
+def by_clipping(law, s, count, sigma, mu, h, state, work, active, kept, code):
     """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
     clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
     return sigma, False
 
 
-def obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
+def obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, code):
     """Rates that the limits allow, see `by_constraints`."""
     how = by_constraints if isinstance(rule, Published) else by_clipping
-    return how(law, s, count, sigma, mu, h, state, work, active, kept, starts, code)
+    return how(law, s, count, sigma, mu, h, state, work, active, kept, code)
 
 
 @overload(obey, jit_options=INLINE)
-def _obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
+def _obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, code):
     how = by_constraints if rule.instance_class is Published else by_clipping
-    return lambda rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code: how(
-        law, s, count, sigma, mu, h, state, work, active, kept, starts, code
+    return lambda rule, law, s, count, sigma, mu, h, state, work, active, kept, code: how(
+        law, s, count, sigma, mu, h, state, work, active, kept, code
     )
 
 

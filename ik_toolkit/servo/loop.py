@@ -186,10 +186,10 @@ def error_squared(weight, e):
 def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
     _, p, counts, limits, wish, lines, level, measured = given
-    _, motion, memory, swings, away, basis, state, active, kept, starts = own
+    _, motion, memory, swings, away, basis, state, active, kept = own
     (_, T, V, A, caps), (_, Q, R, E, S, C) = samples, out
     q, rate = motion[0], motion[1]
-    n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
+    n, m, room = q.shape[0], V.shape[1], kept.shape[0]
     law, o = read(Law, p), read(Orders, orders)
     first = HEAD + TASK * (m // 6)
     task = problem_on(block, rows, ends, orders[HEAD:first], n, o)
@@ -250,7 +250,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, C[i])
+            done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, C[i])
             look_on(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
@@ -280,7 +280,7 @@ def servo(cls: type | None = None) -> Callable:
 
     def follow(rows, ends, orders, settings, carried, samples, out, h):
         given, own = settings_of(view(settings)), carried_of(view(carried))
-        n, m, room = given.limits.shape[1], given.counts.shape[1], own.kept.shape[0] - 1
+        n, m, room = given.limits.shape[1], given.counts.shape[1], own.kept.shape[0]
         size = space(n, m, rows.shape[0], 0) + bench_space(n, m, room) + room_space(n, m, room)
         block = np.zeros(size)
         taken = run(
