@@ -6,7 +6,7 @@ from numba import config
 from ik_toolkit.compile.array_view import keep, view
 from ik_toolkit.compile.jit import cached
 from ik_toolkit.servo import constrained_step as rooms
-from ik_toolkit.servo.constrained_step import LEAVE, Allowed, Asked, Taken, constrain
+from ik_toolkit.servo.constrained_step import LEAVE, Allowed, StepTaken, TaskRate, constrain
 
 
 def many(count):
@@ -17,12 +17,13 @@ def many(count):
 @cached
 def kernel(J, weight, ask, timed, want, size, low, high, A, b, count, mode, step, mu, x, active, kept, push):
     (n, m), rows = J.shape, A.shape[0]
-    block = np.zeros(rooms.room_space(n, m, rows))
-    asked = Asked(view(J), view(weight), view(ask), view(timed), view(want), view(size), mode, step, mu)
+    block, none = np.zeros(rooms.room_space(n, m, rows)), np.zeros(n)
+    asked = TaskRate(view(J), view(weight), view(ask), view(timed), view(want), view(none), view(size), mode, step, mu)
     allowed = Allowed(view(low), view(high), view(A), view(b), count)
-    taken = Taken(view(x), view(active), view(kept), view(push))
+    taken = StepTaken(view(x), view(active), view(kept), view(push))
     status, rate = constrain(asked, allowed, rooms.room_on(view(block), n, m, rows), taken)
     keep(block)
+    keep(none)
     return status, rate
 
 

@@ -29,7 +29,7 @@ STRAIGHT = 100.0  # weight of leaving the direction asked for against falling be
 
 
 @compiled
-class Asked(NamedTuple):
+class TaskRate(NamedTuple):
     """What is asked of n joints by a task of m rows."""
 
     J: Array  # (n, m) Jacobian, one joint a row
@@ -37,6 +37,7 @@ class Asked(NamedTuple):
     ask: Array  # (m,) rate of the task
     timed: Array  # (m,) ... and what of it is added at full clock (SLOW)
     want: Array  # (n,) joint rates wanted
+    aside: Array  # (n,) the part of them along singular directions, which are out of the task
     size: Array  # (n,) a speed for each joint, in which its motion is measured
     mode: int  # LEAVE, SLOW, DIRECT
     h: float  # [s] time in which motion is damped by what is left of the task, 0: it is not
@@ -55,7 +56,7 @@ class Allowed(NamedTuple):
 
 
 @compiled
-class Taken(NamedTuple):
+class StepTaken(NamedTuple):
     """What becomes of it; what holds is where the next step begins."""
 
     x: Array  # (n,) joint rates
@@ -83,7 +84,7 @@ def make_room(n, m, rows):
 
 
 @inline
-def fits(asked, allowed):
+def fitting(asked, allowed):
     """Whether the rate wanted is inside and does the task, so that it can be taken bit for bit."""
     J, want = asked.J, asked.want
     for i in range(want.shape[0]):
@@ -104,7 +105,7 @@ def fits(asked, allowed):
 
 
 @inline
-def write(asked, allowed, rate, loose, fastest, room):
+def lay_out(asked, allowed, rate, loose, fastest, room):
     """Write the problem in unknowns that are shares of each joint's speed, or, above 0, all of the fastest one's."""
     u, r, J, count, n = room.u, room.r, asked.J, allowed.rows, asked.J.shape[0]
     for i in range(n):
@@ -166,14 +167,14 @@ def keep_straight(p, share):
 
 
 @inline
-def damp(p, mu):
-    """The problem of |C y - d|^2 + mu |y|^2 (Levenberg and Marquardt).
+def damp(p, aside, fastest, mu):
+    """The problem of |C y - d|^2 + mu |y - aside|^2 (Levenberg and Marquardt).
 
     What each row of the task misses is an unknown, in units of the root of mu, so that the task can always be met.
     """
     u, r, n, unit = p.u, p.r, p.size, math.sqrt(mu)
     for i in range(n):
-        u.want[i] = 0.0
+        u.want[i] = aside[i] / fastest
     for k in range(p.planes + p.task):
         for j in range(p.task):
             r.P[k, n + j] = unit if k == p.planes + j else 0.0
@@ -291,18 +292,18 @@ def constrain(asked, allowed, room, taken):
     contradict each other or the box and were loosened (tests/servo/test_obstacles.py). INEXACT: no optimum was found in the
     iterations allowed, the rate is only inside the box.
     """
-    if fits(asked, allowed):
+    if fitting(asked, allowed):
         as_wanted(asked, taken)
         return WANTED, 1.0
     n, mu, loose, fastest, rate, short = asked.J.shape[0], asked.mu, 0.0, 0.0, 1.0, asked.mu > 0.0
     share = share_allowed(asked, allowed) if asked.mode == DIRECT and mu == 0.0 else 0.0
     recall(room, allowed.rows, taken)
     while True:
-        p = resized(room, n, allowed.rows, write(asked, allowed, rate, loose, fastest, room))
+        p = resized(room, n, allowed.rows, lay_out(asked, allowed, rate, loose, fastest, room))
         if share > 0.0:
             keep_straight(p, share)
         if mu > 0.0:
-            p = damp(p, mu)
+            p = damp(p, asked.aside, fastest if fastest > 0.0 else 1.0, mu)
         end = solve_levels(p)
         if end == CONTRADICTION and loose == 0.0:
             loose = least_slack(resized(p, n, allowed.rows, 1))

@@ -68,7 +68,7 @@ class Basis(NamedTuple):
 
 
 @compiled
-class Problem(NamedTuple):
+class TwoLevels(NamedTuple):
     """Two objectives for the first `size` unknowns: `planes` half-planes, then `task` rows."""
 
     size: int
@@ -81,7 +81,7 @@ class Problem(NamedTuple):
 
 @inline
 def problem_space(N, K):
-    """Length of a block that has room for a `Problem`."""
+    """Length of a block that has room for a `TwoLevels`."""
     return 2 * K * N + 3 * K * K + 9 * N + 13 * K + 26 * LINE
 
 
@@ -95,7 +95,7 @@ def problem_on(block, N, K):
     )
     held, holds = cut(block, np.int8, (N, K))
     (order,) = cut(block, np.int64, (K,))
-    return Problem(
+    return TwoLevels(
         N, K, K,
         Unknowns(y, want, floor, roof, held, Pair(first, second), Pair(new_first, new_second)),
         Rows(P, rhs, length, holds, Pair(k0, k1), Pair(k2, k3)),
@@ -106,7 +106,7 @@ def problem_on(block, N, K):
 @inline
 def resized(p, size, planes, task):
     """The same arrays for so many unknowns, half-planes and rows of the task."""
-    return Problem(size, planes, task, p.u, p.r, p.b)
+    return TwoLevels(size, planes, task, p.u, p.r, p.b)
 
 
 @inline
@@ -149,7 +149,7 @@ def take_in(b, row, q, size, n):
 
 
 @inline
-def span(p, last):
+def row_basis(p, last):
     """Orthonormal basis of the rows among free unknowns: half-planes that hold, `last` at the end, then the task.
 
     Returns the numbers of basis vectors from half-planes and from all, and a half-plane that depends on the others, or NONE.
@@ -235,7 +235,7 @@ def equality(p, last):
         r.new.first[k], r.new.second[k] = 0.0, 0.0
     for i in range(n):
         u.y[i] = u.floor[i] if u.held[i] < 0 else u.roof[i] if u.held[i] > 0 else 0.0
-    planes, q, dependent = span(p, last)
+    planes, q, dependent = row_basis(p, last)
     if dependent != NONE:
         return dependent
     for k in range(K):

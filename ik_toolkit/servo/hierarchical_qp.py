@@ -134,7 +134,7 @@ def solve_levels(p):
             if not adding:
                 drop = n + dependent if dependent != NONE else wrong_most(p)
             elif dependent == NONE:
-                drop = advance(p, new)
+                drop = move_on(p, new)
             else:
                 drop = exchange(p, dependent, new)
                 if drop == NONE:
@@ -184,7 +184,7 @@ def go(now, new, count, t, dt):
 
 
 @inline
-def advance(p, newest):
+def move_on(p, newest):
     """Move the multipliers towards those just found until one becomes zero; that one, or NONE."""
     u, r, n = p.u, p.r, p.size
     t, dt, blocking = 2.0, 0.0, NONE

@@ -8,12 +8,12 @@ from numba.extending import overload
 from ..compile.jit import INLINE, inline
 from ..kernel.records import copy
 from .command import Published
-from .constrained_step import LEAVE, SHORT, SLOW, WANTED, Allowed, Asked, Taken, constrain
+from .constrained_step import LEAVE, SHORT, SLOW, WANTED, Allowed, StepTaken, TaskRate, constrain
 from .laws import CLIP, NOT_FINITE, RUNAWAY, STATE
 from .null_space_motion import PRESSED
-from .singular_step import by_modes
+from .singular_step import along_lost, by_modes
 from .time_scaling import QUICK, WHOLE
-from .viability import RECOVERING, ROW, clip
+from .viability import RECOVERING, ROW, box_of, clip
 
 LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
 
@@ -54,13 +54,16 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, code)
             s.ask[k] = -s.f[k]
             for i in range(n):
                 s.ask[k] += s.J[i, k] * s.x[i]
+        for i in range(n):
+            s.v[i] = 0.0
+        along_lost(s.V, s.lost, s.xk, s.v, 1.0)
         by_modes(s.J, s.W, s.U, s.lost, s.f, s.ask, s.y)
     copy(s.x, s.w)
     least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
-    allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), Taken(s.x, active, kept, s.multiplier)
+    allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, active, kept, s.multiplier)
     status, share, part = WANTED, 1.0, 1.0
     for _ in range(2):
-        asked = Asked(s.J, s.weight, s.ask, s.f, s.w, size, mode, h, mu)
+        asked = TaskRate(s.J, s.weight, s.ask, s.f, s.w, s.v, size, mode, h, mu)
         status, part = constrain(asked, allowed, work, taken)
         share *= part
         if status >= SHORT:
@@ -90,7 +93,7 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, code)
 @inline
 def by_clipping(law, s, count, sigma, mu, h, state, work, active, kept, code):
     """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
-    clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
+    clip(s.x, box_of(s), code)
     return sigma, False
 
 

@@ -28,7 +28,7 @@ from .laws import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor
 from .limited_step import judge, obey, pacing
 from .null_space_motion import lay_aside, reflect, slack_rows
 from .time_scaling import MAKE_UP, QUICK, SPARE, WHOLE, clock_at, next_rate, reference, to_go, too_far
-from .viability import CALMED, HELD, LASTING, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
+from .viability import CALMED, HELD, LASTING, UNLIMITED, approach, box_of, boxes, calm, clip, move, watch, way_to
 from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
 
 
@@ -137,7 +137,7 @@ def leave_out(J, floor, roof):
 def quieten(law, s, rate, swings, h, state):
     """Let joints that swing gain speed gradually where something hinders them; what a target alone asks for is no swing."""
     if law.mode != CLIP and state[STATE.free] < LASTING:
-        calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
+        calm(rate, s.size, swings, h, box_of(s))
 
 
 @inline
@@ -162,7 +162,7 @@ def gather(law, lines, level, planes, edges):
 @inline
 def clip_rates(law, s, still, h, memory, code):
     """Rates clipped joint by joint, to s.x: the published form, and the brake."""
-    clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
+    clip(s.x, box_of(s), code)
     if not still:
         settle(law, h, s.before, s.x, code, memory)
         return
@@ -225,14 +225,14 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
                 return i
             sigma = wind(state, law, s.a, E[i], cap, caps[2], clock, h)
             further = advanced(state, law, sigma) if law.mode == SLOW else 1.0
-            boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
+            boxes(q, rate, limits, law.gamma, h, law.late, box_of(s))
             if lean(law, rule, s, limits, wish, rate, h):
                 task.stand(s.at)
         if law.mode != CLIP:
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         copy(counts[0], s.weight)
-        count = slack_rows(counts[1], s.weight, s.J, s.e, s.f, s.ahead, s.a, h, state, s.planes, s.edges, count)
+        count = slack_rows(counts[1], s, count, h, state)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0

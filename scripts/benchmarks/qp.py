@@ -14,7 +14,7 @@ from time import perf_counter  # noqa: E402
 import numpy as np  # noqa: E402
 
 from ik_toolkit.compile.jit import cached  # noqa: E402
-from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, Allowed, Asked, Taken, constrain, make_room  # noqa: E402
+from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, Allowed, StepTaken, TaskRate, constrain, make_room  # noqa: E402
 
 ROWS = 12
 SAMPLES = 40  # consecutive problems, each slightly different from the previous one, as in a run
@@ -38,15 +38,15 @@ def run(J, v, want, low, high, planes, count, mode, repeats, active, kept):
     n, m = J.shape[1], J.shape[2]
     A, b = planes[:, :n].copy(), planes[:, n].copy()
     room = make_room(n, m, A.shape[0])
-    weight, size, none = np.ones(m), np.ones(n), np.zeros(m)
-    taken = Taken(np.empty(n), active, kept, np.empty(n))
+    weight, size, none, at_rest = np.ones(m), np.ones(n), np.zeros(m), np.zeros(n)
+    taken = StepTaken(np.empty(n), active, kept, np.empty(n))
     before, held = active.copy(), kept.copy()
     total = 0
     for _ in range(repeats):
         active[:] = before
         kept[:] = held
         for i in range(J.shape[0]):
-            asked = Asked(J[i], weight, v[i], none, want[i], size, mode, 0.01, 0.0)
+            asked = TaskRate(J[i], weight, v[i], none, want[i], at_rest, size, mode, 0.01, 0.0)
             total += constrain(asked, Allowed(low, high, A, b, count), room, taken)[0]
     return total
 

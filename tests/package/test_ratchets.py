@@ -8,9 +8,9 @@ from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
     "files": 283,
-    "public names defined in two files or more": 99,
+    "public names defined in two files or more": 95,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 47,
+    "functions of more than 9 parameters": 40,
     "constants of the most laden file of kernel and servo": 22,
     "constants of modules": 1163,
     "uses of by_tip": 105,

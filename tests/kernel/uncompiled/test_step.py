@@ -14,8 +14,8 @@ from ik_toolkit.servo.constrained_step import (
     LEAVE,
     SLOW,
     Allowed,
-    Asked,
-    Taken,
+    StepTaken,
+    TaskRate,
     constrain,
     make_room,
 )
@@ -164,9 +164,11 @@ def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mod
         J, v = rng.normal(size=(7, 6)), rng.normal(size=6)
         low, room = rng.uniform(-0.3, 0.1, 7), make_room(7, 6, 1)
         ask = rng.choice([0.02, 1.0]) * v
-        asked = Asked(J, np.ones(6), ask, 0.0 * v, np.linalg.pinv(J.T) @ ask, np.ones(7), mode, 0.0, 0.0)
+        asked = TaskRate(
+            J, np.ones(6), ask, 0.0 * v, np.linalg.pinv(J.T) @ ask, np.zeros(7), np.ones(7), mode, 0.0, 0.0
+        )
         allowed = Allowed(low, low + 0.2, np.empty((1, 7)), np.empty(1), 0)
-        taken = Taken(np.empty(7), np.zeros(7, np.int8), np.zeros(1, np.int8), np.empty(7))
+        taken = StepTaken(np.empty(7), np.zeros(7, np.int8), np.zeros(1, np.int8), np.empty(7))
         for found in (first, second):
             counted.clear(), problems.clear()
             constrain(asked, allowed, room, taken)
