@@ -6,7 +6,7 @@ from numba import config
 from ik_toolkit.compile.array_view import keep, view
 from ik_toolkit.compile.jit import cached
 from ik_toolkit.servo import constrained_step as rooms
-from ik_toolkit.servo.constrained_step import LEAVE, constrain
+from ik_toolkit.servo.constrained_step import LEAVE, Allowed, StepTaken, TaskRate, constrain
 
 
 def many(count):
@@ -15,18 +15,15 @@ def many(count):
 
 
 @cached
-def kernel(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
-    x, active, kept, starts, push, step, mu,
-):  # fmt: skip
+def kernel(J, weight, ask, timed, want, size, low, high, A, b, count, mode, step, mu, x, active, kept, push):
     (n, m), rows = J.shape, A.shape[0]
-    block = np.zeros(rooms.room_space(n, m, rows))
-    status, rate = constrain(
-        view(J), view(weight), view(feedback), view(forward), view(want), view(want), view(scale), view(low), view(high),
-        view(A), view(b), count, mode, cap, singular, damping, rooms.room_on(view(block), n, m, rows),
-        view(x), view(active), view(kept), view(starts), view(push), step, mu,
-    )  # fmt: skip
+    block, none = np.zeros(rooms.room_space(n, m, rows)), np.zeros(n)
+    asked = TaskRate(view(J), view(weight), view(ask), view(timed), view(want), view(none), view(size), mode, step, mu)
+    allowed = Allowed(view(low), view(high), view(A), view(b), count)
+    taken = StepTaken(view(x), view(active), view(kept), view(push))
+    status, rate = constrain(asked, allowed, rooms.room_on(view(block), n, m, rows), taken)
     keep(block)
+    keep(none)
     return status, rate
 
 
@@ -34,25 +31,22 @@ class Step:
     """A problem, and what holds from one solution to the next."""
 
     def __init__(
-        self, J, low, high, rows=None, mode=LEAVE, cap=1.0, singular=0.0, damping=0.0, weight=None, scale=None, step=0.0,
-        mu=0.0,
+        self, J, low, high, rows=None, mode=LEAVE, weight=None, scale=None, step=0.0, mu=0.0,
     ):  # fmt: skip
         n, m = J.shape
-        self.J, self.low, self.high, self.mode, self.cap = J, low, high, mode, cap
-        self.singular, self.damping, self.step, self.mu = singular, damping, step, mu
+        self.J, self.low, self.high, self.mode = J, low, high, mode
+        self.step, self.mu = step, mu
         self.A, self.b = (np.empty((1, n)), np.empty(1)) if rows is None else rows
         self.count = 0 if rows is None else len(self.b)
         self.weight = np.ones(m) if weight is None else weight
         self.scale = np.ones(n) if scale is None else scale
-        self.active, self.kept = np.zeros(n, np.int8), np.zeros(len(self.b) + 1, np.int8)
-        self.starts = np.zeros((4, n + len(self.b) + 1), np.int8)
-        self.x, self.push = np.empty(n), np.empty(n + len(self.b))
+        self.active, self.kept = np.zeros(n, np.int8), np.zeros(len(self.b), np.int8)
+        self.x, self.push = np.empty(n), np.empty(n)
 
     def __call__(self, feedback, forward, want):
         self.status, self.rate = kernel(
             self.J, self.weight, feedback, forward, want, self.scale, self.low, self.high, self.A, self.b, self.count,
-            self.mode, self.cap, self.singular, self.damping, self.x, self.active, self.kept, self.starts,
-            self.push, self.step, self.mu,
+            self.mode, self.step, self.mu, self.x, self.active, self.kept, self.push,
         )  # fmt: skip
         return self.x.copy()
 

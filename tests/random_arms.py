@@ -8,7 +8,6 @@ import pinocchio as pin
 from ik_toolkit.kernel.chain import pack
 from ik_toolkit.kernel.counted_error import BASE, POSE, TARGET, TIP
 from ik_toolkit.kernel.records import WHAT, Orders, Task
-from ik_toolkit.servo.equality_qp import levels_on, levels_space
 
 KINDS = "tttstt"  # turning, sliding; "m" a turning follower of joint 0, "n" a sliding one, "o" of a slide
 
@@ -125,8 +124,3 @@ PARTS = [
     {}, {"w0": 0.5, "w4": 0.0, "w5": 2.0}, {"s0": 0.05, "s1": 3.0, "s3": 0.1, "s5": 3.0},
     {"free": 1.0, "ax": 0.6, "ay": 0.0, "az": 0.8}, {"free": 1.0, "ax": 0.0, "ay": 1.0, "az": 0.0, "w1": 0.3, "s4": 0.02},
 ]  # fmt: skip
-
-
-def make_levels(N, K):
-    """Room for N unknowns and K rows of the constrained step."""
-    return levels_on(np.zeros(levels_space(N, K)), N, K)

@@ -11,6 +11,7 @@ from numba.extending import overload
 from ..compile.jit import INLINE, inline, inner
 from ..kernel.records import copy
 from ..kernel.search import SINGULAR_STEP
+from .constrained_step import Allowed
 from .laws import (
     AA,
     AT_RATE,
@@ -21,6 +22,10 @@ from .laws import (
     REGION,
     RUNNING,
     STATE,
+    Briskness,
+    JointMotion,
+    PseudoInverse,
+    TargetMotion,
     command,
     ease,
     factor,
@@ -45,6 +50,18 @@ class Published(NamedTuple):
     """Stands in for a rule: the laws of laws.py, all in one loop."""
 
     unused: float
+
+
+@inline
+def target_of(s):
+    """The target of a bench as the laws take it."""
+    return TargetMotion(s.e, s.ahead, s.f, s.a, s.bias)
+
+
+@inline
+def inverse_of(s):
+    """Its Jacobian, with scratch."""
+    return PseudoInverse(s.J, s.G, s.H, s.y, s.t)
 
 
 @inline
@@ -137,10 +154,8 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
             gone += mode_part(s.U, k, s.e) ** 2
     curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
     fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
-    return ease(
-        law, s.J, m, s.e, s.ahead, h, s.at, limits, s.planes, s.edges, count, fast, quick, law.mode != CLIP, curved, s.G, s.H,
-        s.y, s.x,
-    )  # fmt: skip
+    allowed = Allowed(s.floor, s.roof, s.planes, s.edges, count if law.mode != CLIP else -1)
+    return ease(law, inverse_of(s), target_of(s), h, s.at, limits, allowed, Briskness(fast, quick, curved), s.x)
 
 
 @inline
@@ -167,7 +182,8 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, h, rat
     else:
         remember(state, False, False, h)
     blocked = feed_back(law, s, limits, count, h, heavy, beyond)
-    prepare(law, s.J, m, s.e, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
+    joints = JointMotion(s.move, s.null, s.x1, s.x2, s.x)
+    prepare(law, inverse_of(s), target_of(s), rate, h, joints)
     if law.code >= CA:
         if blocked and law.code == AA and law.reading != AT_RATE:  # no joint takes this step: no second order
             for i in range(n):
@@ -178,7 +194,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, h, rat
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-    command(law, s.J, m, s.e, s.f, s.a, s.bias, rate, memory, h, ratio, s.G, s.y, s.t, s.move, s.null, s.x)
+    command(law, inverse_of(s), target_of(s), rate, memory, h, ratio, joints)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)

@@ -1,14 +1,12 @@
 """One step of joint rates inside a box and half-planes: the task first, then closeness to a rate that is wanted.
 
-Pure linear algebra; what the box and the half-planes come from is the caller's. Unknowns are divided by `scale`, a speed for each
-joint. Never a weighted sum of the two objectives: see hierarchical_qp.py.
+Pure linear algebra; what the box and the half-planes come from is the caller's. It is one problem of two levels
+(hierarchical_qp.py), never a weighted sum of the two. Where the task cannot be met, it is solved once more, damped by what is
+left (`damp`); where half-planes contradict each other or the box, with half-planes loosened by the least slack.
 
-LEAVE keeps the clock and leaves the task as little as possible. SLOW lets the reference's clock slow down: the task rate is
-feedback + rate * forward with 0 <= rate <= cap, the task error first, then the clock as fast as it can be. DIRECT finds the largest
-alpha at which J x = alpha v is possible, then gives up direction as little as possible for what is left.
-
-A direction of the task whose singular value is below `singular` is damped on its own (Chiaverini, 1997, towards the wanted rate
-instead of rest), and the feed-forward along it is cut as the rate wanted leaves the box (J-PARSE: Guptasarma et al., 2025).
+Each row of the task has a weight of its own. LEAVE: all that is missed counts alike. DIRECT: what leaves the direction asked for
+counts more than falling behind along it (`keep_straight`). SLOW lets the reference's clock slow down: the task's rate is
+ask + rate * timed with 0 <= rate <= 1, the task first, then the clock as fast as it can be.
 """
 
 import math
@@ -16,60 +14,67 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.array_view import LINE, cut
 from ..compile.jit import build, compiled, inline, inner, spliced
-from ..kernel.linalg import make_rows_orthogonal
-from ..kernel.records import Array
-from .equality_qp import (
-    HIGH,
-    LOW,
-    ONE,
-    RHS,
-    ROW_ONE,
-    ROW_TWO,
-    SIZE,
-    TWO,
-    WANT,
-    Levels,
-    Y,
-    damp,
-    dot,
-    from_rest,
-    levels_on,
-    levels_space,
-    regular,
-)
-from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
-from .qp_stages import add_clock, aside, ease, even_out, near, slack
+from ..kernel.records import Array, copy
+from .equality_qp import dot, problem_on, problem_space, resized, square
+from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-FULL, CLOCK, ASIDE, EASED, NEAR, SLACK = range(6)  # problems to solve; CLOCK to NEAR begin from their own last sets
-SLOWED = 1  # bit 0 of what is kept of the last step: it ended with a slower clock; bits 1 to 4: those of them that were solved
-FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
+FULL_CLOCK = 1e-6  # below full, from which on a clock counts as full
+CLOCK_UNIT = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
-TOUCHING = 1e-9  # of a joint's speed: further from a bound it does not hold
-CUT_AT = 0.1  # of a joint's speed: where the rate wanted is that far outside the box, the feed-forward is removed
+CAUTIOUS = 1.5  # times the bound of the curvature left out, see `damping`
+STRAIGHT = 100.0  # weight of leaving the direction asked for against falling behind along it, where nothing is blocked
 
 
 @compiled
-class Room(NamedTuple):
-    """Scratch of `constrain`."""
+class TaskRate(NamedTuple):
+    """What is asked of n joints by a task of m rows."""
 
-    levels: Levels
-    task: Array  # (K, 2) feedback and forward of each row
+    J: Array  # (n, m) Jacobian, one joint a row
+    weight: Array  # (m,) of what counts, 0 where it does not
+    ask: Array  # (m,) rate of the task
+    timed: Array  # (m,) ... and what of it is added at full clock (SLOW)
+    want: Array  # (n,) joint rates wanted
+    aside: Array  # (n,) the part of them along singular directions, which are out of the task
+    size: Array  # (n,) a speed for each joint, in which its motion is measured
+    mode: int  # LEAVE, SLOW, DIRECT
+    h: float  # [s] time in which motion is damped by what is left of the task, 0: it is not
+    mu: float  # above 0: the task is damped by this from the first
+
+
+@compiled
+class Allowed(NamedTuple):
+    """Which joint rates are: floor <= x <= roof (n,), planes[:rows] x <= edges[:rows]."""
+
+    floor: Array
+    roof: Array
+    planes: Array
+    edges: Array
+    rows: int
+
+
+@compiled
+class StepTaken(NamedTuple):
+    """What becomes of it; what holds is where the next step begins."""
+
+    x: Array  # (n,) joint rates
+    active: Array  # (n,) int8: -1 at the floor, 1 at the roof, 2 in a half-plane that holds
+    kept: Array  # (rows,) int8: 1 where a half-plane holds
+    multiplier: Array  # (n,) of the bounds that hold, positive at the roof
 
 
 @inline
 def room_space(n, m, rows):
-    """Length of a block that has room for `Room`."""
-    return levels_space(n + m + 1, rows + m + 1) + 2 * (rows + m + 1) + LINE
+    """Length of a block that has room for `room_on`."""
+    return problem_space(n + m + 1, rows + m + 1)
 
 
 @spliced
 def room_on(block, n, m, rows):
     """Room for n joints, a task of m and so many half-planes, cut from a block of zeros."""
-    return Room(levels_on(block, n + m + 1, rows + m + 1), *cut(block, np.float64, ((rows + m + 1, 2),)))
+    return problem_on(block, n + m + 1, rows + m + 1)
 
 
 @build
@@ -78,297 +83,239 @@ def make_room(n, m, rows):
     return room_on(np.zeros(room_space(n, m, rows)), n, m, rows)
 
 
-@inner
-def task_error(J, weight, feedback, forward, rate, x):
-    """Squared norms of what x misses of the task at a clock rate, and of the task, both weighted."""
+@inline
+def fitting(asked, allowed):
+    """Whether the rate wanted is inside and does the task, so that it can be taken bit for bit."""
+    J, want = asked.J, asked.want
+    for i in range(want.shape[0]):
+        if not allowed.floor[i] <= want[i] <= allowed.roof[i]:
+            return False
+    for k in range(allowed.rows):
+        if not dot(allowed.planes, k, want, want.shape[0]) <= allowed.edges[k]:
+            return False
     miss, size = 0.0, 0.0
     for k in range(J.shape[1]):
-        v = feedback[k] + rate * forward[k]
+        v = asked.ask[k] + asked.timed[k]
         s = -v
         for i in range(J.shape[0]):
-            s += J[i, k] * x[i]
-        miss += weight[k] * weight[k] * s * s
-        size += weight[k] * weight[k] * v * v
-    return miss, size
+            s += J[i, k] * want[i]
+        miss += (asked.weight[k] * s) ** 2
+        size += (asked.weight[k] * v) ** 2
+    return miss <= SAME_TASK * SAME_TASK * size
 
 
-@inner
-def outside(want, scale, low, high, A, b, count):
-    """By how much the rate wanted is out of the box, as a share of a joint's speed, or breaks a half-plane."""
-    most = 0.0
-    for i in range(want.shape[0]):
-        most = max(most, max(low[i] - want[i], want[i] - high[i]) / scale[i])
-    for k in range(count):
-        s = -b[k]
-        size = 0.0
-        for i in range(want.shape[0]):
-            s += A[k, i] * want[i]
-            size += abs(A[k, i]) * scale[i]
-        if s > 0.0:
-            most = max(most, s / size if size > 0.0 else 1.0)
-    return most
-
-
-@inner
-def cut_away(J, weight, feedback, forward, rate, want, scale, low, high, A, b, count):
-    """Share of the feed-forward to remove along damped directions; below 0: the rate wanted is inside and does the task."""
-    far = outside(want, scale, low, high, A, b, count)
-    miss, size = task_error(J, weight, feedback, forward, rate, want)
-    if far == 0.0 and miss <= SAME_TASK * SAME_TASK * size:
-        return -1.0
-    return min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
-
-
-@inner
-def bound(scale, low, high, A, b, count, loose, P, V, S):
-    """Write the box and the half-planes in scaled unknowns."""
-    n = scale.shape[0]
+@inline
+def lay_out(asked, allowed, rate, loose, fastest, room):
+    """Write the problem in unknowns that are shares of each joint's speed, or, above 0, all of the fastest one's."""
+    u, r, J, count, n = room.u, room.r, asked.J, allowed.rows, asked.J.shape[0]
     for i in range(n):
-        V[LOW, i] = low[i] / scale[i]
-        V[HIGH, i] = high[i] / scale[i]
+        size = fastest if fastest > 0.0 else asked.size[i]
+        u.want[i], u.floor[i], u.roof[i] = asked.want[i] / size, allowed.floor[i] / size, allowed.roof[i] / size
     for k in range(count):
-        size = 0.0
         for i in range(n):
-            P[k, i] = A[k, i] * scale[i]
-            size += P[k, i] * P[k, i]
-        size = math.sqrt(size)
-        S[RHS, k] = max(b[k], 0.0) if size == 0.0 else b[k] / size + loose
+            r.P[k, i] = allowed.planes[k, i] * (fastest if fastest > 0.0 else asked.size[i])
+        length = math.sqrt(square(r.P, k, n))
+        r.rhs[k] = allowed.edges[k] / length + loose if length > 0.0 else max(allowed.edges[k], 0.0)
         for i in range(n):
-            P[k, i] = P[k, i] / size if size > 0.0 else 0.0
-
-
-@inner
-def load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task):
-    """Write the rate wanted and the task in scaled unknowns, the clock full: how many rows the task has."""
-    n = J.shape[0]
-    for i in range(n):
-        V[WANT, i] = want[i] / scale[i]
-    r = 0
+            r.P[k, i] = r.P[k, i] / length if length > 0.0 else 0.0
+    k = count
     for c in range(J.shape[1]):
-        size = 0.0
-        k = count + r
         for i in range(n):
-            P[k, i] = weight[c] * J[i, c] * scale[i]
-            size += P[k, i] * P[k, i]
-        if size > 0.0:
-            task[k, 0] = weight[c] * feedback[c]
-            task[k, 1] = weight[c] * forward[c]
-            S[RHS, k] = task[k, 0] + cap * task[k, 1]
-            r += 1
-    return r
+            r.P[k, i] = asked.weight[c] * J[i, c] * (fastest if fastest > 0.0 else asked.size[i])
+        r.rhs[k] = asked.weight[c] * (asked.ask[c] + rate * asked.timed[c])
+        if square(r.P, k, n) > 0.0:  # what no joint moves is not asked for
+            k += 1
+    return k - count
 
 
-@inner
-def prepare(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, cut, loose, mu,
-    P, L, V, S, task,
-):  # fmt: skip
-    """Write the problem with the clock full: the number of the task's rows."""
-    n = J.shape[0]
-    bound(scale, low, high, A, b, count, loose, P, V, S)
-    r = load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task)
-    if mu == 0.0 and not regular(P, L, count, r, n, singular):  # else all directions are damped
-        make_rows_orthogonal(P, task, S[SIZE], count, r, n)
-        r = damp(P, V, S, task, count, r, n, singular, damping, cap, cut)
-    if mode == DIRECT:
-        for k in range(count, count + r):
-            task[k, 1] = S[RHS, k]
-    return r
+@inline
+def share_allowed(asked, allowed):
+    """Share of the rates wanted, or of as much of them as joints at full speed could do, that box and half-planes allow."""
+    want, pace, share = asked.want, 1.0, 1.0
+    for i in range(want.shape[0]):
+        if abs(want[i]) > asked.size[i]:
+            pace = min(pace, asked.size[i] / abs(want[i]))
+    for i in range(want.shape[0]):
+        most = max(allowed.roof[i] if want[i] > 0.0 else -allowed.floor[i], 0.0)
+        if pace * abs(want[i]) > most:
+            share = min(share, most / (pace * abs(want[i])))
+    for k in range(allowed.rows):
+        over, most = pace * dot(allowed.planes, k, want, want.shape[0]), max(allowed.edges[k], 0.0)
+        if over > most:
+            share = min(share, most / over)
+    return share
 
 
-@inner
-def recall(active, kept, rows, n, count, state):
-    """Start from what held at the end of the last step."""
-    for i in range(n):
-        state[i] = active[i] if active[i] < 2 else 0
-    for k in range(count):
-        state[rows + k] = kept[k]
-    state[n] = 0
+@inline
+def keep_straight(p, share):
+    """Weight what leaves the direction asked for: STRAIGHT where nothing is blocked, 1 where nothing can be done along it.
 
-
-@inner
-def keep_set(state, rows, n, count, start):
-    """Keep what holds as the start of a problem of the next step."""
-    for i in range(n):
-        start[i] = state[i]
-    for k in range(start.shape[0] - n):
-        start[n + k] = state[rows + k] if k < count else 0
-
-
-@inner
-def take_set(before, stage, starts, rows, n, count, state):
-    """Start from what held at the end of this problem in the last step, where it was solved."""
-    if CLOCK <= stage <= NEAR and before >> stage & 1:
-        start = starts[stage - CLOCK]
-        for i in range(n):
-            state[i] = start[i]
-        for k in range(count):
-            state[rows + k] = start[n + k]
-
-
-@inner
-def as_wanted(want, x, active, kept, multiplier):
-    """The rate wanted, bit for bit; no constraint is active."""
-    for i in range(x.shape[0]):
-        x[i] = want[i]
-        active[i] = 0
-    for k in range(kept.shape[0]):
-        kept[k] = 0
-    for k in range(multiplier.shape[0]):
-        multiplier[k] = 0.0
-
-
-@inner
-def price(scale, count, unit, V, S, state, multiplier):
-    """Write the multipliers of what holds in the caller's units; unit: of the second objective's."""
-    n = scale.shape[0]
-    for i in range(n):
-        one = V[ONE, i] if V[ONE, i] != 0.0 else unit * V[TWO, i]
-        multiplier[i] = one / scale[i] if state[i] != 0 else 0.0
-    for k in range(multiplier.shape[0] - n):
-        multiplier[n + k] = 0.0
-        if k < count and state[V.shape[1] + k] != 0:
-            multiplier[n + k] = S[ROW_ONE, k] if S[ROW_ONE, k] != 0.0 else unit * S[ROW_TWO, k]
-
-
-@inner
-def hold_on(start, n, count, P, V, S, state):
-    """Let hold as well what held in the problem before and is still touched: it was in the way of the tip."""
-    for i in range(n):
-        if state[i] == 0 and start[i] != 0 and abs(V[HIGH if start[i] > 0 else LOW, i] - V[Y, i]) <= TOUCHING:
-            state[i] = start[i]
-    for k in range(count):
-        if start[n + k] != 0 and dot(P, k, V, Y, n) >= S[RHS, k] - TOUCHING:
-            state[P.shape[1] + k] = 1
-
-
-@inner
-def answer(scale, low, high, A, count, V, state, x, active, kept):
-    """Write the rate that was found, and what holds, in the caller's units."""
-    n = x.shape[0]
-    for i in range(n):
-        active[i] = state[i]
-        if state[i] == 0:
-            x[i] = min(max(V[Y, i] * scale[i], low[i]), high[i])
-        else:
-            x[i] = high[i] if state[i] > 0 else low[i]
-    for k in range(kept.shape[0] - 1):
-        kept[k] = 0
-        if k < count and state[V.shape[1] + k] != 0:
-            kept[k] = 1
-            for i in range(n):
-                if active[i] == 0 and A[k, i] != 0.0:
-                    active[i] = 2
-
-
-@spliced
-def constrain(
-    J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-    x, active, kept, starts, multiplier, step=0.0, mu=0.0,
-):  # fmt: skip
-    """Write to x (n,) the rate that does the task as well as possible, then is nearest to `want`; return status and clock rate.
-
-    J (n, m), one joint a row; weight (m,) of what counts, 0 where it does not; feedback, forward (m,): the task rate asked is
-    feedback + rate * forward. want (n,): the rate wanted at rate = cap; beside (n,): the part of it that is none of the task.
-    scale (n,): a speed for each joint, in which its motion and the singular values are measured. low <= high (n,);
-    A[:count] x <= b[:count]. mode: LEAVE, SLOW, DIRECT. singular, damping: the singular value below which a direction is
-    damped, and the largest damping. step [s]: where the task cannot be met, motion is damped by the residual in this time (see
-    `ease`), so that the joints come to rest where it is least; 0: not. mu above 0 (LEAVE): the task is damped by it from the first.
-
-    active (n,), kept (R + 1,) int8 carry what held on to the next step: -1 low, 1 high, 2 in a half-plane that holds. Status
-    WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
-    the clock, DIRECT: alpha). SHORT: not all of it can be. RELAXED: the half-planes contradict each other or the box and were
-    loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. starts
-    (4, n + R + 1) int8 carries on what held in the problems of the clock, of leaving the direction, the damped one and the one near
-    it: each is solved soonest from its own last set. multiplier
-    (n + R,): of the bounds, positive at high, then of the half-planes: of the task error (with step, of the damped one), or
-    where that has none, of the closeness to `want`.
+    Without it the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py). With acceleration limits
+    it does less: these block most of what is asked while joints start and brake.
     """
-    s = room.levels
-    return solve_step(
-        J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step, mu,
-        x, active, kept, starts, multiplier, s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, room.task,
-    )  # fmt: skip
+    r, asked = p.r, 0.0
+    for k in range(p.planes, p.planes + p.task):
+        asked += r.rhs[k] * r.rhs[k]
+    weight = 1.0 + (STRAIGHT - 1.0) * share
+    for i in range(p.size if asked > 0.0 else 0):
+        s = 0.0
+        for k in range(p.planes, p.planes + p.task):
+            s += r.rhs[k] * r.P[k, i]
+        s *= (weight - 1.0) / asked
+        for k in range(p.planes, p.planes + p.task):
+            r.P[k, i] = weight * r.P[k, i] - s * r.rhs[k]
+
+
+@inline
+def damp(p, aside, fastest, mu):
+    """The problem of |C y - d|^2 + mu |y - aside|^2 (Levenberg and Marquardt).
+
+    What each row of the task misses is an unknown, in units of the root of mu, so that the task can always be met.
+    """
+    u, r, n, unit = p.u, p.r, p.size, math.sqrt(mu)
+    for i in range(n):
+        u.want[i] = aside[i] / fastest
+    for k in range(p.planes + p.task):
+        for j in range(p.task):
+            r.P[k, n + j] = unit if k == p.planes + j else 0.0
+    for j in range(n, n + p.task):
+        u.held[j], u.want[j], u.floor[j], u.roof[j] = 0, 0.0, -np.inf, np.inf
+    return resized(p, n + p.task, p.planes, p.task)
 
 
 @inner
-def solve_step(
-    J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step, mu,
-    x, active, kept, starts, multiplier, P, W, L, U, V, S, state, order, task,
-):  # fmt: skip
-    """Carry out `constrain`: one loop over the problems to solve, because the code of each is large."""
-    n, last = J.shape[0], kept.shape[0] - 1
-    top = cap if mode == SLOW else 1.0
-    cut = cut_away(J, weight, feedback, forward, top, want, scale, low, high, A, b, count)
-    if cut < 0.0:
-        as_wanted(want, x, active, kept, multiplier)
-        return WANTED, top
-    recall(active, kept, P.shape[1], n, count, state)
-    begin = EASED if mu > 0.0 else FULL
-    stage = CLOCK if mode != LEAVE and kept[last] & SLOWED else begin
-    clock_tried, refused, fresh, moved, done = False, False, True, False, False
-    loose, unit, rate, damped, short, r, solved = 0.0, 0.0, top, 1.0, 0.0, 0, 0
-    while True:
-        if fresh:
-            r = prepare(J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, top, singular, damping,
-                        cut, loose, mu, P, L, V, S, task)  # fmt: skip
-        elif moved:
-            bound(scale, low, high, A, b, count, loose, P, V, S)
-        take_set(kept[last], stage, starts, P.shape[1], n, count, state)
-        fresh, moved, N, rows = False, False, n, r
-        if stage == EASED:
-            damped, short = ease(P, V, S, state, task, weight, scale, count, r, n, -1.0 if mode == DIRECT else rate,
-                                 step, mu)  # fmt: skip
-            N = n + r
-        elif stage == CLOCK:
-            clock_tried = True
-            unit = add_clock(P, V, S, task, count, r, n, top)
-            N = n + 1 if unit > 0.0 else n
-            moved = mode == DIRECT and from_rest(V, S, n, count)
-        elif stage == ASIDE:
-            aside(P, S, count, r, n, rate)
-        elif stage == NEAR:
-            near(P, V, S, want, beside, scale, count, r, n, short)
-        elif stage == SLACK:
-            slack(P, V, S, state, n, count)
-            N, rows = n + 1, 1
-        only_whole = mode != LEAVE and stage == FULL and not clock_tried
-        end = solve_levels(P, W, L, U, V, S, state, order, N, count, rows, only_whole)
-        state[n] = 0
-        if stage == EASED:
-            even_out(P, V, scale, count + r, n, -1.0)
-        if stage != NEAR:
-            price(scale, count, damped, V, S, state, multiplier)
-        if stage == SLACK:
-            loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
-            stage, fresh, clock_tried, refused = begin, True, False, False
-            continue
-        if end == UNMET or (end == CONTRADICTION and loose == 0.0):
-            stage, refused = CLOCK if end == UNMET else SLACK, True
-            continue
-        if end == DONE and CLOCK <= stage <= NEAR:
-            keep_set(state, P.shape[1], n, count, starts[stage - CLOCK])
-            solved |= 1 << stage
-        if stage == EASED and end == DONE and mu == 0.0:
-            stage = NEAR
-            continue
-        if end != DONE or stage >= EASED:
-            break
-        done = not unmet(S, count, r)
-        if stage == CLOCK:
-            rate = top - unit * V[Y, n] if N > n else top
-            if rate >= top * (1.0 - FULL_CLOCK):
-                rate, stage = top, ASIDE if refused and mode == DIRECT else FULL
-                continue
-            rate = max(rate, 0.0)
-        if mode == DIRECT and stage != ASIDE and not (stage == FULL and done):
-            stage = ASIDE
-        elif step > 0.0 and not done:
-            stage = EASED
+def least_slack(p):
+    """By how much half-planes must be loosened at least to leave a point of the box: unknown n, the only task."""
+    u, r, n = p.u, p.r, p.size
+    for i in range(n):
+        u.want[i] = min(max(u.want[i], u.floor[i]), u.roof[i])
+        r.P[p.planes, i], u.held[i] = 0.0, 0
+    for k in range(p.planes):
+        r.P[k, n] = -1.0 if square(r.P, k, n) > 0.0 else 0.0
+        r.holds[k] = 0
+    r.P[p.planes, n], r.rhs[p.planes] = 1.0, 0.0
+    u.want[n], u.floor[n], u.roof[n], u.held[n] = 0.0, 0.0, np.inf, 0
+    solve_levels(resized(p, n + 1, p.planes, 1))
+    return u.y[n] * (1.0 + LOOSE) + LOOSE
+
+
+@inner
+def slower_clock(asked, p):
+    """Highest clock rate at which the task is missed least: what it is below 1 is unknown n; the answer is that rate's."""
+    u, r, n, J = p.u, p.r, p.size, asked.J
+    size, top, k = 0.0, 0.0, p.planes
+    for c in range(J.shape[1]):
+        ahead, moves = asked.weight[c] * asked.timed[c], False
+        for i in range(n):
+            moves = moves or asked.weight[c] * J[i, c] * asked.size[i] != 0.0
+        if moves:
+            top = max(top, square(r.P, k, n))
+            r.P[k, n] = ahead
+            size += ahead * ahead
+            k += 1
+    if not size > 0.0:
+        return 1.0
+    unit = CLOCK_UNIT * math.sqrt(top / size)
+    for k in range(p.planes):
+        r.P[k, n] = 0.0
+    for k in range(p.planes, p.planes + p.task):
+        r.P[k, n] *= unit
+    u.want[n], u.floor[n], u.roof[n], u.held[n] = 0.0, 0.0, 1.0 / unit, 0
+    solve_levels(resized(p, n + 1, p.planes, p.task))
+    rate = max(1.0 - unit * u.y[n], 0.0)
+    return rate if rate < 1.0 - FULL_CLOCK else 1.0
+
+
+@inline
+def as_wanted(asked, taken):
+    """The rate wanted, bit for bit; no constraint is active."""
+    copy(asked.want, taken.x)
+    for i in range(taken.x.shape[0]):
+        taken.active[i], taken.multiplier[i] = 0, 0.0
+    for k in range(taken.kept.shape[0]):
+        taken.kept[k] = 0
+
+
+@inline
+def recall(room, rows, taken):
+    """Start from what held at the end of the last step."""
+    for i in range(taken.active.shape[0]):
+        room.u.held[i] = taken.active[i] if taken.active[i] < 2 else 0
+    for k in range(rows):
+        room.r.holds[k] = taken.kept[k]
+
+
+@inline
+def answer(p, asked, allowed, fastest, taken):
+    """Write the rate that was found, and what holds, in the caller's units."""
+    u, r = p.u, p.r
+    for i in range(taken.x.shape[0]):
+        size = fastest if fastest > 0.0 else asked.size[i]
+        taken.active[i] = u.held[i]
+        if u.held[i] == 0:
+            taken.x[i] = min(max(u.y[i] * size, allowed.floor[i]), allowed.roof[i])
         else:
+            taken.x[i] = allowed.roof[i] if u.held[i] > 0 else allowed.floor[i]
+        price = u.new.first[i] if u.new.first[i] != 0.0 else u.new.second[i]
+        taken.multiplier[i] = price / size if u.held[i] != 0 else 0.0
+    for k in range(taken.kept.shape[0]):
+        taken.kept[k] = r.holds[k] if k < p.planes else 0
+        for i in range(taken.x.shape[0]):
+            if taken.kept[k] != 0 and taken.active[i] == 0 and allowed.planes[k, i] != 0.0:
+                taken.active[i] = 2
+
+
+@inline
+def damping(p, asked):
+    """How much what the task misses damps the motion, and the speed of the fastest joint.
+
+    The curvature of the tip's way that C leaves out is at most that of a circle of one kernel unit, the same for all joints,
+    however slow they are. Two thirds of the way (CAUTION in singular_step.py) are taken, as whole ways zigzag.
+    """
+    miss, heavy, fastest = 0.0, 0.0, 0.0
+    for k in range(p.planes, p.planes + p.task):
+        miss += p.r.new.first[k] ** 2
+    for k in range(asked.weight.shape[0]):
+        heavy = max(heavy, asked.weight[k])
+    for i in range(asked.size.shape[0]):
+        fastest = max(fastest, asked.size[i])
+    return CAUTIOUS * asked.h * math.sqrt(miss) * heavy * fastest * fastest, fastest
+
+
+@inner
+def constrain(asked, allowed, room, taken):
+    """Take the rate that does the task as well as possible, then is nearest to the one wanted; return status and clock rate.
+
+    Status WANTED: it is the one wanted, bit for bit, which lies inside and does the task. MET: the task is done at the rate
+    returned. SHORT: not all of it can be; then what is missed damps the motion, as in `damp`: undamped, joints go to and fro at
+    full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration). RELAXED: the half-planes
+    contradict each other or the box and were loosened (tests/servo/test_obstacles.py). INEXACT: no optimum was found in the
+    iterations allowed, the rate is only inside the box.
+    """
+    if fitting(asked, allowed):
+        as_wanted(asked, taken)
+        return WANTED, 1.0
+    n, mu, loose, fastest, rate, short = asked.J.shape[0], asked.mu, 0.0, 0.0, 1.0, asked.mu > 0.0
+    share = share_allowed(asked, allowed) if asked.mode == DIRECT and mu == 0.0 else 0.0
+    recall(room, allowed.rows, taken)
+    while True:
+        p = resized(room, n, allowed.rows, lay_out(asked, allowed, rate, loose, fastest, room))
+        if share > 0.0:
+            keep_straight(p, share)
+        if mu > 0.0:
+            p = damp(p, asked.aside, fastest if fastest > 0.0 else 1.0, mu)
+        end = solve_levels(p)
+        if end == CONTRADICTION and loose == 0.0:
+            loose = least_slack(resized(p, n, allowed.rows, 1))
+            continue
+        if end != DONE or mu > 0.0:
             break
-    kept[last] = solved | (SLOWED if rate < top else 0)
-    if stage == NEAR:
-        hold_on(starts[EASED - CLOCK], n, count, P, V, S, state)
-    answer(scale, low, high, A, count, V, state, x, active, kept)
-    return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate
+        short = unmet(p)
+        if short and asked.mode == SLOW:
+            rate = slower_clock(asked, p)
+            short = rate == 1.0 or unmet(p)
+        if not short or asked.h == 0.0:
+            break
+        mu, fastest = damping(p, asked)
+    answer(p, asked, allowed, fastest, taken)
+    return INEXACT if end != DONE else RELAXED if loose > 0.0 else SHORT if short else MET, rate

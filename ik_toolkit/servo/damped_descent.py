@@ -17,7 +17,7 @@ from ..kernel.linalg import cholesky
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
 from .singular_directions import GAIN
-from .viability import POSITION, ROW, approach, narrow
+from .viability import POSITION, ROW, approach, box_of, narrow
 
 STANDS = 1e-6  # [reaches or rad per s] below which a target stands
 SMALL = 1e-4  # weighted error below which the method goes on by itself
@@ -154,4 +154,4 @@ def brake(s, limits, mu, h):
     for i in range(n):
         if limits[3, i] < math.inf:
             most = approach(abs(s.null[i]), 0.0, 1.0, h, BRISK * limits[3, i], h)
-            narrow(i, -most, most, s.floor, s.roof, s.why_low, s.why_top)
+            narrow(i, -most, most, box_of(s))

@@ -2,11 +2,13 @@
 
     first    |C y - d|^2 least
     second   |y - want|^2 least among those
-    always   low <= y <= high, A y <= b
+    always   floor <= y <= roof, A y <= b
 
 It is the method of Goldfarb and Idnani (1983) for |y - want|^2 + |C y - d|^2 / eps with eps -> 0 carried out on paper: each
 multiplier is a pair (first / eps + second) that is compared as one number with an infinitesimal. What is left in each iteration
 is a problem with equalities only (equality_qp.py), and the active set of the last step is a start of one iteration.
+
+A constraint is a number: unknown i is i, half-plane k is p.size + k.
 """
 
 import math
@@ -14,28 +16,9 @@ import math
 import numpy as np
 
 from ..compile.jit import inline, inner
-from .equality_qp import (
-    AFTER_ONE,
-    AFTER_TWO,
-    HIGH,
-    LOW,
-    NEXT_ONE,
-    NEXT_TWO,
-    NONE,
-    NORM,
-    ONE,
-    RHS,
-    ROW_ONE,
-    ROW_TWO,
-    SAME,
-    TASK_ONE,
-    TWO,
-    Y,
-    dot,
-    equality,
-)  # fmt: skip
+from .equality_qp import NONE, SAME, dot, equality, square
 
-DONE, STUCK, CONTRADICTION, UNMET = range(4)
+DONE, STUCK, CONTRADICTION = range(3)
 OUT = 1e-12  # by how much a bound or half-plane may be broken; speeds are of order 1, and the caller clips to bounds
 WRONG = 1e-11  # by how much a multiplier of the second objective may have the wrong sign
 SAME_TASK = 1e-9  # share of the task by which it may be missed and still count as met
@@ -50,128 +33,139 @@ def wrong(one, two, side):
     return min(-two * side, 1.0) if two * side < -WRONG else 0.0
 
 
-@inner
-def violated(P, V, S, state, N, count):
-    """Constraint broken most: unknown i as i, half-plane k as N + k; NONE. Returns it and its side."""
+@inline
+def violated(p):
+    """Constraint broken most, and its side; NONE."""
+    u, r, n = p.u, p.r, p.size
     top = 1.0  # a large unknown leaves its rounding in the others
-    for i in range(N):
-        top = max(top, abs(V[Y, i]))
+    for i in range(n):
+        top = max(top, abs(u.y[i]))
     which, side, most = NONE, 0, OUT
-    for i in range(N):
-        if state[i] == 0:
-            under, over = V[LOW, i] - V[Y, i], V[Y, i] - V[HIGH, i]
-            excess = max(under, over) / (1.0 + abs(V[Y, i]))
+    for i in range(n):
+        if u.held[i] == 0:
+            under, over = u.floor[i] - u.y[i], u.y[i] - u.roof[i]
+            excess = max(under, over) / (1.0 + abs(u.y[i]))
             if excess > most and max(under, over) > OUT * top:
                 which, side, most = i, -1 if under > over else 1, excess
-    for k in range(count):
-        if state[P.shape[1] + k] == 0:
-            excess = (dot(P, k, V, Y, N) - S[RHS, k]) / (1.0 + abs(S[RHS, k]))
+    for k in range(p.planes):
+        if r.holds[k] == 0:
+            excess = (dot(r.P, k, u.y, n) - r.rhs[k]) / (1.0 + abs(r.rhs[k]))
             if excess > most:
-                which, side, most = N + k, 1, excess
+                which, side, most = n + k, 1, excess
     return which, side
 
 
-@inner
-def wrong_most(V, S, state, rows, N, count):
-    """What holds with the multiplier whose sign is most wrong, as its place in `state`; NONE."""
-    worst, place = 0.0, NONE
-    for i in range(N):
-        if state[i] != 0 and V[LOW, i] < V[HIGH, i]:
-            w = wrong(V[NEXT_ONE, i], V[NEXT_TWO, i], state[i])
+@inline
+def wrong_most(p):
+    """What holds with the multiplier whose sign is most wrong; NONE."""
+    u, r = p.u, p.r
+    worst, which = 0.0, NONE
+    for i in range(p.size):
+        if u.held[i] != 0 and u.floor[i] < u.roof[i]:
+            w = wrong(u.new.first[i], u.new.second[i], u.held[i])
             if w > worst:
-                worst, place = w, i
-    for k in range(count):
-        if state[rows + k] != 0:
-            w = wrong(S[AFTER_ONE, k], S[AFTER_TWO, k], state[rows + k])
+                worst, which = w, i
+    for k in range(p.planes):
+        if r.holds[k] != 0:
+            w = wrong(r.new.first[k], r.new.second[k], r.holds[k])
             if w > worst:
-                worst, place = w, rows + k
-    return place
-
-
-@inner
-def unmet(S, count, r):
-    """Whether the last answer misses the task by more than rounding."""
-    miss, size = 0.0, 0.0
-    for k in range(count, count + r):
-        miss += S[TASK_ONE, k] * S[TASK_ONE, k]
-        size += S[RHS, k] * S[RHS, k]
-    return miss > SAME_TASK * SAME_TASK * size
-
-
-@inner
-def begin(P, V, S, state, N, count, r, cold):
-    """Lengths of the rows, and where to start: what held last time, or nothing; joints that cannot move are held."""
-    for k in range(count + r):
-        S[NORM, k] = math.sqrt(dot(P, k, P, k, N))
-    for i in range(N):
-        if V[LOW, i] >= V[HIGH, i]:
-            state[i] = 1
-        elif cold or (V[LOW, i] if state[i] < 0 else V[HIGH, i] if state[i] > 0 else 0.0) in (-np.inf, np.inf):
-            state[i] = 0
-    for k in range(count):
-        if cold:
-            state[P.shape[1] + k] = 0
-
-
-@inner
-def solve_levels(P, W, L, U, V, S, state, order, N, count, r, only_whole):
-    """Solve; `state` is where to start and what holds in the end. Returns DONE, STUCK or CONTRADICTION (of A y <= b).
-
-    only_whole: return UNMET as soon as it is clear that |C y - d| cannot be 0: from iteration to iteration it only grows.
-    """
-    rows = P.shape[1]
-    for attempt in range(2):  # from what held last time, then from nothing
-        begin(P, V, S, state, N, count, r, attempt > 0)
-        new = NONE
-        adding = False  # first members of the start whose multipliers have the wrong sign are dropped
-        for _ in range(PER * (N + count)):
-            last = new - N  # below 0: no half-plane
-            place = new if last < 0 else rows + last
-            dependent = equality(P, W, L, U, V, S, state, order, N, count, r, last)
-            if not adding:
-                drop = rows + dependent if dependent != NONE else wrong_most(V, S, state, rows, N, count)
-            elif dependent == NONE:
-                drop = forward(V, S, state, rows, N, count, last)
-            else:
-                drop = exchange(P, L, V, S, state, order, N, count, dependent, last)
-                if drop == NONE:
-                    state[place] = 0
-                    return CONTRADICTION
-            if drop != NONE:
-                state[drop] = 0
-                continue
-            keep(V, S, N, count)
-            adding = True
-            if only_whole and unmet(S, count, r):
-                return UNMET
-            new, side = violated(P, V, S, state, N, count)
-            if new == NONE:
-                return DONE
-            if new < N:
-                state[new] = side
-                V[ONE, new] = 0.0
-                V[TWO, new] = 0.0
-            else:
-                state[rows + new - N] = 1
-                S[ROW_ONE, new - N] = 0.0
-                S[ROW_TWO, new - N] = 0.0
-    return STUCK
-
-
-@inner
-def keep(V, S, N, count):
-    """The multipliers just found become the present ones."""
-    for i in range(N):
-        V[ONE, i] = V[NEXT_ONE, i]
-        V[TWO, i] = V[NEXT_TWO, i]
-    for k in range(count):
-        S[ROW_ONE, k] = S[AFTER_ONE, k]
-        S[ROW_TWO, k] = S[AFTER_TWO, k]
+                worst, which = w, p.size + k
+    return which
 
 
 @inline
-def share(one, two, next_one, next_two, side):
-    """How far a multiplier can go from (one, two) to (next_one, next_two) before its sign turns: t + dt eps; t > 1: all the way."""
+def unmet(p):
+    """Whether the last answer misses the task by more than rounding."""
+    miss, size = 0.0, 0.0
+    for k in range(p.planes, p.planes + p.task):
+        miss += p.r.new.first[k] * p.r.new.first[k]
+        size += p.r.rhs[k] * p.r.rhs[k]
+    return miss > SAME_TASK * SAME_TASK * size
+
+
+@inline
+def begin(p, cold):
+    """Lengths of the rows, and where to start: what held last time, or nothing; joints that cannot move are held."""
+    u, r = p.u, p.r
+    for k in range(p.planes + p.task):
+        r.length[k] = math.sqrt(square(r.P, k, p.size))
+    for i in range(p.size):
+        if u.floor[i] >= u.roof[i]:
+            u.held[i] = 1
+        elif cold or (u.floor[i] if u.held[i] < 0 else u.roof[i] if u.held[i] > 0 else 0.0) in (-np.inf, np.inf):
+            u.held[i] = 0
+    for k in range(p.planes):
+        if cold:
+            r.holds[k] = 0
+
+
+@inline
+def release(p, which):
+    """Let a constraint not hold."""
+    if which < p.size:
+        p.u.held[which] = 0
+    else:
+        p.r.holds[which - p.size] = 0
+
+
+@inline
+def enforce(p, which, side):
+    """Let a constraint hold, at no price yet."""
+    if which < p.size:
+        p.u.held[which] = side
+        p.u.now.first[which], p.u.now.second[which] = 0.0, 0.0
+    else:
+        k = which - p.size
+        p.r.holds[k] = 1
+        p.r.now.first[k], p.r.now.second[k] = 0.0, 0.0
+
+
+@inner
+def solve_levels(p):
+    """Solve; what holds is where to start, and what holds in the end. Returns DONE, STUCK or CONTRADICTION (of A y <= b)."""
+    n = p.size
+    for attempt in range(2):  # from what held last time, then from nothing
+        begin(p, attempt > 0)
+        new = NONE
+        adding = False  # first members of the start whose multipliers have the wrong sign are dropped
+        for _ in range(PER * (n + p.planes)):
+            last = new - n  # below 0: no half-plane
+            dependent = equality(p, last)
+            if not adding:
+                drop = n + dependent if dependent != NONE else wrong_most(p)
+            elif dependent == NONE:
+                drop = move_on(p, new)
+            else:
+                drop = exchange(p, dependent, new)
+                if drop == NONE:
+                    release(p, new)
+                    return CONTRADICTION
+            if drop != NONE:
+                release(p, drop)
+                continue
+            accept(p)
+            adding = True
+            new, side = violated(p)
+            if new == NONE:
+                return DONE
+            enforce(p, new, side)
+    return STUCK
+
+
+@inline
+def accept(p):
+    """The multipliers just found become the present ones."""
+    u, r = p.u, p.r
+    for i in range(p.size):
+        u.now.first[i], u.now.second[i] = u.new.first[i], u.new.second[i]
+    for k in range(p.planes):
+        r.now.first[k], r.now.second[k] = r.new.first[k], r.new.second[k]
+
+
+@inline
+def share(now, new, at, side):
+    """How far the multiplier at a place can go from now to new before its sign turns: t + dt eps; t > 1: all the way."""
+    one, two, next_one, next_two = now.first[at], now.second[at], new.first[at], new.second[at]
     if wrong(next_one, next_two, side) == 0.0:
         return 2.0, 0.0
     if one != next_one:
@@ -180,82 +174,97 @@ def share(one, two, next_one, next_two, side):
     return min(max(two / (two - next_two), 0.0), 1.0), 0.0
 
 
-@inner
-def forward(V, S, state, rows, N, count, last):
-    """Move the multipliers towards those just found until one becomes zero; that one, or NONE. last: what is new, minus N."""
+@inline
+def go(now, new, count, t, dt):
+    """Move multipliers by t + dt eps of the way to the new ones."""
+    for k in range(count):
+        one, two = new.first[k] - now.first[k], new.second[k] - now.second[k]
+        now.first[k] += t * one
+        now.second[k] += t * two + dt * one
+
+
+@inline
+def move_on(p, newest):
+    """Move the multipliers towards those just found until one becomes zero; that one, or NONE."""
+    u, r, n = p.u, p.r, p.size
     t, dt, blocking = 2.0, 0.0, NONE
-    for i in range(N):
-        if state[i] != 0 and i != last + N and V[LOW, i] < V[HIGH, i]:
-            a, da = share(V[ONE, i], V[TWO, i], V[NEXT_ONE, i], V[NEXT_TWO, i], state[i])
+    for i in range(n):
+        if u.held[i] != 0 and i != newest and u.floor[i] < u.roof[i]:
+            a, da = share(u.now, u.new, i, u.held[i])
             if a < t or (a == t and da < dt):
                 t, dt, blocking = a, da, i
-    for k in range(count):
-        if state[rows + k] != 0 and k != last:
-            a, da = share(S[ROW_ONE, k], S[ROW_TWO, k], S[AFTER_ONE, k], S[AFTER_TWO, k], 1)
+    for k in range(p.planes):
+        if r.holds[k] != 0 and n + k != newest:
+            a, da = share(r.now, r.new, k, 1)
             if a < t or (a == t and da < dt):
-                t, dt, blocking = a, da, rows + k
+                t, dt, blocking = a, da, n + k
     if blocking != NONE:
-        for i in range(N):
-            one, two = V[NEXT_ONE, i] - V[ONE, i], V[NEXT_TWO, i] - V[TWO, i]
-            V[ONE, i] += t * one
-            V[TWO, i] += t * two + dt * one
-        for k in range(count):
-            one, two = S[AFTER_ONE, k] - S[ROW_ONE, k], S[AFTER_TWO, k] - S[ROW_TWO, k]
-            S[ROW_ONE, k] += t * one
-            S[ROW_TWO, k] += t * two + dt * one
+        go(u.now, u.new, n, t, dt)
+        go(r.now, r.new, p.planes, t, dt)
     return blocking
 
 
+@inline
+def parts(p, dependent):
+    """Write to new.first the parts of bounds and half-planes in a half-plane that is a sum of them; its own is -1."""
+    u, r, b = p.u, p.r, p.b
+    planes = 0
+    for k in range(p.planes):
+        r.new.first[k] = 0.0
+        if r.holds[k] != 0 and k != dependent:
+            planes += 1
+    for j in range(planes - 1, -1, -1):
+        s = b.L[dependent, j]
+        for h in range(j + 1, planes):
+            s -= b.L[b.order[h], j] * r.new.first[b.order[h]]
+        r.new.first[b.order[j]] = s / b.L[b.order[j], j]
+    r.new.first[dependent] = -1.0
+    for i in range(p.size):
+        s = 0.0
+        if u.held[i] != 0:
+            for k in range(p.planes):
+                s -= r.P[k, i] * r.new.first[k]
+        u.new.first[i] = s
+
+
+@inline
+def pay(now, parts, count, one, two):
+    """Take so much of each part from the multipliers."""
+    for k in range(count):
+        now.first[k] -= one * parts[k]
+        now.second[k] -= two * parts[k]
+
+
 @inner
-def exchange(P, L, V, S, state, order, N, count, dependent, last):
+def exchange(p, dependent, newest):
     """What is new is a sum of what holds: whose place it takes, after moving the multipliers; NONE: it contradicts them.
 
     A half-plane that depends on the rest gives the sum, in which the new one, a bound or that half-plane, has its part.
     """
-    rows = P.shape[1]
-    planes = 0
-    for k in range(count):
-        S[AFTER_ONE, k] = 0.0
-        if state[rows + k] != 0 and k != dependent:
-            planes += 1
-    for j in range(planes - 1, -1, -1):  # parts of the half-planes
-        s = L[dependent, j]
-        for h in range(j + 1, planes):
-            s -= L[order[h], j] * S[AFTER_ONE, order[h]]
-        S[AFTER_ONE, order[j]] = s / L[order[j], j]
-    S[AFTER_ONE, dependent] = -1.0
-    for i in range(N):  # and of the bounds
-        s = 0.0
-        if state[i] != 0:
-            for k in range(count):
-                s -= P[k, i] * S[AFTER_ONE, k]
-        V[NEXT_ONE, i] = s
-    side = state[last + N] if last < 0 else 1
-    part = V[NEXT_ONE, last + N] if last < 0 else S[AFTER_ONE, last]
+    u, r, n = p.u, p.r, p.size
+    parts(p, dependent)
+    side = u.held[newest] if newest < n else 1
+    part = u.new.first[newest] if newest < n else r.new.first[newest - n]
     if not abs(part) > SAME:  # it has none: by rounding alone the half-plane had seemed to be independent
-        return rows + dependent
-    for i in range(N):
-        V[NEXT_ONE, i] *= -side / part
-    for k in range(count):
-        S[AFTER_ONE, k] *= -side / part
+        return n + dependent
+    for i in range(n):
+        u.new.first[i] *= -side / part
+    for k in range(p.planes):
+        r.new.first[k] *= -side / part
     one, two, blocking = np.inf, np.inf, NONE
-    for i in range(N):
-        part = V[NEXT_ONE, i] * state[i]
-        if part > SAME and i != last + N and V[LOW, i] < V[HIGH, i]:
-            a, c = V[ONE, i] * state[i] / part, V[TWO, i] * state[i] / part
+    for i in range(n):
+        part = u.new.first[i] * u.held[i]
+        if part > SAME and i != newest and u.floor[i] < u.roof[i]:
+            a, c = u.now.first[i] * u.held[i] / part, u.now.second[i] * u.held[i] / part
             if a < one or (a == one and c < two):
                 one, two, blocking = a, c, i
-    for k in range(count):
-        part = S[AFTER_ONE, k]
-        if part > SAME and k != last:
-            a, c = S[ROW_ONE, k] / part, S[ROW_TWO, k] / part
+    for k in range(p.planes):
+        part = r.new.first[k]
+        if part > SAME and n + k != newest:
+            a, c = r.now.first[k] / part, r.now.second[k] / part
             if a < one or (a == one and c < two):
-                one, two, blocking = a, c, rows + k
+                one, two, blocking = a, c, n + k
     if blocking != NONE:  # the new one's part is -side, so its multiplier grows
-        for i in range(N):
-            V[ONE, i] -= one * V[NEXT_ONE, i]
-            V[TWO, i] -= two * V[NEXT_ONE, i]
-        for k in range(count):
-            S[ROW_ONE, k] -= one * S[AFTER_ONE, k]
-            S[ROW_TWO, k] -= two * S[AFTER_ONE, k]
+        pay(u.now, u.new.first, n, one, two)
+        pay(r.now, r.new.first, p.planes, one, two)
     return blocking

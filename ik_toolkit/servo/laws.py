@@ -1,8 +1,7 @@
 """Following a moving target, one step: rate of the Jacobian, pseudo-inverse, the published commands, limits.
 
-All pure: `factor` inverts the Jacobian, `prepare` says at which joint velocities dJ/dt is wanted, `command` turns errors
-into the next joint rate; viability.py says which rates the limits allow. The compiled loop (loop.py) and the paper's cases that
-are no robots (servo/methods.py) call the same functions.
+All pure: `factor` inverts the Jacobian, `prepare` says at which joint velocities dJ/dt is wanted, `command` turns errors into
+the next joint rate. The compiled loop (loop.py) and the paper's cases that are no robots (servo/methods.py) call these.
 
 All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'). gamma is 1 at velocity
 level, 1/2 for the paper's acceleration level and free for `aad`.
@@ -16,6 +15,7 @@ import numpy as np
 
 from ..compile.jit import compiled, dual
 from ..kernel.linalg import TINY, cholesky, cholesky_solve
+from ..kernel.records import Array
 from .viability import approach
 
 CV, AV, CA, AA = range(4)
@@ -74,7 +74,48 @@ class Law(NamedTuple):
 PLACE = Law._make(range(len(Law._fields)))  # in the array that Python passes in
 
 
-# ------------------------------------------------------------------------------------------------ pseudo-inverse
+@compiled
+class TargetMotion(NamedTuple):
+    """Where a target is and how it moves, arrays (m,)."""
+
+    e: Array  # target now minus the tip now
+    ahead: Array  # target at the end of the step minus the tip now
+    v: Array  # its velocity
+    a: Array  # and acceleration now
+    bias: Array  # the product with dJ/dt that `prepare` has asked for
+
+
+@compiled
+class PseudoInverse(NamedTuple):
+    """A Jacobian and what is needed to invert it."""
+
+    J: Array  # (n, m)
+    G: Array  # (k, k) what `factor` has made of it, k the larger of n and m
+    H: Array  # (k, k) scratch for another factor
+    y: Array  # (k,) scratch
+    t: Array  # (m,) scratch
+
+
+@compiled
+class JointMotion(NamedTuple):
+    """What a step makes of joints, arrays (n,)."""
+
+    move: Array  # J^+ ahead, less what of the error is left to later steps
+    null: Array  # (1 - J^+ J) rate
+    x1: Array  # the product with dJ/dt along x1 of x2 is wanted
+    x2: Array
+    x: Array  # rates wanted at the end of the step
+
+
+@compiled
+class Briskness(NamedTuple):
+    """How fast an error is closed."""
+
+    fast: float  # share of each joint's speed
+    quick: float  # share of each joint's acceleration
+    bend: float  # curvature of the tip's way times the error, 0: it is not looked at
+
+
 @dual
 def gram(J, m, wide, extra, G):
     """Lower half of JJ' (wide) or J'J plus `extra` on the diagonal; a row that is zero (a planar arm's) gets a 1 there."""
@@ -156,54 +197,50 @@ def apply(J, m, G, b, y, out):
             out[i] = y[i]
 
 
-# ------------------------------------------------------------------------------------------------ one step
 @dual
-def prepare(p, J, m, e, ahead, rate, h, G, y, t, move, null, x1, x2):
-    """First half of a step, after `factor`.
-
-    e, ahead (m,): target now, and at the end of the step, minus the tip now. rate (n,): joint velocity. Writes move = J^+ ahead
-    (less what of the error is left to later steps), null = (1 - J^+ J) rate, and the joint velocities x1, x2 of the product
-    (dJ/dt along x1) x2 that `command` wants.
-    """
-    n = J.shape[0]
+def prepare(p, inverse, target, rate, h, joints):
+    """First half of a step of h [s], after `factor`, from the joint rates (n,): all but `x` of `joints`."""
+    J, t = inverse.J, inverse.t
+    n, m = J.shape
     code = int(p.code)
     for i in range(n):
-        move[i] = 0.0
-        null[i] = 0.0
+        joints.move[i], joints.null[i] = 0.0, 0.0
     if code == AV or code == AA:
         for k in range(m):
-            t[k] = ahead[k] - p.omit * e[k]
-        apply(J, m, G, t, y, move)
+            t[k] = target.ahead[k] - p.omit * target.e[k]
+        apply(J, m, inverse.G, t, inverse.y, joints.move)
     if code >= CA:
         for k in range(m):
             s = 0.0
             for i in range(n):
                 s += J[i, k] * rate[i]
             t[k] = s
-        apply(J, m, G, t, y, null)
+        apply(J, m, inverse.G, t, inverse.y, joints.null)
         reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
-            null[i] = rate[i] - null[i]
-            expected = move[i] / h + null[i]  # with the null part; without it a redundant arm loses an order
-            x1[i] = expected if reading == AT_STEP else rate[i]
-            x2[i] = rate[i] if reading == AT_RATE else expected
+            joints.null[i] = rate[i] - joints.null[i]
+            expected = (
+                joints.move[i] / h + joints.null[i]
+            )  # with the null part; without it a redundant arm loses an order
+            joints.x1[i] = expected if reading == AT_STEP else rate[i]
+            joints.x2[i] = rate[i] if reading == AT_RATE else expected
 
 
 @dual
-def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x):
-    """Second half: the joint rate x (n,) wanted at the end of the step.
+def command(p, inverse, target, rate, prev, h, ratio, joints):
+    """Second half: the joint rates joints.x wanted at the end of the step.
 
-    e, v, a (m,): target - tip, target velocity and acceleration now; bias (m,): the dJ/dt product asked for by `prepare`;
     prev (n,): the command before (replaced by this one); ratio: this step's h over the last one's, 0 at the start (then
     Adams-Bashforth begins as Euler). Eqs (11), (16), (21), (25) of Patko and Zelei (2019) with the time steps of (26),
     (27), (29), (32), (33).
     """
-    n = J.shape[0]
+    J, t, x, null, move = inverse.J, inverse.t, joints.x, joints.null, joints.move
+    n, m = J.shape
     code = int(p.code)
     if code == CV:
         for k in range(m):
-            t[k] = v[k] + p.kappa * e[k]
-        apply(J, m, G, t, y, x)
+            t[k] = target.v[k] + p.kappa * target.e[k]
+        apply(J, m, inverse.G, t, inverse.y, x)
         for i in range(n):
             u = x[i]
             x[i] = u + 0.5 * ratio * (u - prev[i])
@@ -216,19 +253,18 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
             s = 0.0
             for i in range(n):
                 s += J[i, k] * rate[i]
-            t[k] = a[k] + p.kd * (v[k] - s) + p.kp * e[k] - bias[k]
-        apply(J, m, G, t, y, x)
+            t[k] = target.a[k] + p.kd * (target.v[k] - s) + p.kp * target.e[k] - target.bias[k]
+        apply(J, m, inverse.G, t, inverse.y, x)
         for i in range(n):
             u = x[i] - p.null * null[i]
             x[i] = rate[i] + h * (u + 0.5 * ratio * (u - prev[i]))
             prev[i] = u
     else:
-        gamma = p.gamma
         for k in range(m):
-            t[k] = bias[k]
-        apply(J, m, G, t, y, x)
+            t[k] = target.bias[k]
+        apply(J, m, inverse.G, t, inverse.y, x)
         for i in range(n):
-            u = (move[i] / h - rate[i] + null[i]) / (gamma * h) - 0.5 * x[i] / gamma - p.null * null[i]
+            u = (move[i] / h - rate[i] + null[i]) / (p.gamma * h) - 0.5 * x[i] / p.gamma - p.null * null[i]
             x[i] = rate[i] + h * u
 
 
@@ -299,35 +335,36 @@ def halved(speed, top):
 
 
 @dual
-def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, walls, bend, G, H, y, c):
-    """Shrink the error fed back (e and ahead, in place) until the joints can brake before it reaches zero.
+def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
+    """Shrink the error fed back (target.e and ahead, in place) until the joints can brake before it reaches zero.
 
     A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
-    and swings for ever. The shares `fast` of each joint's speed and `quick` of its acceleration are left to the correction.
-    walls: whether joints at their limits, which have no say either, and `count` half-planes are looked at. Where they are in the
-    way J^+ e, that way is not the one the joints take: with bend > 0, the curvature of the tip's way times the error, it is looked
-    at again, damped, as along a weak direction it ends long before. Returns whether they are in the way.
+    and swings for ever. Joints at their limits have no say. Where they or half-planes are in the way J^+ e, that way is not the one
+    the joints take: with a bend it is looked at again, damped, as along a weak direction it ends long before. Neither is looked at
+    where allowed.rows is -1. c (n,) is scratch. Returns whether they are in the way.
     """
-    pace, f, wide, blocked = natural(p, h), 1.0, J.shape[0] >= m, False
+    J, e, H, y = inverse.J, target.e, inverse.H, inverse.y
+    n, m = J.shape
+    pace, f, wide, blocked, looked = natural(p, h), 1.0, n >= m, False, allowed.rows >= 0
     for damped in range(2):
         if damped:
-            gram(J, m, wide, FAR * bend, H)
-            cholesky(H, m if wide else J.shape[0], 0.0)
-        apply(J, m, H if damped else G, e, y, c)
-        for k in range(count if walls else 0):
-            over = -max(edges[k], 0.0) / pace
-            for i in range(c.shape[0]):
-                over += planes[k, i] * c[i]
+            gram(J, m, wide, FAR * brisk.bend, H)
+            cholesky(H, m if wide else n, 0.0)
+        apply(J, m, H if damped else inverse.G, e, y, c)
+        for k in range(allowed.rows):
+            over = -max(allowed.edges[k], 0.0) / pace
+            for i in range(n):
+                over += allowed.planes[k, i] * c[i]
             blocked = blocked or over > 0.0
-        f, stopped = possible(c, pace, h, q, limits, fast, quick, walls)
+        f, stopped = possible(c, pace, h, q, limits, brisk.fast, brisk.quick, looked)
         blocked = blocked or stopped
-        if f == 1.0 or not blocked or bend == 0.0:
+        if f == 1.0 or not blocked or brisk.bend == 0.0:
             break
-    if f < 1.0 and walls and wide and spare(J, m, e, limits, H, y, c):
-        f = max(f, possible(c, pace, h, q, limits, fast, quick, walls)[0])
+    if f < 1.0 and looked and wide and spare(J, m, e, limits, H, y, c):
+        f = max(f, possible(c, pace, h, q, limits, brisk.fast, brisk.quick, looked)[0])
     if f < 1.0:
         for k in range(m):
-            ahead[k] -= (1.0 - f) * e[k]
+            target.ahead[k] -= (1.0 - f) * e[k]
             e[k] *= f
     return blocked
 

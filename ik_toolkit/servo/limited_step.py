@@ -8,14 +8,13 @@ from numba.extending import overload
 from ..compile.jit import INLINE, inline
 from ..kernel.records import copy
 from .command import Published
-from .constrained_step import LEAVE, SHORT, WANTED, constrain
-from .laws import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
+from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain
+from .laws import CLIP, NOT_FINITE, RUNAWAY, STATE
 from .null_space_motion import PRESSED
-from .singular_step import by_modes
-from .viability import RECOVERING, ROW, clip
+from .singular_step import along_lost, by_modes
+from .viability import RECOVERING, ROW, box_of, clip
 
 LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
-SINGULAR, DAMPING = 1e-6, 1e-6  # of `constrain`: lost directions are removed from the task before it sees them
 
 
 @inline
@@ -36,7 +35,7 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def by_constraints(law, s, count, mu, h, state, work, active, kept, starts, code):
+def by_constraints(law, s, count, mu, h, state, work, active, kept, code):
     """Rates that the limits allow, to s.x; returns whether anything prevented those wanted.
 
     mu above 0: those of a step down, which `descend` has asked for.
@@ -50,16 +49,14 @@ def by_constraints(law, s, count, mu, h, state, work, active, kept, starts, code
             s.ask[k] = -s.f[k]
             for i in range(n):
                 s.ask[k] += s.J[i, k] * s.x[i]
-            s.t[k] = s.ask[k] + s.f[k]
-        apply(s.J, m, s.G, s.t, s.y, s.v)
         for i in range(n):
-            s.v[i] = s.x[i] - s.v[i]
+            s.v[i] = 0.0
+        along_lost(s.V, s.lost, s.xk, s.v, 1.0)
         by_modes(s.J, s.W, s.U, s.lost, s.f, s.ask, s.y)
     copy(s.x, s.w)
-    status, _ = constrain(
-        s.J, s.weight, s.ask, s.f, s.w, s.v, size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
-        work, s.x, active, kept, starts, s.multiplier, h, mu,
-    )  # fmt: skip
+    allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, active, kept, s.multiplier)
+    asked = TaskRate(s.J, s.weight, s.ask, s.f, s.w, s.v, size, mode, h, mu)
+    status, _ = constrain(asked, allowed, work, taken)
     if status >= SHORT:
         state[STATE.pressed] = PRESSED
     for i in range(n):
@@ -79,21 +76,21 @@ def by_constraints(law, s, count, mu, h, state, work, active, kept, starts, code
 
 
 @inline
-def by_clipping(law, s, count, mu, h, state, work, active, kept, starts, code):
+def by_clipping(law, s, count, mu, h, state, work, active, kept, code):
     """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
-    clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
+    clip(s.x, box_of(s), code)
     return False
 
 
-def obey(rule, law, s, count, mu, h, state, work, active, kept, starts, code):
+def obey(rule, law, s, count, mu, h, state, work, active, kept, code):
     """Rates that the limits allow, see `by_constraints`."""
     how = by_constraints if isinstance(rule, Published) else by_clipping
-    return how(law, s, count, mu, h, state, work, active, kept, starts, code)
+    return how(law, s, count, mu, h, state, work, active, kept, code)
 
 
 @overload(obey, jit_options=INLINE)
-def _obey(rule, law, s, count, mu, h, state, work, active, kept, starts, code):
+def _obey(rule, law, s, count, mu, h, state, work, active, kept, code):
     how = by_constraints if rule.instance_class is Published else by_clipping
-    return lambda rule, law, s, count, mu, h, state, work, active, kept, starts, code: how(
-        law, s, count, mu, h, state, work, active, kept, starts, code
+    return lambda rule, law, s, count, mu, h, state, work, active, kept, code: how(
+        law, s, count, mu, h, state, work, active, kept, code
     )

@@ -24,7 +24,7 @@ from .damped_descent import descend, notice, stuck
 from .laws import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
 from .limited_step import judge, obey
 from .null_space_motion import lay_aside, reflect, slack_rows
-from .viability import CALMED, HELD, LASTING, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
+from .viability import CALMED, HELD, LASTING, UNLIMITED, approach, box_of, boxes, calm, clip, move, watch, way_to
 from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
 
 
@@ -73,7 +73,7 @@ def leave_out(J, floor, roof):
 def quieten(law, s, rate, swings, h, state):
     """Let joints that swing gain speed gradually where something hinders them; what a target alone asks for is no swing."""
     if law.mode != CLIP and state[STATE.free] < LASTING:
-        calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
+        calm(rate, s.size, swings, h, box_of(s))
 
 
 @inline
@@ -98,7 +98,7 @@ def gather(law, lines, level, planes, edges):
 @inline
 def clip_rates(law, s, still, h, memory, code):
     """Rates clipped joint by joint, to s.x: the published form, and the brake."""
-    clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
+    clip(s.x, box_of(s), code)
     if not still:
         settle(law, h, s.before, s.x, code, memory)
         return
@@ -122,10 +122,10 @@ def error_squared(weight, e):
 def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
     _, p, counts, limits, wish, lines, level, measured = given
-    _, motion, memory, swings, away, basis, state, active, kept, starts = own
+    _, motion, memory, swings, away, basis, state, active, kept = own
     (_, T, V, A), (_, Q, R, E, S, C) = samples, out
     q, rate = motion[0], motion[1]
-    n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
+    n, m, room = q.shape[0], V.shape[1], kept.shape[0]
     law, o = read(Law, p), read(Orders, orders)
     first = HEAD + TASK * (m // 6)
     task = problem_on(block, rows, ends, orders[HEAD:first], n, o)
@@ -154,14 +154,14 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             S[i] = 0.0
             if i == E.shape[0] - 1:
                 return i
-            boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
+            boxes(q, rate, limits, law.gamma, h, law.late, box_of(s))
             if lean(law, rule, s, limits, wish, rate, h):
                 task.stand(s.at)
         if law.mode != CLIP:
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         copy(counts[0], s.weight)
-        count = slack_rows(counts[1], s.weight, s.J, s.e, s.f, s.ahead, s.a, h, state, s.planes, s.edges, count)
+        count = slack_rows(counts[1], s, count, h, state)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
@@ -178,7 +178,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            held = obey(rule, law, s, count, mu, h, state, work, active, kept, starts, C[i])
+            held = obey(rule, law, s, count, mu, h, state, work, active, kept, C[i])
             look_on(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, memory)
@@ -204,7 +204,7 @@ def servo(cls: type | None = None) -> Callable:
 
     def follow(rows, ends, orders, settings, carried, samples, out, h):
         given, own = settings_of(view(settings)), carried_of(view(carried))
-        n, m, room = given.limits.shape[1], given.counts.shape[1], own.kept.shape[0] - 1
+        n, m, room = given.limits.shape[1], given.counts.shape[1], own.kept.shape[0]
         size = space(n, m, rows.shape[0], 0) + bench_space(n, m, room) + room_space(n, m, room)
         block = np.zeros(size)
         taken = run(

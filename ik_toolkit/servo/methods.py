@@ -201,8 +201,7 @@ def simulate(
     q = np.array(q0, dtype=float)
     n, m = len(q), len(system.position(q))
     k = max(n, m)
-    G, y, t_, bias = np.empty((k, k)), np.empty(k), np.empty(k), np.zeros(m)
-    move, null, x1, x2, x = (np.empty(n) for _ in range(5))
+    G, y, bias, joints = np.empty((k, k)), np.empty(k), np.zeros(m), laws.JointMotion(*np.empty((5, n)))
     prev = np.zeros(n) if command0 is None else np.array(command0, dtype=float)
     target, v, a = path(0.0)
     rate = np.zeros(n) if rate0 is None else np.array(rate0, dtype=float)
@@ -216,11 +215,13 @@ def simulate(
         following = path((i + 1) * h)
         ahead = following[0] - system.position(q)
         laws.factor(J, m, made.damping, G, y)
-        laws.prepare(p, J, m, E[-1], ahead, rate, h, G, y, t_, move, null, x1, x2)
+        inverse, aim = laws.PseudoInverse(J, G, G, y, np.empty(m)), laws.TargetMotion(E[-1], ahead, v, a, bias)
+        laws.prepare(p, inverse, aim, rate, h, joints)
         if p.code >= laws.CA:
-            bias = system.rate(q, x1, x2)
+            bias[:] = system.rate(q, joints.x1, joints.x2)
         ratio = 0.0 if i == 0 and command0 is None else 1.0
-        laws.command(p, J, m, E[-1], v, a, bias, rate, prev, h, ratio, G, y, t_, move, null, x)
+        laws.command(p, inverse, aim, rate, prev, h, ratio, joints)
+        x = joints.x
         if not (np.isfinite(x).all() and np.abs(x).max() * h <= runaway):
             stopped = f"the step at t = {i * h:.6g} s is not finite or moves a joint by more than {runaway:g}"
             break

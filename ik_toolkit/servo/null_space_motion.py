@@ -61,14 +61,15 @@ def weigh(weight, J, e, ahead, f, a):
 
 
 @inner
-def slack_rows(slack, weight, J, e, f, ahead, a, h, state, A, b, count):
-    """Turn errors with slack into half-planes A x <= b from row `count` on, and leave them out of the task; returns the count.
+def slack_rows(slack, s, count, h, state):
+    """Turn errors with slack into half-planes of the bench from row `count` on, and leave them out of the task; returns the count.
 
     Inside its slack an error may use up at most NEARLY of the rest in a sample, a little outside it is brought back. What of an
     error is further beyond its slack is one to close like any other; and all that is beyond, where half-planes are in the way of
     the task or contradict the limits (STATE.pressed): hard ones let joints turn at full speed there.
     """
-    n, m = J.shape
+    n, m = s.J.shape
+    e = s.e
     pressed = state[STATE.pressed]
     state[STATE.pressed] = max(pressed - h, 0.0)
     for k in range(m):
@@ -78,16 +79,16 @@ def slack_rows(slack, weight, J, e, f, ahead, a, h, state, A, b, count):
         if abs(e[k] - inside) > (BEYOND * slack[k] if pressed > 0.0 else FAR):
             state[STATE.pressed] = PRESSED
             e[k] -= inside
-            ahead[k] -= inside
+            s.ahead[k] -= inside
             continue
         for sign in (1.0, -1.0):
             for i in range(n):
-                A[count, i] = -sign * J[i, k]
-            b[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * f[k]
+                s.planes[count, i] = -sign * s.J[i, k]
+            s.edges[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * s.f[k]
             count += 1
         for i in range(n):
-            J[i, k] = 0.0
-        weight[k], e[k], f[k], ahead[k], a[k] = 0.0, 0.0, 0.0, 0.0, 0.0
+            s.J[i, k] = 0.0
+        s.weight[k], e[k], s.f[k], s.ahead[k], s.a[k] = 0.0, 0.0, 0.0, 0.0, 0.0
     return count
 
 

@@ -3,25 +3,39 @@
 What is decided about one, and why, is in singular_step.py; here it is asked of the task and kept.
 """
 
-from ..compile.jit import inline, inner
+from typing import NamedTuple
+
+import numpy as np
+
+from ..compile.jit import compiled, inline, inner
 from ..kernel.records import copy
 from .constrained_step import SLOW
 from .laws import CV, REGION, STATE, natural
 from .null_space_motion import STEP, reflect
 from .singular_step import (
     ALONG,
+    BENT,
+    BESIDE,
+    BOTH,
+    CAUTION,
     CLEAR,
+    KNOWN,
+    LEAST,
     LOST,
+    MINOR,
     SIDE,
     begin_bent,
     bent_direction,
+    bring_along,
     mode_direction,
     mode_moved,
     mode_part,
     mode_probe,
-    mode_speed,
+    part_along,
     rest_of,
+    way_along,
 )
+from .viability import approach
 
 GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
 BEFORE = -1.0  # singular poses were met before, but not in the last step
@@ -122,6 +136,78 @@ def note_curve(s, r, part):
         s.null[i] = curved if s.floor[i] < 0.0 or s.roof[i] > 0.0 else 0.0
 
 
+@compiled
+class WeakMode(NamedTuple):
+    """A direction in which the tip can hardly move, along u_r and V_r."""
+
+    r: int
+    full: float  # sigma_r
+    sigma: float  # what it is along V_r
+    rest: (
+        float  # error along the others where it cannot be closed, else 0, times the largest curvature of the tip's way
+    )
+    own: float  # rate of the joints along V_r
+    error: float  # along u_r
+    moved: float  # motion of the target in a step
+
+
+@inline
+def fastest_along(V, r, limits):
+    """Highest speed and acceleration along V_r that the limits of all joints allow."""
+    cap, a = np.inf, np.inf
+    for i in range(V.shape[0]):
+        v = abs(V[i, r])
+        if v > 0.0:
+            cap = min(cap, limits[2, i] / v)
+            a = min(a, limits[3, i] / v)
+    return cap, a
+
+
+@inner
+def mode_speed(s, mode, gain, h, slow, limits, near, away):
+    """Judge a mode: its speed to s.xk, and 1 to s.lost where it is taken out of the task.
+
+    s.t: the curvature of each `mode_probe`, along u_r; slow: whether a clock gives way where joints are too slow; near: above 0
+    when the last step was a singular one, above 1 for some time after the target was out of reach. Returns whether it is now.
+
+    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came. Where it says nothing
+    about this one, they came from where they are.
+    """
+    r, V, left, moved = mode.r, s.V, mode.error, mode.moved
+    b, beside = s.t[ALONG], s.t[BESIDE]
+    cap, a = fastest_along(V, r, limits)
+    grows = np.sign(b)  # the way along V_r in which sigma does: the side on which the joints are
+    clear = mode.full > CLEAR and mode.sigma > KNOWN * mode.full
+    back = part_along(V, r, away)
+    if abs(back) < KNOWN and clear:
+        bring_along(V, r, away, grows, 1.0)
+        back = grows
+    sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
+    if abs(left) < MINOR * mode.rest:  # see `hold_back`
+        left *= sigma * sigma / (sigma * sigma + mode.rest)
+        moved *= sigma * sigma / (sigma * sigma + mode.rest)
+    for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
+        E = moved + h * gain * left - 0.5 * beside if last == 1 else left
+        y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)
+        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is zero, see `ease`
+        if last == 0 and gain * abs(y) > most:
+            left *= most / (gain * abs(y))
+    edge = D < 0.0
+    x = (CAUTION if edge else 1.0) * y / h
+    if edge and mode.sigma > LOST and grows * back < 0.0:  # carried far to the other side: back across
+        x = -grows * (mode.sigma / abs(b) + LOST) * gain
+    if edge and a < np.inf:
+        x = min(max(x, -most), most)
+    x = min(max(x, -cap), cap)
+    if clear and not edge:
+        bring_along(V, r, away, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
+    E = moved + h * gain * left
+    bent = abs(b * E) > BENT * mode.sigma * mode.sigma
+    if mode.sigma < LOST or bent or (abs(E) > h * cap * mode.sigma and not slow):
+        s.lost[r], s.xk[r] = 1.0, x
+    return D < -LEAST * LEAST
+
+
 @inline
 def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
     """Judge directions in which the tip can hardly move (singular_step.py); returns whether the target is out of reach in one."""
@@ -144,10 +230,8 @@ def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
             bend(task, look, s, True)
             note_curve(s, r, part)
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
-        out = mode_speed(
-            s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
-            away,
-        )  # fmt: skip
+        mode = WeakMode(r, s.sv[r], thin, rest, own, left, moved)
+        out = mode_speed(s, mode, gain, h, law.mode == SLOW, limits, state[STATE.near], away)
         if free and out:  # damped, as in `hold_back`
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out

@@ -18,12 +18,9 @@ therefore replaced by the direction in which b_k is largest, and the side is kep
 
 import math
 
-import numpy as np
-
 from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
 from .laws import gram
-from .viability import approach
 
 ZERO = 1e-9  # singular value (lengths over reach) below which a direction does not move to first order
 NOTHING = 1e-12  # added to the squares of singular values, which are above LOST^2 here: no more than rounding
@@ -237,56 +234,6 @@ def bent_direction(W, V, sigma, r, slope):
     for i in range(slope.shape[0]):
         V[i, r] = sign * slope[i] / size
     return sigma[r] * abs(own) / size
-
-
-@inner
-def mode_speed(V, r, full, sigma, bends, rest, own, left, moved, gain, h, slow, limits, lost, xk, near, away):
-    """Judge mode r: its speed to xk, and 1 to lost where it is taken out of the task.
-
-    full, sigma: sigma_r, and what it is along V_r; bends: the curvature of each `mode_probe`, along u_r; rest: the
-    error along the others where it cannot be closed, else 0, times the largest curvature of the tip's way; slow: whether a clock
-    gives way where joints are too slow; near: above 0 when the last step was a singular one, above 1 for some time after the
-    target was out of reach. Returns whether it is now.
-
-    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came. Where it says nothing
-    about this one, they came from where they are.
-    """
-    n = V.shape[0]
-    b, beside, cap, a = bends[ALONG], bends[BESIDE], np.inf, np.inf
-    for i in range(n):
-        v = abs(V[i, r])
-        if v > 0.0:
-            cap = min(cap, limits[2, i] / v)
-            a = min(a, limits[3, i] / v)
-    grows = np.sign(b)  # the way along V_r in which sigma does: the side on which the joints are
-    clear = full > CLEAR and sigma > KNOWN * full
-    back = part_along(V, r, away)
-    if abs(back) < KNOWN and clear:
-        bring_along(V, r, away, grows, 1.0)
-        back = grows
-    s, y, D, most = sigma + 0.5 * (bends[BOTH] - b - beside), 0.0, 0.0, a
-    if abs(left) < MINOR * rest:  # see `hold_back`
-        left *= s * s / (s * s + rest)
-        moved *= s * s / (s * s + rest)
-    for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
-        E = moved + h * gain * left - 0.5 * beside if last == 1 else left
-        y, D = way_along(s, b, E, h * own, back, near > 1.0, h)
-        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is zero, see `ease`
-        if last == 0 and gain * abs(y) > most:
-            left *= most / (gain * abs(y))
-    edge = D < 0.0
-    x = (CAUTION if edge else 1.0) * y / h
-    if edge and sigma > LOST and grows * back < 0.0:  # carried far to the other side: back across
-        x = -grows * (sigma / abs(b) + LOST) * gain
-    if edge and a < np.inf:
-        x = min(max(x, -most), most)
-    x = min(max(x, -cap), cap)
-    if clear and not edge:
-        bring_along(V, r, away, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
-    E = moved + h * gain * left
-    if sigma < LOST or abs(b * E) > BENT * sigma * sigma or (abs(E) > h * cap * sigma and not slow):
-        lost[r], xk[r] = 1.0, x
-    return D < -LEAST * LEAST
 
 
 @inner

@@ -10,7 +10,7 @@ later steps have, it covers at most (`stopping`)
 
 since a step h from v to w covers no more than the difference of the two. (At velocity level the sum over steps is a lower sum
 of the integral. Else a step is a trapezoid, and its last one, to rest, the longer the worse.) A state is viable when this is
-no more than the way left to the limit, and `box` lets only such states follow: no later step has to break one limit to keep
+no more than the way left to the limit, and `joint_box` lets only such states follow: no later step has to break one limit to keep
 another.
 
 One step of joints that move to given values as fast as their limits allow, or along a motion that is known.
@@ -19,11 +19,13 @@ One step and the full brake after it, as a path: what must be free of contact be
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.jit import cached, dual, inner, jit, shared
+from ..compile.jit import cached, compiled, dual, inline, inner, jit, shared
 from ..kernel.clearance import speed_and_growth, travelled
+from ..kernel.records import Array
 
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
@@ -39,6 +41,22 @@ SWINGING = 2.0
 WINDOW, HOLD = 0.05, 0.1
 LASTING = 0.2  # [s] after the last hindrance but this one in which joints are calmed
 CALM, GROWTH = 0.75, 10.0  # [1/s] by which joints that swing gain speed, in shares of their limit and of their speed
+
+
+@compiled
+class RateBox(NamedTuple):
+    """Lowest and highest next rate of each joint, arrays (n,)."""
+
+    floor: Array
+    roof: Array
+    why_low: Array  # bits of the limits that set the lowest ...
+    why_top: Array  # ... and the highest
+
+
+@inline
+def box_of(s):
+    """The box of a bench."""
+    return RateBox(s.floor, s.roof, s.why_low, s.why_top)
 
 
 @shared
@@ -95,7 +113,7 @@ def towards(way, v, speed, gamma, h, a, late):
 
 
 @dual
-def box(q, v, lower, upper, speed, a, gamma, h, late):
+def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     """Lowest and highest next rate of a joint, and the bits of the limits that set them.
 
     Always an interval: where the limits contradict each other (a start outside of them, limits that changed) a single rate,
@@ -131,14 +149,14 @@ def box(q, v, lower, upper, speed, a, gamma, h, late):
 
 
 @dual
-def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
-    """`box` of every joint; limits (4, n): lower, upper, speed, acceleration. True when one of them is recovering."""
+def boxes(q, rate, limits, gamma, h, late, box):
+    """`joint_box` of every joint; limits (4, n): lower, upper, speed, acceleration. True when one of them is recovering."""
     recovering = False
     for i in range(q.shape[0]):
-        low[i], top[i], why_low[i], why_top[i] = box(
+        box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = joint_box(
             q[i], rate[i], limits[0, i], limits[1, i], limits[2, i], limits[3, i], gamma, h, late
         )
-        recovering = recovering or (why_top[i] & RECOVERING) > 0
+        recovering = recovering or (box.why_top[i] & RECOVERING) > 0
     return recovering
 
 
@@ -160,35 +178,39 @@ def watch(swings, rate, x, size, gamma, h):
 
 
 @dual
-def narrow(i, least, most, low, top, why_low, why_top):
+def narrow(i, least, most, box):
     """Narrow the box (in place) of joint i to the rates from least to most, as far as it has such."""
-    floor, roof = min(max(least, low[i]), top[i]), max(min(most, top[i]), low[i])
-    if floor > low[i]:
-        low[i], why_low[i] = floor, CALMED | (why_low[i] & RECOVERING)
-    if roof < top[i]:
-        top[i], why_top[i] = roof, CALMED | (why_top[i] & RECOVERING)
+    low, top = box.floor[i], box.roof[i]
+    floor, roof = min(max(least, low), top), max(min(most, top), low)
+    if floor > low:
+        box.floor[i], box.why_low[i] = floor, CALMED | (box.why_low[i] & RECOVERING)
+    if roof < top:
+        box.roof[i], box.why_top[i] = roof, CALMED | (box.why_top[i] & RECOVERING)
 
 
 @dual
-def calm(rate, size, swings, h, low, top, why_low, why_top):
-    """Narrow the box (in place) of joints that swing to rates gained gradually, from rest on after a turn; braking is free."""
+def calm(rate, size, swings, h, box):
+    """Narrow the box (in place) of joints that swing to rates gained gradually, from rest on after a turn; braking is free.
+
+    Without it 89 of 198 random streams chattered (scripts/benchmarks/servo_random.py).
+    """
     for i in range(rate.shape[0]):
         if swings[0, i] < SWINGING:
             continue
         gain, more = CALM * size[i] * h, 1.0 + GROWTH * h
-        narrow(i, more * min(rate[i], 0.0) - gain, more * max(rate[i], 0.0) + gain, low, top, why_low, why_top)
+        narrow(i, more * min(rate[i], 0.0) - gain, more * max(rate[i], 0.0) + gain, box)
 
 
 @dual
-def clip(x, low, top, why_low, why_top, code):
+def clip(x, box, code):
     """Clip the wanted rates x (in place) to their box, each joint separately; code (n,) receives what held a joint back."""
     hit = False
     for i in range(x.shape[0]):
-        code[i] = why_top[i] & RECOVERING
-        if x[i] > top[i]:
-            x[i], code[i] = top[i], why_top[i]
-        elif x[i] < low[i]:
-            x[i], code[i] = low[i], why_low[i]
+        code[i] = box.why_top[i] & RECOVERING
+        if x[i] > box.roof[i]:
+            x[i], code[i] = box.roof[i], box.why_top[i]
+        elif x[i] < box.floor[i]:
+            x[i], code[i] = box.floor[i], box.why_low[i]
         hit = hit or code[i] > 0
     return hit
 
@@ -206,8 +228,9 @@ def advance(q, rate, x, gamma, h, late, limits, code):
     """Step towards the wanted rates x, every joint clipped separately (x = 0: brake); True when a limit held one back."""
     n = q.shape[0]
     ends, why = np.empty((2, n)), np.empty((2, n), np.uint8)
-    boxes(q, rate, limits, gamma, h, late, ends[0], ends[1], why[0], why[1])
-    hit = clip(x, ends[0], ends[1], why[0], why[1], code)
+    box = RateBox(ends[0], ends[1], why[0], why[1])
+    boxes(q, rate, limits, gamma, h, late, box)
+    hit = clip(x, box, code)
     move(q, rate, x, gamma, h)
     return hit
 
@@ -231,7 +254,7 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
             return -1.0
     x = np.empty(n)
     if times.shape[0] > 0 and time < times[times.shape[0] - 1]:
-        head_for(q, rate, times, points, rates, time, gamma, h, limits, x)
+        head_for(q, rate, (times, points, rates), time, gamma, h, limits, x)
     else:
         go_straight(q, rate, goal, gamma, h, limits, x)
     advance(q, rate, x, gamma, h, late, limits, code)
@@ -261,12 +284,13 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
 
 
 @inner
-def head_for(q, rate, times, points, rates, time, gamma, h, limits, x):
-    """Rates x (n,) to where a known motion is at `time`.
+def head_for(q, rate, known, time, gamma, h, limits, x):
+    """Rates x (n,) to where a known motion (times, points, rates) is at `time`.
 
     What is missing is made up for as fast as HELD_BACK of the acceleration can end it, at once where there is no such
     limit: by half where the rate alone does not set the next place, as whole corrections of a trapezoid turn round in every step.
     """
+    times, points, rates = known
     k = 1
     while times[k] < time:
         k += 1

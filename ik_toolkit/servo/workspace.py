@@ -50,8 +50,7 @@ class Carried(NamedTuple):
     basis: Array  # (m, m) directions of the task at the last singular pose, zeros before one, see singular_step.py
     state: Array  # a `State`
     active: Array  # (n,) and kept, int8: the active set of `constrain` ...
-    kept: Array
-    starts: Array  # (4, n + rows) int8 ... and those it found on the way
+    kept: Array  # (rows,)
 
     def __reduce__(self) -> tuple:
         return carried_of, (self.block,)
@@ -94,7 +93,7 @@ def settings_shapes(n, m, rows):
 @shared
 def carried_shapes(n, memory, rows, m):
     """Shapes of `Carried`; bytes in whole numbers of eight."""
-    return (2, n), memory, (3, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8, (4 * (n + rows) + 7) // 8
+    return (2, n), memory, (3, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8
 
 
 @shared
@@ -128,10 +127,9 @@ def carried_of(block):
     """Parts of a block (K,) of n, numbers of memory, rows, m."""
     n, memory, rows = head(block)
     shapes = carried_shapes(n, memory, rows, int(block[4]))
-    motion, own, swings, away, basis, state, active, kept, starts = cut(block, np.float64, shapes)
+    motion, own, swings, away, basis, state, active, kept = cut(block, np.float64, shapes)
     return Carried(
         block, motion, own, swings, away, basis, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0],
-        fold(starts, np.int8, 4, n + rows),
     )  # fmt: skip
 
 

@@ -14,69 +14,62 @@ from time import perf_counter  # noqa: E402
 import numpy as np  # noqa: E402
 
 from ik_toolkit.compile.jit import cached  # noqa: E402
-from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, SLOW, constrain, make_room  # noqa: E402
+from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, Allowed, StepTaken, TaskRate, constrain, make_room  # noqa: E402
 
 ROWS = 12
 SAMPLES = 40  # consecutive problems, each slightly different from the previous one, as in a run
 INNER = 50  # steps per timing: a call from Python costs some microseconds
 REPEATS = 15  # the minimum of these is a step's own time: background load only adds
-# Mode, speed limits over what the task needs (0: the wanted motion fits), `singular` of the step, number of half-planes.
+# Mode, speed limits over what the task needs (0: the wanted motion fits), number of half-planes.
 CASES = {
-    "x_want fits": (LEAVE, 0.0, 0.0, 0),
-    "nothing binds": (LEAVE, 10.0, 0.0, 0),
-    "leave": (LEAVE, 0.3, 0.0, 0),
-    "slow": (SLOW, 0.3, 0.0, 0),
-    "direct": (DIRECT, 0.3, 0.0, 0),
-    "singular": (LEAVE, 0.3, 10.0, 0),
-    "leave, 12 half-planes": (LEAVE, 0.3, 0.0, ROWS),
-    "slow, 12 half-planes": (SLOW, 0.3, 0.0, ROWS),
-    "nearly everything binds": (SLOW, 0.03, 0.0, ROWS),
+    "x_want fits": (LEAVE, 0.0, 0),
+    "nothing binds": (LEAVE, 10.0, 0),
+    "leave": (LEAVE, 0.3, 0),
+    "direct": (DIRECT, 0.3, 0),
+    "leave, 12 half-planes": (LEAVE, 0.3, ROWS),
+    "direct, 12 half-planes": (DIRECT, 0.3, ROWS),
+    "nearly everything binds": (DIRECT, 0.03, ROWS),
 }
 
 
 @cached
-def run(J, v, want, low, high, A, b, count, mode, singular, repeats, active, kept, starts):
-    """Run the steps `repeats` times from the same start; returns the sum of their clock rates."""
+def run(J, v, want, low, high, planes, count, mode, repeats, active, kept):
+    """Run the steps `repeats` times from the same start; returns the sum of their statuses."""
     n, m = J.shape[1], J.shape[2]
+    A, b = planes[:, :n].copy(), planes[:, n].copy()
     room = make_room(n, m, A.shape[0])
-    weight, scale, back = np.ones(m), np.ones(n), np.zeros(m)
-    x, push = np.empty(n), np.empty(n + A.shape[0])
-    before, held, began = active.copy(), kept.copy(), starts.copy()
-    total = 0.0
+    weight, size, none, at_rest = np.ones(m), np.ones(n), np.zeros(m), np.zeros(n)
+    taken = StepTaken(np.empty(n), active, kept, np.empty(n))
+    before, held = active.copy(), kept.copy()
+    total = 0
     for _ in range(repeats):
         active[:] = before
         kept[:] = held
-        starts[:] = began
         for i in range(J.shape[0]):
-            status, rate = constrain(
-                J[i], weight, back, v[i], want[i], want[i], scale, low, high, A, b, count, mode, 1.0, singular, singular,
-                room, x, active, kept, starts, push,
-            )  # fmt: skip
-            total += rate + status
+            asked = TaskRate(J[i], weight, v[i], none, want[i], at_rest, size, mode, 0.01, 0.0)
+            total += constrain(asked, Allowed(low, high, A, b, count), room, taken)[0]
     return total
 
 
 def measure(n: int, case: tuple, runs: int, rng: np.random.Generator) -> np.ndarray:
     """Microseconds of each step, the minimum of REPEATS."""
-    mode, tight, singular, count = case
+    mode, tight, count = case
     times = []
     for _ in range(runs):
         J = rng.normal(size=(n, 6)) + np.cumsum(0.02 * rng.normal(size=(SAMPLES, n, 6)), axis=0)
         x = rng.normal(size=n) + np.cumsum(0.02 * rng.normal(size=(SAMPLES, n)), axis=0)
         v = np.einsum("tij,ti->tj", J, x)
-        want = x if tight == 0.0 else np.zeros_like(x)
         reach = 10.0 if tight == 0.0 else 3.0 * tight * np.sqrt(6.0 / n)
         low, high = -reach * rng.uniform(0.3, 1.0, n), reach * rng.uniform(0.3, 1.0, n)
-        A, b = rng.normal(size=(ROWS, n)), reach * rng.uniform(0.0, 0.3, ROWS)
-        active, kept = np.zeros(n, np.int8), np.zeros(ROWS + 1, np.int8)
-        starts = np.zeros((4, n + ROWS + 1), np.int8)
+        planes = np.column_stack([rng.normal(size=(ROWS, n)), reach * rng.uniform(0.0, 0.3, ROWS)])
+        active, kept = np.zeros(n, np.int8), np.zeros(ROWS, np.int8)
         for i in range(SAMPLES):
-            one = [J[i : i + 1], v[i : i + 1], want[i : i + 1], low, high, A, b, count, mode, singular]
-            spent, started = [], (active.copy(), kept.copy(), starts.copy())
+            one = [J[i : i + 1], v[i : i + 1], x[i : i + 1], low, high, planes, count, mode]
+            spent, started = [], (active.copy(), kept.copy())
             for _ in range(REPEATS):
-                active[:], kept[:], starts[:] = started
+                active[:], kept[:] = started
                 start = perf_counter()
-                run(*one, INNER, active, kept, starts)
+                run(*one, INNER, active, kept)
                 spent.append((perf_counter() - start) / INNER)
             times.append(min(spent) * 1e6)
     return np.array(times)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from constrained import Step, many, planar, problem, some_rows
+from constrained import Step, many, problem, some_rows
 from numba import config
 from scipy.optimize import linprog, lsq_linear
 
-from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, SLOWED, WANTED
+from ik_toolkit.servo.constrained_step import CAUTIOUS, DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, WANTED
 
 
 def test_a_rate_that_fits_is_returned_bit_for_bit():
@@ -15,11 +15,10 @@ def test_a_rate_that_fits_is_returned_bit_for_bit():
         for _ in range(many(200)):
             J, v, low, high = problem(rng)
             want = rng.uniform(low, high)
-            cap = rng.uniform(0.1, 1.0) if mode == SLOW else 1.0
             A = rng.normal(size=(3, len(low)))
-            step = Step(J, low, high, (A, A @ want + rng.choice([1e-12, 1.0])), mode, cap, singular=0.5, damping=0.5)
-            x = step(J.T @ want - cap * v, v, want)
-            assert step.status == WANTED and step.rate == cap
+            step = Step(J, low, high, (A, A @ want + rng.choice([1e-12, 1.0])), mode)
+            x = step(J.T @ want - v, v, want)
+            assert step.status == WANTED and step.rate == 1.0
             assert np.array_equal(x, want)
             assert not step.active.any() and not step.kept.any() and not step.push.any()
 
@@ -34,7 +33,7 @@ def test_inside_to_the_bit_and_always_solved():
         scale = rng.uniform(0.5, 3.0, len(low))
         rows = some_rows(rng, low, high) if not fixed.any() and rng.random() < 0.7 else None
         mode = int(rng.integers(3))
-        step = Step(J, low, high, rows, mode, 1.0, rng.choice([0.0, 1.0]), 0.3, rng.uniform(0.5, 2.0, 6), scale)
+        step = Step(J, low, high, rows, mode, rng.uniform(0.5, 2.0, 6), scale, rng.choice([0.0, 0.01]))
         for _ in range(4):  # warm
             x = step(v * 0.3, v * 0.7, rng.normal(size=len(low)) * rng.choice([0.0, 1.0]))
             statuses.add(step.status)
@@ -70,7 +69,7 @@ def test_a_wider_box_is_never_worse():
             miss = np.linalg.norm(J.T @ Step(J, wider * low, wider * high)(v, np.zeros(6), zero) - v)
             assert miss <= last + 1e-10
             clock = Step(J, wider * low, wider * high, mode=SLOW)
-            clock(np.zeros(6), v, zero)
+            clock(np.zeros(6), J.T @ np.linalg.pinv(J.T) @ v, zero)
             assert clock.rate >= slower - 1e-7
             last, slower = miss, clock.rate
 
@@ -92,7 +91,7 @@ def test_the_clock_is_as_fast_as_it_can_be():
     slowed = 0
     for _ in range(many(200)):
         J, v, low, high = problem(rng)
-        back = J.T @ rng.uniform(low, high) * rng.choice([0.0, 0.3])
+        back, v = J.T @ rng.uniform(low, high) * rng.choice([0.0, 0.3]), J.T @ np.linalg.pinv(J.T) @ v  # what J can do
         rows = some_rows(rng, low, high) if rng.random() < 0.3 else None
         rate = fastest(J, back, v, low, high, rows)
         if rate is None:
@@ -111,86 +110,44 @@ def test_the_clock_is_full_to_the_bit_where_nothing_binds():
     rng = np.random.default_rng(5)
     for _ in range(many(100)):
         J, v, low, high = problem(rng, 7)
-        step = Step(J, 1e6 * low, 1e6 * high, mode=SLOW, cap=0.75)
+        v = J.T @ np.linalg.pinv(J.T) @ v  # what J can do
+        step = Step(J, 1e6 * low, 1e6 * high, mode=SLOW)
         step(0.1 * v, v, rng.normal(size=7))  # a wish that does not fit the task
-        assert step.rate == 0.75 and step.status == MET
+        assert step.rate == 1.0 and step.status == MET
 
 
-def test_what_no_joint_can_do_neither_slows_the_clock_nor_stops_the_arm():
-    J = np.array([[1.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.4, 0.8, 0.0, 0.0, 0.0, 1.0]])  # two joints in a plane
-    step = Step(J, np.full(2, -9.0), np.full(2, 9.0), mode=SLOW)
-    x = step(np.zeros(6), np.array([0.3, 0.1, 0.2, 0.0, 0.1, 0.5]), np.zeros(2))
-    assert step.rate == 1.0
-    np.testing.assert_allclose(x, np.linalg.pinv(J.T) @ [0.3, 0.1, 0.2, 0.0, 0.1, 0.5], atol=1e-12)
-
-
-def test_direction_is_kept_where_a_joint_saturates():
+def test_direction_is_kept_where_joints_are_too_slow():
+    """What leaves the direction counts 100 times as much as falling behind, so all joints slow down together."""
     rng = np.random.default_rng(6)
-    between = 0
+    bent = []
     for _ in range(many(200)):
-        J = rng.normal(size=(7, 6))
-        v = rng.normal(size=6)
-        low, high = -rng.uniform(0.05, 1.0, 7), rng.uniform(0.05, 1.0, 7)
-        step = Step(J, low, high, mode=DIRECT)
-        x = step(v, np.zeros(6), np.zeros(7))
-        alpha = fastest(J, np.zeros(6), v, low, high)
-        assert abs(step.rate - alpha) <= 1e-6
-        done = J.T @ x
-        along = done @ v / (v @ v)
-        aside = np.linalg.norm(done - along * v) / np.linalg.norm(v)
-        assert along >= alpha - 1e-6
-        assert aside <= (1.0 - alpha) / (2.0 * (1.0 + 99.0 * alpha)) + 1e-6  # where cost and gain are equal
-        if alpha == 1.0:
-            assert step.status == MET and aside <= 1e-9
-        between += 0.1 < alpha < 0.9
-    assert between > many(30) // 5
+        J, v, size = rng.normal(size=(6, 6)), rng.normal(size=6), rng.uniform(0.1, 1.0, 6)
+        want = np.linalg.solve(J.T, v)
+        share = np.min(size / np.abs(want))
+        if share < 1.0:
+            x = {mode: Step(J, -size, size, mode=mode, scale=size)(v, np.zeros(6), want) for mode in (DIRECT, LEAVE)}
+            along = {mode: J.T @ one @ v / (v @ v) for mode, one in x.items()}
+            aside = {mode: np.linalg.norm(J.T @ one - along[mode] * v) / np.linalg.norm(v) for mode, one in x.items()}
+            assert along[DIRECT] >= share - 1e-9
+            assert aside[DIRECT] <= (1.0 - share) / (2.0 * 100.0) + 1e-9  # where cost and gain are equal
+            bent.append((aside[DIRECT], aside[LEAVE]))
+    assert np.median(bent, axis=0)[0] < 0.05 * np.median(bent, axis=0)[1]
 
 
 def test_a_blocked_direction_slides():
     J = np.array([[1.0, 0.0], [0.0, 1.0]])
     step = Step(J, np.array([-1.0, -1.0]), np.array([0.0, 1.0]), mode=DIRECT)  # no way along x
-    x = step(np.array([0.5, 0.5]), np.zeros(2), np.zeros(2))
-    assert step.status == SHORT and step.rate <= 1e-12
+    x = step(np.array([0.5, 0.5]), np.zeros(2), np.array([0.5, 0.5]))
+    assert step.status == SHORT
     np.testing.assert_allclose(x, [0.0, 0.5], atol=1e-12)
 
 
 def test_a_joint_that_cannot_stop_at_once_does_not_choose_the_direction():
     """No way along x, and y has to go on: that is no reason to leave y behind what is asked of it."""
     step = Step(np.eye(2), np.array([-1.0, 0.3]), np.array([0.0, 0.5]), mode=DIRECT)
-    x = step(np.array([1.0, 0.4]), np.zeros(2), np.zeros(2))
-    assert step.status == SHORT and step.rate <= 1e-12
+    x = step(np.array([1.0, 0.4]), np.zeros(2), np.array([1.0, 0.4]))
+    assert step.status == SHORT
     np.testing.assert_allclose(x, [0.0, 0.4], atol=1e-12)
-
-
-def test_a_singular_direction_alone_is_damped():
-    rng = np.random.default_rng(7)
-    top, most = 0.3, 0.2
-    for bend in (0.5, 0.1, 1e-2, 1e-4):
-        J = planar(np.array([0.3, bend, -0.4 * bend]))
-        want, v = rng.normal(size=3) * 0.1, rng.normal(size=2)
-        x = Step(J, np.full(3, -1e9), np.full(3, 1e9), singular=top, damping=most)(v, np.zeros(2), want)
-        U, s, Vt = np.linalg.svd(J.T)
-        fade = np.where(s < top, 1.0 - (s / top) ** 2, 0.0)
-        extra = (most * fade) ** 2
-        share = (s * (U.T @ v) + extra * (Vt[:2] @ want)) / (s**2 + extra)
-        np.testing.assert_allclose(x, want + Vt[:2].T @ (share - Vt[:2] @ want), atol=1e-9)
-
-
-@pytest.mark.parametrize("mode", [LEAVE, SLOW, DIRECT])
-def test_no_chatter_along_a_singular_direction(mode):
-    """A target slowly pulled through full extension: joint rates change smoothly, what holds changes a few times."""
-    step = Step(planar(np.zeros(3)), np.full(3, -2.0), np.full(3, 2.0), mode=mode, singular=0.2, damping=0.1)
-    X, held = [], []
-    for t in np.linspace(0.0, 1.0, 2001):
-        step.J[:] = planar(np.array([0.2, 0.4 * (0.6 - t), 0.3 * (0.6 - t)]))  # straight at t = 0.6
-        pull = np.array([np.cos(0.2), np.sin(0.2)]) * 0.4
-        X.append(step(pull + 0.01 * np.sin(6.0 * t), 0.2 * pull, np.zeros(3)))
-        held.append(step.active.copy())
-    moves = np.abs(np.diff(X, axis=0))
-    assert np.sum(np.any(np.diff(held, axis=0) != 0, axis=1)) <= 12
-    assert np.median(moves) < 0.01
-    turns = np.sum(np.diff(np.sign(np.diff(X, axis=0)), axis=0) != 0, axis=0)  # of the rates
-    assert turns.max() <= 20
 
 
 def test_half_planes_that_contradict_are_loosened_by_the_least():
@@ -222,7 +179,7 @@ def test_columns_that_do_not_count():
     np.testing.assert_allclose(one, two, atol=1e-12)
 
 
-@pytest.mark.parametrize("mode", [SLOW, DIRECT])
+@pytest.mark.parametrize("mode", [LEAVE, SLOW, DIRECT])
 def test_what_held_before_changes_the_way_but_not_the_answer(mode):
     rng = np.random.default_rng(12)
     ended = set()
@@ -234,18 +191,19 @@ def test_what_held_before_changes_the_way_but_not_the_answer(mode):
         want, ask = 0.3 * rng.normal(size=7), (0.2 * v, rng.choice([0.1, 0.8]) * v)
         cold = Step(J, low, high, rows, mode, step=0.01)
         x = cold(*ask, want)
-        for state in (1, 31):
+        for _ in range(2):
             other = Step(J, low, high, rows, mode, step=0.01)
-            other.active[:] = rng.integers(-1, 2, 7)
-            other.kept[:-1], other.kept[-1] = rng.integers(0, 2, cold.count or 1), state
-            other.starts[:, :7], other.starts[:, 7:] = (
-                rng.integers(-1, 2, (4, 7)),
-                rng.integers(0, 2),
-            )
+            other.active[:], other.kept[:] = rng.integers(-1, 2, 7), rng.integers(0, 2, len(cold.b))
             np.testing.assert_allclose(other(*ask, want), x, atol=1e-9)
             assert other.status == cold.status and other.rate == pytest.approx(cold.rate, abs=1e-9)
-        ended.add((int(cold.kept[-1]) & SLOWED, cold.status))
-    ways = {(0, MET), (0, SHORT), (1, SHORT), *([(1, MET)] if mode == SLOW else [])}
-    assert ended <= ways and (
-        config.DISABLE_JIT or ended == ways
-    )  # the few cases of an uncompiled run end in some of them
+        ended.add(cold.status)
+    assert ended == {MET, SHORT} or config.DISABLE_JIT  # the few cases of an uncompiled run end in some of them
+
+
+def test_what_is_missed_damps_the_motion():
+    """|C y - d|^2 + mu |y|^2 with mu of what is missed undamped: here one joint of six may go half as fast as is asked."""
+    high = np.array([0.5, *[2.0] * 5])
+    x = Step(np.eye(6), -high, high, step=0.1)(np.ones(6), np.zeros(6), np.ones(6))
+    np.testing.assert_allclose(x, [0.5, *[1.0 / (1.0 + CAUTIOUS * 0.1 * 0.5)] * 5], atol=1e-9)
+    x = Step(np.eye(6), -high, high, step=0.1, mu=0.3)(np.ones(6), np.zeros(6), np.zeros(6))
+    np.testing.assert_allclose(x, [0.5, *[1.0 / 1.3] * 5], atol=1e-12)

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 from constrained import Step, many, planar, problem, some_rows
-from quadprog import solve_qp
 from scipy.optimize import lsq_linear
 
-from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, SHORT, SLOW
-from ik_toolkit.servo.qp_stages import CAUTIOUS
+from ik_toolkit.servo.constrained_step import CAUTIOUS, DIRECT, LEAVE, SHORT, SLOW
 
 
 def test_a_residual_damps_the_motion():
@@ -21,35 +19,11 @@ def test_a_residual_damps_the_motion():
         eased = Step(J, low, high, step=0.01, scale=speeds)
         x = eased(3.0 * v, np.zeros(6), np.zeros(7))
         assert eased.status == strict.status
-        miss = 3.0 * v - J.T @ strict.x
-        U = np.linalg.svd(J.T)[0][:, : np.linalg.matrix_rank(J, 1e-9)]
-        square = CAUTIOUS * 0.01 * np.linalg.norm(U.T @ miss) if strict.status == SHORT else 0.0
+        miss = (3.0 * v - J.T @ strict.x)[J.any(axis=0)]  # what no joint moves is not asked for
+        square = CAUTIOUS * 0.01 * np.linalg.norm(miss) if strict.status == SHORT else 0.0
         C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
         best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
         np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
-        if strict.status == SHORT:  # what bounds hold back is what the multipliers say
-            np.testing.assert_allclose(C.T @ (C @ x - d) + eased.push[:7], 0.0, atol=1e-8)
-
-
-def test_what_is_wished_turns_the_arm_but_not_the_tip_where_a_residual_damps_it():
-    rng = np.random.default_rng(15)
-    short = 0
-    for _ in range(many(100)):
-        J, v, low, high = problem(rng, 7)
-        J = np.ascontiguousarray(J[:, :3])
-        rest, step = Step(J, low, high, step=0.01), Step(J, low, high, step=0.01)
-        want = rng.normal(size=7)
-        x, y = (one(9.0 * v[:3], np.zeros(3), w) for one, w in ((rest, np.zeros(7)), (step, want)))
-        if step.status != SHORT:
-            continue
-        short += 1
-        np.testing.assert_allclose(J.T @ y, J.T @ x, atol=1e-8)
-        U = np.linalg.svd(J)[0][
-            :, : np.linalg.matrix_rank(J, 1e-9)
-        ]  # directions that move the tip, in which both are the same
-        G, g = np.hstack([U, np.eye(7), -np.eye(7)]), np.concatenate([U.T @ x, low - 1e-9, -high - 1e-9])
-        np.testing.assert_allclose(y, solve_qp(np.eye(7), want, G, g, U.shape[1])[0], atol=1e-6)
-    assert short > many(100) // 4
 
 
 def test_a_task_is_damped_from_the_first_where_that_is_asked_for():
@@ -96,7 +70,7 @@ def test_the_arm_comes_to_rest_at_the_edge_of_its_ranges(mode):
             e = target - [np.cos(a).sum(), np.sin(a).sum()]
             step.J[:] = planar(q)
             step.low[:], step.high[:] = np.maximum(-2.0, (lower - q) / h), np.minimum(2.0, (upper - q) / h)
-            rates.append(step(gain * e, np.zeros(2), np.zeros(3)))
+            rates.append(step(gain * e, np.zeros(2), np.linalg.pinv(step.J.T) @ (gain * e)))
             q = np.clip(q + h * rates[-1], lower, upper)
         slope = planar(q) @ e
         uphill = np.where(q <= lower, np.minimum(slope, 0.0), np.where(q >= upper, np.maximum(slope, 0.0), 0.0))

@@ -22,25 +22,23 @@ def many(count):
 def kernel(C, d, want, low, high, A, b, state, y, multipliers):
     """|C y - d|^2 least, then |y - want|^2; multipliers (2, n + R) of the first and of the second, the rows' in their length."""
     n, count, r = want.shape[0], b.shape[0], d.shape[0]
-    block = np.zeros(equality_qp.levels_space(n, count + r + 1))
-    s = equality_qp.levels_on(view(block), n, count + r + 1)
+    block = np.zeros(equality_qp.problem_space(n, count + r + 1))
+    p = equality_qp.resized(equality_qp.problem_on(view(block), n, count + r + 1), n, count, r)
     for i in range(n):
-        s.V[equality_qp.WANT, i], s.V[equality_qp.LOW, i], s.V[equality_qp.HIGH, i] = want[i], low[i], high[i]
-        s.state[i] = state[i]
+        p.u.want[i], p.u.floor[i], p.u.roof[i], p.u.held[i] = want[i], low[i], high[i], state[i]
     for k in range(count + r):
         for i in range(n):
-            s.P[k, i] = A[k, i] if k < count else C[k - count, i]
-        s.S[equality_qp.RHS, k] = b[k] if k < count else d[k - count]
+            p.r.P[k, i] = A[k, i] if k < count else C[k - count, i]
+        p.r.rhs[k] = b[k] if k < count else d[k - count]
     for k in range(count):
-        s.state[n + k] = state[n + k]
-    end = solve_levels(s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, n, count, r, False)
+        p.r.holds[k] = state[n + k]
+    end = solve_levels(p)
     for i in range(n):
-        y[i] = s.V[equality_qp.Y, i]
-        multipliers[0, i], multipliers[1, i] = s.V[equality_qp.ONE, i], s.V[equality_qp.TWO, i]
+        y[i], state[i] = p.u.y[i], p.u.held[i]
+        multipliers[0, i], multipliers[1, i] = p.u.now.first[i], p.u.now.second[i]
     for k in range(count):
-        multipliers[0, n + k], multipliers[1, n + k] = s.S[equality_qp.ROW_ONE, k], s.S[equality_qp.ROW_TWO, k]
-    for k in range(n + count):
-        state[k] = s.state[k]
+        multipliers[0, n + k], multipliers[1, n + k] = p.r.now.first[k], p.r.now.second[k]
+        state[n + k] = p.r.holds[k]
     keep(block)
     return end
 

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
 from references import MIMIC, Q0, panda_reference
+from robots import have_data, load
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
@@ -206,3 +207,21 @@ def test_limits_are_in_the_units_of_the_loop_and_change_only_where_they_are_give
             changed_limits(arm, rows, {**dict.fromkeys(LIMIT_NAMES), name: -0.1})
     with pytest.raises(InvalidOption, match="must not be above"):
         changed_limits(arm, rows, {**dict.fromkeys(LIMIT_NAMES), "lower": arm.upper + 0.1})
+
+
+@pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
+@pytest.mark.parametrize(("method", "acceleration", "most"), [("cv", None, 0.1), ("aad", None, 0.2), ("cv", 10.0, 0.3)])
+def test_a_target_too_fast_for_the_joints_is_followed_straight(method, acceleration, most):
+    """Along lines of 120 mm at 6 m/s, beside a tracker that leaves them as little as it can in time."""
+    robot, rng, off = load("panda"), np.random.default_rng(5), {"direct": [], "leave": []}
+    for _ in range(12):
+        q0, way = robot.home + rng.uniform(-0.3, 0.3, robot.n), rng.normal(size=3)
+        way /= np.linalg.norm(way)
+        for mode, found in off.items():
+            tracker = ik.Tracker(robot, method, q0=q0, acceleration_limits=acceleration, on_limit=mode)
+            start, target, tips = robot.fk(q0).translation, robot.fk(q0).homogeneous, []
+            for k in range(1, 40):
+                target[:3, 3] = start + (min(0.06 * k, 0.12) + 1e-6 * k) * way  # it moves on, so that it is no leap
+                tips.append(robot.fk(tracker.update(target, 0.01).q).translation - start)
+            found.append(np.linalg.norm(np.cross(tips, way), axis=1).max())
+    assert np.median(off["direct"]) < most * np.median(off["leave"])

@@ -111,7 +111,7 @@ def test_the_box_is_what_the_limits_allow(gamma):
         bend = 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
         if not any(allowed(w, *args) for w in (max(v - a * h / bend, 0.0), min(v + a * h / bend, 0.0))):
             continue
-        low, top, why_low, why_top = viability.box(*args)
+        low, top, why_low, why_top = viability.joint_box(*args)
         assert low <= top and not why_top & RECOVERING and not why_low & RECOVERING
         for w in (low, top, 0.5 * (low + top)):
             assert allowed(w, *args, slack=1e-9)
@@ -132,24 +132,24 @@ def test_the_box_is_what_the_limits_allow(gamma):
 def test_limits_that_contradict_each_other_leave_one_rate():
     wide = (-9.0, 9.0, 1.0, 2.0, 1.0, 0.1, 0.1)
     for v, want in ((5.0, 4.8), (-5.0, -4.8)):  # too fast: as slow as the acceleration allows
-        low, top, why, other = viability.box(0.0, v, *wide)
+        low, top, why, other = viability.joint_box(0.0, v, *wide)
         assert (
             low == top == pytest.approx(want)
             and why == other
             and why & (POSITION | ACCELERATION) == POSITION | ACCELERATION
         )
         assert why & RECOVERING
-    low, top, why, _ = viability.box(0.9, 0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # cannot stop before the limit
+    low, top, why, _ = viability.joint_box(0.9, 0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # cannot stop before the limit
     assert low == top == pytest.approx(0.6) and why & RECOVERING
-    low, top, why, _ = viability.box(-0.9, -0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
+    low, top, why, _ = viability.joint_box(-0.9, -0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
     assert low == top == pytest.approx(-0.6) and why & RECOVERING
-    low, top, _, why = viability.box(
+    low, top, _, why = viability.joint_box(
         1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1
     )  # outside: back at a tenth of the speed
     assert top == pytest.approx(-0.1) and low == pytest.approx(-0.2) and why & RECOVERING
-    low, top, why, _ = viability.box(-1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
+    low, top, why, _ = viability.joint_box(-1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
     assert low == pytest.approx(0.1) and top == pytest.approx(0.2) and why & RECOVERING
-    low, top, *_ = viability.box(
+    low, top, *_ = viability.joint_box(
         0.0, 3.0, -9.0, 9.0, 0.1, 900.0, 0.75, 0.1, 0.1
     )  # a parabola too fast for its limit: rest is soonest
     assert low == top == 0.0
@@ -167,14 +167,15 @@ def test_all_joints_at_once(gamma):
     rng = np.random.default_rng(4)
     limits, q, rate = arrays(rng)
     low, top, why = np.empty(4), np.empty(4), np.empty((2, 4), np.uint8)
-    assert not viability.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
+    box = viability.RateBox(low, top, *why)
+    assert not viability.boxes(q, rate, limits, gamma, 0.02, 0.03, box)
     for i in range(4):
-        assert (low[i], top[i], *why[:, i]) == viability.box(q[i], rate[i], *limits[:, i], gamma, 0.02, 0.03)
+        assert (low[i], top[i], *why[:, i]) == viability.joint_box(q[i], rate[i], *limits[:, i], gamma, 0.02, 0.03)
     x, code = np.array([9.0, -9.0, 0.5 * (low[2] + top[2]), top[3]]), np.full(4, 7, np.uint8)
-    assert viability.clip(x, low, top, why[0], why[1], code)
+    assert viability.clip(x, box, code)
     np.testing.assert_array_equal(x, [top[0], low[1], 0.5 * (low[2] + top[2]), top[3]])
     np.testing.assert_array_equal(code, [why[1, 0], why[0, 1], 0, 0])
-    assert not viability.clip(x, low, top, why[0], why[1], code)
+    assert not viability.clip(x, box, code)
     q2, rate2 = q.copy(), rate.copy()
     viability.move(q2, rate2, x, gamma, 0.02)
     np.testing.assert_allclose(q2, q + 0.02 * (x if gamma == 1.0 else (1 - gamma) * rate + gamma * x), rtol=1e-15)
@@ -183,10 +184,10 @@ def test_all_joints_at_once(gamma):
     assert viability.advance(q3, rate3, np.array([9.0, -9.0, *x[2:]]), gamma, 0.02, 0.03, limits, code)
     np.testing.assert_array_equal(q3, q2)
     q[0], rate[0] = 1.5 * limits[1, 0], 0.0
-    assert viability.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
+    assert viability.boxes(q, rate, limits, gamma, 0.02, 0.03, box)
     x = np.zeros(4)
     x[0] = 0.5 * (low[0] + top[0])
-    assert viability.clip(x, low, top, why[0], why[1], code) and code[0] == RECOVERING
+    assert viability.clip(x, box, code) and code[0] == RECOVERING
 
 
 def test_how_far_a_joint_has_gone():

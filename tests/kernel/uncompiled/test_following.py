@@ -1,5 +1,7 @@
 """Secondary wishes, the reference's clock, and rates that cannot be followed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -46,7 +48,7 @@ def test_errors_with_slack_become_half_planes():
     e[1], e[3] = 0.1, -1.5 * (1.0 + 5e-4)  # what may be rounding is no part of the task
     old, left, weight = J.copy(), [v.copy() for v in (e, f, ahead, a)], np.ones(4)
     A, b = np.zeros((6, 3)), np.zeros(6)
-    assert null_space_motion.slack_rows(slack, weight, J, e, f, ahead, a, h, pressed(0.05), A, b, 1) == 5
+    assert null_space_motion.slack_rows(slack, bench(weight, J, e, f, ahead, a, A, b), 1, h, pressed(0.05)) == 5
     x = rng.normal(size=3)
     for k, row in ((1, 1), (3, 3)):
         grow = left[1][k] - old[:, k] @ x  # d/dt of the error at these rates
@@ -58,6 +60,10 @@ def test_errors_with_slack_become_half_planes():
         np.testing.assert_array_equal(J[:, k], old[:, k])
         assert [v[k] for v in (e, f, ahead, a)] == [v[k] for v in left]
     assert not A[0].any() and not A[5].any() and weight.tolist() == [1.0, 0.0, 1.0, 0.0]
+
+
+def bench(*arrays):
+    return SimpleNamespace(**dict(zip(("weight", "J", "e", "f", "ahead", "a", "planes", "edges"), arrays, strict=True)))
 
 
 def pressed(seconds):
@@ -73,10 +79,10 @@ def test_errors_are_brought_back_by_half_planes_where_these_can_be_kept():
         J, v = np.ones((3, 2)), np.zeros((4, 2))
         v[0] = 0.2 + over, 0.1
         planes = np.zeros((4, 3)), np.zeros(4)
-        assert null_space_motion.slack_rows(slack, np.ones(2), J, *v, 0.1, state, *planes, 0) == count
+        assert null_space_motion.slack_rows(slack, bench(np.ones(2), J, *v, *planes), 0, 0.1, state) == count
         assert J[:, 0].any() == (count == 2)
     assert state[STATE.pressed] == null_space_motion.PRESSED
-    null_space_motion.slack_rows(slack, np.ones(2), J, *np.zeros((4, 2)), 0.03, state, *planes, 0)
+    null_space_motion.slack_rows(slack, bench(np.ones(2), J, *np.zeros((4, 2)), *planes), 0, 0.03, state)
     assert state[STATE.pressed] == pytest.approx(null_space_motion.PRESSED - 0.03)
 
 
@@ -86,8 +92,8 @@ def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
         J, (e, f, ahead, a), weight = rng.normal(size=(3, 2)), rng.normal(size=(4, 2)), np.ones(2)
         e[1] = sign * 0.3
         old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
-        slack, planes, state = np.array([0.0, 0.2]), (np.zeros((2, 3)), np.zeros(2), 0), pressed(0.05)
-        assert null_space_motion.slack_rows(slack, weight, J, e, f, ahead, a, 0.1, state, *planes) == 0
+        slack, planes, state = np.array([0.0, 0.2]), (np.zeros((2, 3)), np.zeros(2)), pressed(0.05)
+        assert null_space_motion.slack_rows(slack, bench(weight, J, e, f, ahead, a, *planes), 0, 0.1, state) == 0
         assert state[STATE.pressed] == null_space_motion.PRESSED  # for as long as it is outside, and somewhat longer
         left[0][1] -= sign * 0.2
         left[2][1] -= sign * 0.2

@@ -4,12 +4,22 @@ import numpy as np
 import pytest
 
 from ik_toolkit.servo import laws, limited_step
+from ik_toolkit.servo.constrained_step import Allowed
 from ik_toolkit.servo.laws import AA, AT_RATE, AT_RATE_AND_STEP, AT_STEP, AV, CA, CLIP, CV, STATE, Law
 from ik_toolkit.servo.viability import approach
 
 
 def law(code=CV, **values):
     return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, **values})
+
+
+def walls_of(planes, edges, rows):
+    return Allowed(None, None, planes, edges, rows)
+
+
+def target(e, ahead):
+    """Of which nothing is known but where it is."""
+    return laws.TargetMotion(e, ahead, *np.full((3, len(e)), np.nan))
 
 
 @pytest.mark.parametrize("n", [2, 3, 6, 8])
@@ -70,10 +80,12 @@ def test_the_published_laws(code, ratio):
         rate, prev, old = *rng.normal(size=(2, n)), np.empty(n)
         old[:] = prev
         pinv = np.linalg.pinv(J.T)
-        G, y, t = np.zeros((n, n)), np.empty(n), np.empty(m)
-        move, null, x1, x2, x = (np.full(n, 9.0) for _ in range(5))
+        G, y = np.zeros((n, n)), np.empty(n)
+        inverse, aim = laws.PseudoInverse(J, G, G, y, np.empty(m)), laws.TargetMotion(e, ahead, v, a, bias)
+        joints = laws.JointMotion(*np.full((5, n), 9.0))
+        move, null, x1, x2, x = joints
         laws.factor(J, m, 0.0, G, y)
-        laws.prepare(p, J, m, e, ahead, rate, h, G, y, t, move, null, x1, x2)
+        laws.prepare(p, inverse, aim, rate, h, joints)
         step = pinv @ (ahead - 0.3 * e) if code in (AV, AA) else np.zeros(n)
         own = rate - pinv @ (J.T @ rate) if code >= CA else np.zeros(n)
         np.testing.assert_allclose(move, step, atol=1e-11)
@@ -85,7 +97,7 @@ def test_the_published_laws(code, ratio):
             ]
             np.testing.assert_allclose(x1, first, atol=1e-9)
             np.testing.assert_allclose(x2, second, atol=1e-9)
-        laws.command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
+        laws.command(p, inverse, aim, rate, prev, h, ratio, joints)
         if code == CV:
             u = pinv @ (v + 3.0 * e)
             want = u + 0.5 * ratio * (u - old)
@@ -121,8 +133,9 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
                         cap = min(cap, approach(want[i], 0.0, 1.0, h, 0.4 * a, h))
                     f = min(f, cap / (natural * want[i]))
                 eased, front = e.copy(), ahead.copy()
-                free = np.zeros(n), limits, np.empty((0, n)), np.empty(0), 0
-                blocked = laws.ease(p, J, m, eased, front, h, *free, 0.5, 0.4, False, 0.0, G, np.zeros((n, n)), y, c)
+                walls, brisk = walls_of(np.empty((0, n)), np.empty(0), -1), laws.Briskness(0.5, 0.4, 0.0)
+                inverse, aim = laws.PseudoInverse(J, G, np.zeros((n, n)), y, np.empty(m)), target(eased, front)
+                blocked = laws.ease(p, inverse, aim, h, np.zeros(n), limits, walls, brisk, c)
                 assert not blocked
                 np.testing.assert_allclose(eased, f * e, rtol=1e-9)
                 np.testing.assert_allclose(front, ahead - (1.0 - f) * e, rtol=1e-9, atol=1e-12)
@@ -141,12 +154,11 @@ def test_slow_joints_are_spared_where_others_can_close_the_error():
     np.testing.assert_allclose(c, weights * (np.linalg.pinv(J.T * weights) @ e), rtol=1e-6, atol=1e-12)
     laws.factor(J, m, 0.0, G, y)
     eased = {}
-    for name, walls in (("published", False), ("spared", True)):  # walls: all but the published form
+    for name, count in (("published", -1), ("spared", 0)):  # walls are looked at in all but the published form
         eased[name] = e.copy()
-        laws.ease(
-            p, J, m, eased[name], e.copy(), h, np.zeros(n), limits, np.empty((0, n)), np.empty(0), 0, 0.5, 0.4, walls, 0.0, G, H,
-            y, c,
-        )  # fmt: skip
+        inverse, walls = laws.PseudoInverse(J, G, H, y, np.empty(m)), walls_of(np.empty((0, n)), np.empty(0), count)
+        brisk = laws.Briskness(0.5, 0.4, 0.0)
+        laws.ease(p, inverse, target(eased[name], e.copy()), h, np.zeros(n), limits, walls, brisk, c)
     assert np.linalg.norm(eased["spared"]) > 5.0 * np.linalg.norm(eased["published"])
     limits[2] = np.linspace(0.2, 2.0, n)  # none below a tenth of the fastest
     before = c.copy()
@@ -163,11 +175,12 @@ def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
         ("free", 0.0, [], 1.0), ("at its limit", 9.0, [], 1.0), ("wall", 0.0, [[0.0, -1.0]], 1.0), ("near", 9.0, [], 0.0),
     ):  # fmt: skip
         e, ahead, count = np.array([1.0, 0.0]), np.array([1.0, 0.0]), len(planes)
-        planes = np.array(planes).reshape(count, 2)
-        blocked = laws.ease(
-            p, J, 2, e, ahead, h, np.array([at, at]), limits, planes, np.zeros(count), count, 1.0, 0.5, True, curved, G,
-            np.zeros((2, 2)), y, c,
-        )  # fmt: skip
+        walls, brisk = (
+            walls_of(np.array(planes).reshape(count, 2), np.zeros(count), count),
+            laws.Briskness(1.0, 0.5, curved),
+        )
+        inverse = laws.PseudoInverse(J, G, np.zeros((2, 2)), y, np.empty(2))
+        blocked = laws.ease(p, inverse, target(e, ahead), h, np.array([at, at]), limits, walls, brisk, c)
         eased[name] = e[0]
         assert blocked == (name != "free")
     assert eased["free"] < 1e-3 and eased["near"] < 1e-3

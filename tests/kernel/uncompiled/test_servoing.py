@@ -87,7 +87,7 @@ def test_half_planes_are_gathered_and_rates_clipped():
         np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
     s.x[:] = [3.0, 0.2, -3.0]
-    assert limited_step.by_clipping(law(), s, 0, 0.0, 0.1, None, None, None, None, None, code) is False
+    assert limited_step.by_clipping(law(), s, 0, 0.0, 0.1, None, None, None, None, code) is False
     np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
 
 

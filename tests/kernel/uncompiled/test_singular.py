@@ -1,6 +1,7 @@
 """Singular directions: how they are found and damped, and how joints move along them."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -53,9 +54,9 @@ def speed(
     limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
     lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
     full = sigma if full is None else full
-    out = singular_step.mode_speed(
-        V, 0, full, sigma, np.array(curve), rest, own, left, moved, gain, h, slow, limits, lost, xk, near, side
-    )
+    s = SimpleNamespace(V=V, t=np.array(curve), lost=lost, xk=xk)
+    mode = singular_directions.WeakMode(0, full, sigma, rest, own, left, moved)
+    out = singular_directions.mode_speed(s, mode, gain, h, slow, limits, near, side)
     return (xk[0] if lost[0] else None), out, side
 
 
@@ -240,10 +241,9 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
             full = last if last > 1e-9 else s.sv.min()
             rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + SIDE else 0.0
-            asked = rest, own, u @ e, u @ ahead - u @ e, gain, h, False
-            singular_step.mode_speed(
-                v[:, None], 0, full, full * (v @ W[:, k - 1]), curve, *asked, limits, lost_, xk, near, side
-            )
+            mode = singular_directions.WeakMode(0, full, full * (v @ W[:, k - 1]), rest, own, u @ e, u @ ahead - u @ e)
+            one = SimpleNamespace(V=v[:, None], t=curve, lost=lost_, xk=xk)
+            singular_directions.mode_speed(one, mode, gain, h, False, limits, near, side)
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)

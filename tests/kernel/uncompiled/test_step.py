@@ -6,11 +6,19 @@ import random_arms as arms
 from random_arms import orders, task
 
 from ik_toolkit.kernel.serial import make_serial
-from ik_toolkit.servo import command, equality_qp, hierarchical_qp, laws, limited_step
+from ik_toolkit.servo import command, equality_qp, hierarchical_qp, limited_step
 from ik_toolkit.servo import constrained_step as constrain_module
-from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room
+from ik_toolkit.servo.constrained_step import (
+    CAUTIOUS,
+    DIRECT,
+    LEAVE,
+    Allowed,
+    StepTaken,
+    TaskRate,
+    constrain,
+    make_room,
+)
 from ik_toolkit.servo.laws import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
-from ik_toolkit.servo.qp_stages import CAUTIOUS
 from ik_toolkit.servo.viability import RECOVERING, ROW
 from ik_toolkit.servo.workspace import bench_on, bench_space
 
@@ -94,13 +102,11 @@ def given(mode, roof=0.5, h=0.1, pace=1.0, plane=None, want=None, mu=0.0):
     count = 0
     if plane is not None:
         s.planes[0], s.edges[0], count = plane[0], plane[1], 1
-    laws.factor(s.J, n, 0.0, s.G, s.y)
     if mu > 0.0:  # a step down
         s.ask[:], s.size[:], s.even[:], s.f[:], s.x[:] = s.x, 7.0, 1.0, 0.0, 0.0
-    code, active, kept = np.zeros(n, np.uint8), np.zeros(n, np.int8), np.zeros(4, np.int8)
-    starts = np.zeros((4, n + 4), np.int8)
+    code, active, kept = np.zeros(n, np.uint8), np.zeros(n, np.int8), np.zeros(3, np.int8)
     found = limited_step.by_constraints(
-        law(mode=mode, rows=float(count)), s, count, mu, h, state, make_room(n, n, 3), active, kept, starts, code
+        law(mode=mode, rows=float(count)), s, count, mu, h, state, make_room(n, n, 3), active, kept, code
     )
     holds = [k < count and bool(abs(s.planes[k] @ s.x - s.edges[k]) < 1e-9) for k in range(3)]
     assert kept[:3].tolist() == holds
@@ -131,53 +137,29 @@ def test_what_limits_make_of_the_rates_wanted():
     assert held and code.tolist() == [0, 0, 0, ROW, 0, 0] and row @ x == pytest.approx(-1.0)
 
 
-def test_what_is_wished_beside_the_task_has_no_part_along_it():
-    rng = np.random.default_rng(8)
-    for n, m in ((7, 6), (4, 3), (7, 3)):
-        s, state = bench(n, m), np.zeros(len(STATE))
-        s.J[:], s.f[:], s.x[:] = rng.normal(size=(n, m)), rng.normal(size=m), rng.normal(size=n)
-        s.size[:], s.weight[:], s.floor[:], s.roof[:] = 1.0, 1.0, -9.0, 9.0
-        laws.factor(s.J, m, 0.0, s.G, s.y)
-        wanted_rates = s.x.copy()
-        lists = np.zeros(n, np.int8), np.zeros(4, np.int8), np.zeros((4, n + 4), np.int8), np.zeros(n, np.uint8)
-        limited_step.by_constraints(law(), s, 0, 0.0, 0.1, state, make_room(n, m, 3), *lists)
-        np.testing.assert_allclose(s.J.T @ s.v, 0.0, atol=1e-12)
-        pinv = np.linalg.pinv(s.J.T)
-        np.testing.assert_allclose(s.v, wanted_rates - pinv @ (s.J.T @ wanted_rates), atol=1e-10)
-
-
-@pytest.mark.parametrize("mode", [SLOW, DIRECT])
+@pytest.mark.parametrize("mode", [LEAVE, DIRECT])
 def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mode):
-    counted, solve = [], constrain_module.solve_levels
-    problems, equality = [], hierarchical_qp.equality
+    counted, problems = [], []
+    solve, equality = constrain_module.solve_levels, hierarchical_qp.equality
     monkeypatch.setattr(hierarchical_qp, "equality", lambda *parts: counted.append(1) or equality(*parts))
     monkeypatch.setattr(constrain_module, "solve_levels", lambda *parts: problems.append(1) or solve(*parts))
     rng = np.random.default_rng(3)
-    first, second, slowed = [], [], []
+    first, second = [], []
     for _ in range(30):
-        J, v, want = rng.normal(size=(7, 6)), rng.normal(size=6), np.zeros(7)
+        J, v = rng.normal(size=(7, 6)), rng.normal(size=6)
         low, room = rng.uniform(-0.3, 0.1, 7), make_room(7, 6, 1)
-        high = low + 0.2
-        active, kept, starts = np.zeros(7, np.int8), np.zeros(2, np.int8), np.zeros((4, 9), np.int8)
-        x, push, ask = np.empty(7), np.empty(8), rng.choice([0.02, 1.0]) * v
-        step = rng.choice([0.0, 0.01])
-        for again in (False, True):
-            counted.clear()
-            problems.clear()
-            constrain(
-                J, np.ones(6), ask, 0.0 * v, want, want, np.ones(7), low, high, np.empty((1, 7)), np.empty(1), 0, mode, 1.0, 0.0,
-                0.0, room, x, active, kept, starts, push, step,
-            )  # fmt: skip
-            (second if again else first).append((len(problems), len(counted)))
-            slowed.append(kept[-1] & SLOWED)
-    ways = {problems for (problems, _), way in zip(second, slowed[1::2], strict=True) if way}
-    assert ways == (
-        set() if mode == SLOW else {2, 4}
-    )  # the clock and what is beside the direction; with damping two more
-    for (problems, iterations), way in zip(second, slowed[1::2], strict=True):
-        assert not way or iterations == problems
-    # Where the clock could not help, all is first tried in full, from what held at the end.
-    assert np.mean([a[1] for a in first]) > 2.0 * np.mean([b[1] for b in second])
+        ask = rng.choice([0.02, 1.0]) * v
+        asked = TaskRate(
+            J, np.ones(6), ask, 0.0 * v, np.linalg.pinv(J.T) @ ask, np.zeros(7), np.ones(7), mode, 0.0, 0.0
+        )
+        allowed = Allowed(low, low + 0.2, np.empty((1, 7)), np.empty(1), 0)
+        taken = StepTaken(np.empty(7), np.zeros(7, np.int8), np.zeros(1, np.int8), np.empty(7))
+        for found in (first, second):
+            counted.clear(), problems.clear()
+            constrain(asked, allowed, room, taken)
+            found.append((len(problems), len(counted)))
+    assert {problems for problems, _ in first} == {1} and set(second) == {(1, 1)}
+    assert np.mean([iterations for _, iterations in first]) > 2.0
 
 
 # ----------------------------------------------------------------------------------------------------------- two levels
@@ -189,26 +171,24 @@ def test_signs_and_shares_of_multipliers():
         (0.0, -0.9e-11, 1, 0.0), (0.0, -1.1e-11, 1, 1.1e-11), (0.0, 0.0, 1, 0.0),
     ):  # fmt: skip
         assert hierarchical_qp.wrong(one, two, side) == pytest.approx(want, rel=1e-12)
-    assert hierarchical_qp.share(1.0, 2.0, 3.0, -9.0, 1) == (2.0, 0.0)
-    assert hierarchical_qp.share(1.0, 2.0, -1.0, 4.0, 1) == (0.5, (2.0 + 0.5 * 2.0) / 2.0)
-    assert hierarchical_qp.share(0.0, 2.0, 0.0, -2.0, 1) == (0.5, 0.0) and hierarchical_qp.share(
-        0.0, -2.0, 0.0, 2.0, -1
-    ) == (0.5, 0.0)
-    assert hierarchical_qp.share(-1.0, 0.0, -3.0, 0.0, 1)[0] == 0.0
-    V, S = np.zeros((8, 2)), np.zeros((12, 1))
-    V[equality_qp.LOW], V[equality_qp.HIGH], V[equality_qp.Y] = -1.0, 1.0, [0.5, 1.4]
-    P, state = np.array([[1.0, 1.0]]), np.zeros(3, np.int8)
-    S[equality_qp.RHS] = 1.8
-    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (1, 1)
-    V[equality_qp.Y] = [-1.4, 0.5]
-    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (0, -1)
-    V[equality_qp.Y] = [0.95, 0.95]
-    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (2, 1)
-    state[2] = 1
-    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (equality_qp.NONE, 0)
-    V[equality_qp.HIGH], V[equality_qp.Y] = [1e9, 0.0], [1e4, 3e-12]
-    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (equality_qp.NONE, 0), "the rounding of a large unknown"
-    V[equality_qp.Y, 1] = 3e-8
-    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (1, 1)
-    V[equality_qp.Y] = [0.5, 3e-12]
-    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (1, 1)
+    for now, new, want in (
+        ((1.0, 2.0), (3.0, -9.0), (2.0, 0.0)), ((1.0, 2.0), (-1.0, 4.0), (0.5, (2.0 + 0.5 * 2.0) / 2.0)),
+        ((0.0, 2.0), (0.0, -2.0), (0.5, 0.0)),
+    ):  # fmt: skip
+        assert hierarchical_qp.share(*(equality_qp.Pair(*np.array(one)[:, None]) for one in (now, new)), 0, 1) == want
+    now, new = (equality_qp.Pair(*np.array(one)[:, None]) for one in ((0.0, -2.0), (0.0, 2.0)))
+    assert hierarchical_qp.share(now, new, 0, -1) == (0.5, 0.0)
+    p = equality_qp.problem_on(np.zeros(equality_qp.problem_space(2, 1)), 2, 1)
+    p = equality_qp.resized(p, 2, 1, 0)
+    p.r.P[0], p.r.rhs[0], p.u.floor[:], p.u.roof[:] = 1.0, 1.8, -1.0, 1.0
+    for y, want in (((0.5, 1.4), (1, 1)), ((-1.4, 0.5), (0, -1)), ((0.95, 0.95), (2, 1))):
+        p.u.y[:] = y
+        assert hierarchical_qp.violated(p) == want
+    p.r.holds[0] = 1
+    assert hierarchical_qp.violated(p) == (equality_qp.NONE, 0)
+    p.u.roof[:], p.u.y[:] = (1e9, 0.0), (1e4, 3e-12)
+    assert hierarchical_qp.violated(p) == (equality_qp.NONE, 0), "the rounding of a large unknown"
+    p.u.y[1] = 3e-8
+    assert hierarchical_qp.violated(p) == (1, 1)
+    p.u.y[:] = 0.5, 3e-12
+    assert hierarchical_qp.violated(p) == (1, 1)

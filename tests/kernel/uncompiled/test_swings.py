@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.servo.viability import CALM, CALMED, GROWTH, RECOVERING, SWINGING, calm, watch
+from ik_toolkit.servo.viability import CALM, CALMED, GROWTH, RECOVERING, SWINGING, RateBox, calm, watch
 
 
 def test_joints_that_turn_back_often_swing():
@@ -38,7 +38,7 @@ def test_calmed_joints_turn_at_most_three_times_in_a_tenth_of_a_second(h, gamma)
         back = rng.random(n) < 0.5 if k // 100 % 2 else k % np.arange(1, n + 1) == 0  # at random, or in turn
         wish = np.where(back == (side > 0.0), -size, size)
         low, top, why = -size, size.copy(), np.zeros((2, n), np.uint8)
-        calm(rate, size, swings, h, low, top, why[0], why[1])
+        calm(rate, size, swings, h, RateBox(low, top, *why))
         before, rate = rate, np.clip(wish, low, top)
         watch(swings, before, rate, size, gamma, h)
         move = (1.0 - gamma) * before + gamma * rate
@@ -60,7 +60,7 @@ def test_a_calm_box_is_a_part_of_the_box():
         swings = np.array([rng.integers(0, 5, 4), np.zeros(4), np.zeros(4)])
         code, more = why.copy(), 1.0 + GROWTH * h
         gain = np.where(swings[0] < SWINGING, np.inf, CALM * size * h)
-        calm(rate, size, swings, h, floor, roof, code[0], code[1])
+        calm(rate, size, swings, h, RateBox(floor, roof, *code))
         for least in (rate, 0.0 * rate):  # what changes least, and rest
             near = np.clip(least, low, top)
             assert (floor <= near).all() and (near <= roof).all()
