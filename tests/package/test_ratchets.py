@@ -7,12 +7,12 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files": 274,
-    "public names defined in two files or more": 22,
+    "files": 273,
+    "public names defined in two files or more": 20,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 50,
-    "constants of the most laden file of kernel and servo": 27,
-    "constants of modules": 1140,
+    "functions of more than 9 parameters": 28,
+    "constants of the most laden file of kernel and servo": 26,
+    "constants of modules": 1106,
     "uses of by_tip": 42,
     "imports for types alone": 3,
     "files under 120 lines that one other imports": 7,
