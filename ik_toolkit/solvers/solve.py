@@ -60,8 +60,8 @@ class Solver(ReadOnly):
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)  # of an array that needs no reading
-        self._stacked = (1, *robot.pose_shape)
+        # Shape of an array that needs no reading: a tree of one tip takes a list of it.
+        self._pose = () if robot.by_tip and len(robot.tips) == 1 else robot.pose_shape
         self._kinds = POSES * len(robot.tips)
         self._seal()
 
@@ -89,7 +89,7 @@ class Solver(ReadOnly):
         started = perf_counter()
         notice = ""
         if type(target) is np.ndarray and target.dtype is FLOAT and target.shape == self._pose and target.flags.carray:
-            T, kinds = target.reshape(self._stacked), self._kinds
+            T, kinds = target[None], self._kinds
         else:
             T, kinds, notice = read_target(self.robot, target)
         plan = self._plans.get(kinds, self.plan) if self._plans else self.plan

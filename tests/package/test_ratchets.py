@@ -13,7 +13,7 @@ CEILINGS = {
     "functions of more than 9 parameters": 59,
     "constants of the most laden file of kernel and servo": 27,
     "constants of modules": 1196,
-    "uses of by_tip": 27,
+    "uses of by_tip": 28,
     "imports for types alone": 13,
     "files under 120 lines that one other imports": 8,
 }
