@@ -218,9 +218,7 @@ def copy_rows(source, target):
 def wanted(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
     """Rates that the law or the rule wants."""
     how = by_law if isinstance(rule, Published) else by_rule
-    return how(
-        law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state
-    )
+    return how(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state)
 
 
 @overload(wanted, jit_options=INLINE)

@@ -7,13 +7,13 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files": 284,
-    "public names defined in two files or more": 101,
+    "files": 282,
+    "public names defined in two files or more": 100,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 62,
+    "functions of more than 9 parameters": 59,
     "constants of the most laden file of kernel and servo": 27,
-    "constants of modules": 1197,
-    "uses of by_tip": 105,
+    "constants of modules": 1179,
+    "uses of by_tip": 102,
     "imports for types alone": 16,
     "files under 120 lines that one other imports": 12,
 }

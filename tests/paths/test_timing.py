@@ -13,8 +13,8 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, NotSolved
 from ik_toolkit.kernel.counted_error import POSITION
 from ik_toolkit.paths.continuity import interpolate
-from ik_toolkit.paths.free_motion import connect
 from ik_toolkit.paths.result import PathStatus
+from ik_toolkit.paths.timing import connect
 
 pytest.importorskip("scipy")
 
@@ -129,7 +129,7 @@ def test_a_free_motion_goes_around_what_stands_between():
 
 
 def test_it_is_said_when_there_is_no_free_motion(monkeypatch):
-    monkeypatch.setattr("ik_toolkit.paths.free_motion.SECONDS", 0.2)
+    monkeypatch.setattr("ik_toolkit.paths.timing.SECONDS", 0.2)
     robot = ik.Robot.load(POST)
     model = ik.CollisionModel(robot).add_box((1.0, 0.1, 2.0), (0.5, 0.0, 0.0))
     q = np.array([[-0.6, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.6, 0.0]])
