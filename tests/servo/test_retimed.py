@@ -29,7 +29,7 @@ def test_joints_beside_the_slow_one_do_its_part():
     middle = 0.5 * (robot.lower + robot.upper)
     q0 = robot.home + 0.2 * (middle - robot.home)
     start = robot.fk(q0).translation
-    reference = ik.line(start, start + (0.15, 0.0, 0.0), duration=0.2, law="minimum-jerk")
+    reference = ik.line(start, start + np.array([0.15, 0.0, 0.0]), duration=0.2, law="minimum-jerk")
     run = ik.track(robot, reference, q0=q0)
     assert run.status.name == "SLOWED" and keeps_speeds(robot, run)
     assert run.t[-1] < 2.6 * run.end
@@ -52,5 +52,5 @@ def test_a_fast_line_in_few_samples_takes_hardly_longer():
     robot = ik.Robot.load("planar_2r")
     q0 = np.array([0.3, 0.9])
     start = robot.fk(q0).translation
-    run = ik.track(robot, ik.line(start, start + (-0.9, 0.5, 0.0), duration=0.3, law="minimum-jerk"), q0=q0)
+    run = ik.track(robot, ik.line(start, start + np.array([-0.9, 0.5, 0.0]), duration=0.3, law="minimum-jerk"), q0=q0)
     assert run.status.name == "SLOWED" and run.t[-1] < 0.35 and keeps_speeds(robot, run)
