@@ -12,7 +12,8 @@ import numpy as np
 
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..robot.pose import checked
+from ..robot.pose import PROJECT_WITHIN
+from ..robot.pose import checked as checked_pose
 from ..validate import number, one_of, positive, switch
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # poses, twists and accelerations at several times
@@ -101,6 +102,25 @@ class Reference(Holds):
         return f"Reference({self.name}, {self.duration:g} s, {'position' if self.position_only else 'pose'})"
 
 
+def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pose, twist and acceleration at times (N,) [s] of a reference. Raises InvalidTarget, with the time, where they are none."""
+    T, V, A = reference.at(times)
+    used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
+    bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
+    what = "is not finite"
+    if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
+        R = T[:, :3, :3]
+        bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
+        # Where a singular value is further off 1, so is an entry of R^T R by a third of that: most samples need no more.
+        doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
+        bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
+        bad |= np.linalg.det(R) < 0.0
+        what = "is no pose (a rotation, a position and the last row 0 0 0 1)"
+    if bad.any():
+        raise InvalidTarget(f"reference '{reference.name}' {what} at t = {times[int(np.argmax(bad))]:g} s")
+    return T, V, A
+
+
 # ------------------------------------------------------------------------------------------------ time laws
 def _constant(x: np.ndarray) -> Samples:
     return x, np.ones_like(x), np.zeros_like(x)
@@ -184,5 +204,5 @@ def log(R: np.ndarray) -> np.ndarray:
 
 def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the position (3,) and the rotation (3, 3) of a target, None if it is a position. Raises InvalidTarget."""
-    T = checked(target)
+    T = checked_pose(target)
     return (T, None) if T.ndim == 1 else (T[:3, 3].copy(), T[:3, :3].copy())
