@@ -208,9 +208,9 @@ def _pose_of(x: Sequence[float]) -> Any:
     """Pose (4, 4) of the numbers of its matrix (see MATRIX), row by row. Raises InvalidTarget."""
     import numpy as np
 
-    from ..robot.pose import LAST, checked
+    from ..robot.pose import LAST, corrected
 
-    return checked(np.reshape([*x, *(LAST if len(x) == MATRIX[0] else ())], (4, 4)))
+    return corrected(np.reshape([*x, *(LAST if len(x) == MATRIX[0] else ())], (4, 4)))
 
 
 def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:

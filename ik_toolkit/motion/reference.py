@@ -13,7 +13,7 @@ import numpy as np
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import PROJECT_WITHIN
-from ..robot.pose import checked as checked_pose
+from ..robot.pose import corrected
 from ..validate import number, one_of, positive, switch
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # poses, twists and accelerations at several times
@@ -204,5 +204,5 @@ def log(R: np.ndarray) -> np.ndarray:
 
 def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the position (3,) and the rotation (3, 3) of a target, None if it is a position. Raises InvalidTarget."""
-    T = checked_pose(target)
+    T = corrected(target)
     return (T, None) if T.ndim == 1 else (T[:3, 3].copy(), T[:3, :3].copy())

@@ -19,7 +19,7 @@ from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
-from ..solvers.batch.targets import blocks, freed, known, mended
+from ..solvers.batch.targets import blocks, known, mended, with_free_turns
 from ..solvers.collision_free import collision_model
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
@@ -96,7 +96,7 @@ def solve_path(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
             )
     check_progress(progress, "a fraction and a text")
-    poses, options = freed(robot, poses, options)
+    poses, options = with_free_turns(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # the variant with narrower limits, where they are given
     T, kinds = _read(robot, poses)

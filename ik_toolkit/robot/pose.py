@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
 from .ros import read_pose
-from .rotation import nearest_rotation, numbers, quat_matrix, rpy_matrix, turn_onto
+from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
 PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
@@ -45,7 +45,7 @@ class AxisTarget:
 
 
 def _unit(value: Any, name: str) -> np.ndarray:
-    vector = numbers(named_axis(value, name, InvalidTarget), 3, name)
+    vector = finite_numbers(named_axis(value, name, InvalidTarget), 3, name)
     length = float(np.linalg.norm(vector))
     if not length > 1e-9:
         raise InvalidTarget(f"{name} must not be the zero vector")
@@ -125,13 +125,13 @@ def pose(
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
         T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
-        T[:3, 3] = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+        T[:3, 3] = finite_numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
         return AxisTarget(T, tuple(tip_axis.tolist()))
     if turned > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw, quat_wxyz and rotation, not several")
-    position = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+    position = finite_numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
     if rpy is not None:
-        angles = numbers(rpy, 3, "rpy")
+        angles = finite_numbers(rpy, 3, "rpy")
         if np.abs(angles).max() > FEW_TURNS:
             doubt_angles("rpy", {"": float(angles[np.abs(angles).argmax()])})
         R = rpy_matrix(angles)
@@ -148,7 +148,7 @@ def pose(
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = position
-    return checked(T)
+    return corrected(T)
 
 
 @overload
@@ -173,7 +173,7 @@ def approach(target: Any, distance: float, axis: Numbers | str | None = None) ->
     T = target.T_base_tip.copy() if free else check_target(target)[0]
     if T.ndim == 1:
         raise InvalidTarget("a position has no tip axis to back off along; give a pose, or ik.pose(xyz, direction=...)")
-    step = numbers([distance], 1, "distance")[0] * _unit(
+    step = finite_numbers([distance], 1, "distance")[0] * _unit(
         (target.axis if free else "z") if axis is None else axis, "axis"
     )
     T[:3, 3] -= T[:3, :3] @ step
@@ -251,7 +251,7 @@ def as_matrix(pose: Any) -> np.ndarray:
 
     Raises InvalidTarget.
     """
-    T = checked(pose)
+    T = corrected(pose)
     if T.ndim == 2:
         return T
     made = np.eye(4)
@@ -285,7 +285,7 @@ def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     """
     T = floats(as_array(target, base), f"a target must be {FORMS}", InvalidTarget)
     if T.shape == (3,):
-        return _near(numbers(T, 3, "target position")), ""
+        return _near(finite_numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
         many = (
             "; solve_batch takes many targets, solve_path gives one motion through them"
@@ -314,7 +314,7 @@ def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     return T, notice
 
 
-def checked(target: Any) -> np.ndarray:
+def corrected(target: Any) -> np.ndarray:
     """The target of `check_target`, whose notice goes to the log "ik_toolkit": for calls that return nothing but the target."""
     T, notice = check_target(target)
     if notice:

@@ -26,13 +26,14 @@ from ..errors import (
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import on_own_base
+from .configuration import values_by_joint
 from .constraints import Constraint
 from .formats.mimic import followers, mimic_limits, mimic_speeds
 from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf, srdf_of
 from .formats.urdf import is_text
 from .formats.urdf_model import build_model
 from .geometry.shape import Shape, is_shape
-from .joints import Joints, values_by_joint
+from .joints import Joints
 from .load import default_base, folders_of, read_both
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits

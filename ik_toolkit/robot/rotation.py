@@ -27,7 +27,7 @@ def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
     return U @ D @ Vt, float(np.abs(S * np.diag(D) - 1.0).max())
 
 
-def numbers(value: Any, size: int, name: str) -> np.ndarray:
+def finite_numbers(value: Any, size: int, name: str) -> np.ndarray:
     """Finite numbers (size,). Raises InvalidTarget."""
     array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
     if array.shape != (size,):
@@ -84,7 +84,7 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
 
 def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
     """Return the rotation (3, 3) of a quaternion (4,) in this order, which is normalised here."""
-    q = numbers(quat, 4, f"quat_{order}")
+    q = finite_numbers(quat, 4, f"quat_{order}")
     length = math.sqrt(float(q @ q))
     if not length > 1e-6:
         raise InvalidTarget(f"quat_{order} has length {length:.3g}: not a rotation")

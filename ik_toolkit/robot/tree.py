@@ -9,8 +9,9 @@ import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.chain import Chain, TreeChain, pack_tree
+from .configuration import values_by_joint
 from .formats.srdf import Srdf, srdf_of
-from .joints import Joints, values_by_joint
+from .joints import Joints
 from .load import default_base, read_both
 from .probe import JointPath, Motionless, find_path
 from .robot import Robot

@@ -321,13 +321,11 @@ class Scene(Unique):
 def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
     """Show a robot in 3-D: at home, at a configuration, or with a result.
 
-    A notebook cell displays the Scene; `.save("x.html")` writes one file, `.page("x.html")` a page that includes the
-    solvers, and `.serve()` serves it to a browser.
+    A notebook displays the Scene; `.save("x.html")` writes it, `.page("x.html")` with the solvers, `.serve()` serves it.
 
     Args:
         robot: The Robot or Tree.
-        what: A configuration q (n,) [rad or m], several of them, or a Result (animated if solved with history=True),
-            Solutions, TrackResult, PathResult or Trajectory; home by default.
+        what: One q (n,) [rad or m] or several, a Result (animated if it has a history) or another result; by default home.
         target: Pose or position [m] in the base frame to mark; for a Tree by tip, or in the order of its tips.
         cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
         title: Title of the page, by default the robot's name.
@@ -338,8 +336,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
     """
     scene = Scene(robot, title)
     run, motion = hasattr(what, "target_xyz"), motion_of(what)
-    what = what if motion is None else motion
-    what = robot.home if what is None else what
+    what = next(one for one in (motion, what, robot.home) if one is not None)
     rows = np.atleast_2d(what.q) if hasattr(what, "q") else _rows(robot, what)
     if not len(rows):
         raise InvalidOption("there is nothing to show: the list of configurations is empty")
@@ -399,6 +396,5 @@ def _rows(robot: Joints, what: Any) -> np.ndarray:
     """Return configurations (N, n) from q, several q, or several results."""
     if isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what):
         return np.array([robot.check_q(getattr(item, "q", item)) for item in what]).reshape(-1, robot.n)
-    if np.ndim(what) == 2:
-        return np.array([robot.check_q(row) for row in what]).reshape(-1, robot.n)
-    return robot.check_q(what)[None]
+    rows = what if np.ndim(what) == 2 else [what]
+    return np.array([robot.check_q(row) for row in rows]).reshape(-1, robot.n)

@@ -21,7 +21,7 @@ from ..plan import Plan
 from ..solve import Solver, require_robot
 from .parts import Job, Tables, check_executor, on_executor, on_threads
 from .result import BatchCheckFailed, BatchInterrupted, BatchResult
-from .targets import Block, blocks, freed, known
+from .targets import Block, blocks, known, with_free_turns
 
 PART, REMOTE_PART = 2048, 4096  # Most rows given to a thread, and to a worker of an executor.
 LEAST_PART = 128  # Smaller batches are divided evenly between the threads, but not into smaller parts than this.
@@ -56,7 +56,7 @@ def solve_parts(
     count = whole(threads, "threads") if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check must be the fraction of results to verify, 0 to 1, not {check!r}")
-    targets, options = freed(robot, targets, options)
+    targets, options = with_free_turns(robot, targets, options)
     given = known(targets, robot.base)
     total = None if given is None else _length(given)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
@@ -176,7 +176,7 @@ def solve_batch(
     """
     check_progress(progress, "the number of targets done")
     require_robot(robot)
-    targets, options = freed(robot, targets, options)
+    targets, options = with_free_turns(robot, targets, options)
     given = known(targets, robot.base)
     parts = solve_parts(
         robot,
