@@ -325,8 +325,7 @@ class Robot(Joints):
     def errors(self, q: Any, target: Any) -> tuple[float, float | None]:
         """Compute the distance [m] and rotation angle [rad] of the tip at q (n,) [rad or m] from a target by Pinocchio.
 
-        The target is a pose (4, 4) or pin.SE3 in the base frame, or a position (3,) [m], for which the angle is None. Raises
-        InvalidConfiguration, InvalidTarget.
+        The target is a pose or a position [m] in the base frame (angle None). Raises InvalidConfiguration, InvalidTarget.
         """
         return self._errors(self.check_q(q), check_target(target, self.base)[0])
 

@@ -184,9 +184,15 @@ def test_wrong_configurations_are_refused():
     for bad in ([0.0], np.full(6, np.nan), "abc", np.zeros((2, 6)), None):
         with pytest.raises((errors.InvalidConfiguration, errors.ConfigurationNotFound)):
             robot.errors(bad, (1.0, 0.1, 0.2))
-    for bad in ([0.0], "abc", np.zeros((2, 6)), None, {}, 10**400):
+    for bad, said in (
+        ([0.0], "q must"),
+        (np.zeros((2, 6)), "q must"),
+        (None, "q must"),
+        ({}, "q has no value"),
+        (10**400, "q must"),
+    ):
         for call in (robot.outside, robot.at_limits):
-            with pytest.raises(errors.InvalidConfiguration, match="q must"):
+            with pytest.raises(errors.InvalidConfiguration, match=said):
                 call(bad)
 
 
