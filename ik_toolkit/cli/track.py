@@ -45,7 +45,12 @@ if TYPE_CHECKING:
     from ..servo.result import TrackResult
 
 PathOption = Annotated[
-    str, typer.Option("--path", metavar="SHAPE|FILE", help="circle, line, eight, or a .csv or .npz file.")
+    str | None,
+    typer.Option(
+        "--path",
+        metavar="SHAPE|FILE",
+        help="circle, line, eight, or a .csv or .npz file; default: all joints swing a little.",
+    ),
 ]
 Method = Annotated[
     str,
@@ -55,18 +60,14 @@ Method = Annotated[
 ]
 Radius = Annotated[
     float | None,
-    typer.Option(
-        metavar="M", help="Radius of the circle, half width of the eight [m]; default: as the robot can follow."
-    ),
+    typer.Option(metavar="M", help="Radius of the circle, half width of the eight [m]; default: 0.1."),
 ]
-Length = Annotated[
-    float | None, typer.Option(metavar="M", help="Length of the line [m], along --axis; default: as with --radius.")
-]
+Length = Annotated[float | None, typer.Option(metavar="M", help="Length of the line [m], along --axis; default: 0.2.")]
 Axis = Annotated[
     str | None,
     typer.Option(
         metavar="X Y Z",
-        help="Normal of circle and eight (with --radius default z), direction of the line (with --length default x).",
+        help="Normal of circle and eight (default z), direction of the line (default x).",
     ),
 ]
 Start = Annotated[
@@ -174,7 +175,7 @@ def register(app: typer.Typer) -> None:
 
 def track(
     robot: RobotArg,
-    path: PathOption = "circle",
+    path: PathOption = None,
     method: Method = "cv",
     radius: Radius = None,
     length: Length = None,
@@ -225,10 +226,10 @@ def track(
 
     Several tips of one robot (those of --tip, or the robot's own) each follow a path of their own and are tracked together.
 
-    Without --radius, --length, --start or --end the command chooses a path that the robot can follow and reports it. A path
-    given with any of them is used as it is; if the robot cannot follow it, the command says how far it gets and which changes
-    work. Gains that are unstable at the given rate are reported, with better ones. Ctrl-C keeps the part of the run that is done
-    as FILE.partial.
+    By default it is the path of the tip while all joints swing a little from --q0 or home, and back, which every robot can
+    follow. A path that is given is used as it is; if the robot cannot follow it, the command says how far it gets and which
+    changes work. Gains that are unstable at the given rate are reported, with better ones. Ctrl-C keeps the part of the run that
+    is done as FILE.partial.
 
     Exit code 0 when every sample was within tolerance (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run
     diverged.

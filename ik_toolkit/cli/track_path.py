@@ -1,4 +1,4 @@
-"""The path of `ik track`: as the options give it, or placed so that the robot can follow it; and what to try if it cannot."""
+"""The path of `ik track`: as the options give it, or one that every robot can follow; and what to try if it cannot."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -52,21 +52,24 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
     from ..motion.waypoints import reference_from_file
     from ..servo.path_reach import freed
 
+    if line.path is None and any(_given(line, name) for name in (*PLACE["line"], *PLACE["circle"], "law", "turns")):
+        line.path = "circle"
     _check_fit(line)
-    if line.path not in SHAPES:
+    if line.path is None and not counts.get("relative_to"):
+        from ..servo.default_path import joint_motion
+
+        motion = joint_motion(
+            arm, q, position_only=line.position_only, duration=line.duration, dt=1.0 / line.rate,
+            position_tolerance=line.position_tolerance,
+        )  # fmt: skip
+        return Asked(motion, arm.home if q is None else q, "all joints swing a little, and back")
+    if line.path is not None and line.path not in SHAPES:
         if Path(line.path).suffix.lower() not in (".csv", ".npz"):
             raise InvalidOption(f"no path '{line.path}'.{near_match(line.path, SHAPES)} Or give a .csv or .npz file.")
         reference = reference_from_file(line.path)
         return Asked(freed(reference) if line.position_only and not reference.position_only else reference, q, "")
-    if _in_part(line):
-        return Asked(_drawn(arm, line, q, counts), arm.home if q is None and line.start is None else q, "")
-    from ..servo.default_path import place
-
-    placed = place(
-        arm, line.path, q0=q, axis=_axis(line), position_only=line.position_only, duration=line.duration, law=line.law,
-        turns=line.turns_ or 0.0, dt=1.0 / line.rate, position_tolerance=line.position_tolerance, **counts,
-    )  # fmt: skip
-    return Asked(placed.reference, placed.q0, placed.words)
+    line.path = line.path or "circle"
+    return Asked(_drawn(arm, line, q, counts), arm.home if q is None and line.start is None else q, "")
 
 
 def doubt_metres(arm: Any, reference: "References") -> None:
@@ -87,12 +90,11 @@ def doubt_metres(arm: Any, reference: "References") -> None:
 
 def _check_fit(line: SimpleNamespace) -> None:
     """Refuse options that the path does not have, rather than pass over them. Raises InvalidOption."""
+    if line.path is None:
+        return
     kind = line.path if line.path in SHAPES else "file"
-    given = [
-        name
-        for name in ("radius", "length", "axis", "start", "end", "duration", "law", "turns")
-        if getattr(line, "turns_" if name == "turns" else name) is not None
-    ]
+    names = ("radius", "length", "axis", "start", "end", "duration", "law", "turns")
+    given = [name for name in names if _given(line, name)]
     fit = PLACE[kind] + (TIMES if kind != "file" else ())
     if line.end is not None and kind == "line":
         fit = tuple(name for name in fit if name not in ("length", "axis"))
@@ -109,9 +111,9 @@ def _check_fit(line: SimpleNamespace) -> None:
         raise InvalidOption(f"--turns must not be 0 with --path {kind}; only a line has none, which is one way")
 
 
-def _in_part(line: SimpleNamespace) -> bool:
-    """Whether the options give the path's place or size: then it is used as given."""
-    return any(given is not None for given in (line.radius, line.length, line.start, line.end))
+def _given(line: SimpleNamespace, name: str) -> bool:
+    """Whether an option is given."""
+    return getattr(line, "turns_" if name == "turns" else name) is not None
 
 
 def _axis(line: SimpleNamespace) -> Any:
@@ -211,7 +213,7 @@ def _ways(line: SimpleNamespace, found: "Survey") -> Iterator[tuple[str, dict[st
     """Other options to try: as words, and as changes of the command line."""
     from ..servo.path_reach import smaller
 
-    if line.path not in SHAPES or not _in_part(line):
+    if line.path not in SHAPES:
         return
     if not line.position_only:
         yield "--position-only", {"position_only": True}

@@ -13,6 +13,7 @@ from ..files import as_path, write_table, write_whole
 from ..robot.robot import Robot
 from ..robot.ros import joint_trajectory
 from .reference import Reference, Samples
+from .time_law import coordinate_at
 
 DIFFERENCE = 1e-5  # [s] step of the central difference of a Jacobian along the motion: its error is quadratic in it
 
@@ -50,15 +51,10 @@ class Piece(NamedTuple):
 
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Joint values, rates and accelerations (N, n) at times t (N,) [s] from its start, and the place among the poses (N,)."""
-        t = np.clip(t, 0.0, self.t[-1])
-        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
-        steps = np.diff(self.t)
-        gain = np.divide(np.diff(self.speed), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]  # 0: nothing moves
-        past = t - self.t[k]
-        s = np.clip(self.s[k] + (self.speed[k] + 0.5 * gain * past) * past, self.s[0], self.s[-1])
-        rate = (self.speed[k] + gain * past)[:, None]
+        s, rate, gain = coordinate_at(np.clip(t, 0.0, self.t[-1]), self.t, self.s, self.speed)
+        rate, gain = rate[:, None], gain[:, None]
         q, slope, bend = self.curve(s)
-        return q, slope * rate, bend * rate**2 + slope * gain[:, None], np.interp(s, self.knots, self.at)
+        return q, slope * rate, bend * rate**2 + slope * gain, np.interp(s, self.knots, self.at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +132,11 @@ class Trajectory:
 def _motion_of(arm: Robot, columns: Any, pieces: Any, t: np.ndarray) -> Samples:
     """Motion of the tip of an arm, whose joints are these columns."""
     q, dq, ddq, _ = sample(pieces, t)
-    q, dq, ddq = q[:, columns], dq[:, columns], ddq[:, columns]
+    return tip_motion(arm, q[:, columns], dq[:, columns], ddq[:, columns])
+
+
+def tip_motion(arm: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Samples:
+    """Motion of the tip of an arm whose joints (N, n) move as given."""
     T, J = arm.chain.forward(q, jacobian=True)
     ahead, behind = (arm.chain.forward(q + h * dq, jacobian=True)[1] for h in (DIFFERENCE, -DIFFERENCE))
     drift = np.einsum("tij,tj->ti", ahead - behind, dq) / (2.0 * DIFFERENCE)

@@ -6,13 +6,13 @@ derivative, which moves the tip by at most that times the lever arm. Where that 
 """
 
 import itertools
-import logging
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, floats, whole
+from ..motion.time_law import time_law, times_of
 from ..motion.trajectory import Piece, Trajectory, sample
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
@@ -26,8 +26,6 @@ from .interpolate import interpolate
 
 ROUNDS = 12  # rounds of inserting poses: each halves the amount by which corners are cut
 LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are merged
-# Length scales to try: toppra's solver has absolute tolerances and fails on some curves.
-SCALES = (1.0, 10.0, 0.1, 30.0, 0.3, 3.0, 100.0)
 GRID = 200  # least number of grid points of the time law
 FINER = 3  # how often the grid may be doubled when limits are exceeded between its points by more than TOO_FAST
 TOO_FAST = 1.02
@@ -71,9 +69,8 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
         curve, at, found = _proven(plan, result, result.curve[run], result.at[run])
         deviation, turn = max(deviation, found.deviation), max(turn, found.turn)
         clearance = min(clearance, found.clearance)
-        smooth = _spline(curve, at, robot, limits) if found.smooth else None
-        if smooth is not None:
-            made.append(smooth)
+        if found.smooth:
+            made.append(_spline(curve, at, robot, limits))
         elif len(curve) > 1:
             run_at = result.at[run]
             rows = zip(itertools.pairwise(result.curve[run]), itertools.pairwise(run_at), strict=True)
@@ -210,67 +207,21 @@ def _touching(collision: Any, knots: np.ndarray, cubics: np.ndarray, curve: np.n
 
 
 # ------------------------------------------------------------------------------------------------------------- the times
-def _spline(curve: np.ndarray, at: np.ndarray, robot: Joints, limits: tuple[np.ndarray, np.ndarray]) -> Piece | None:
-    """Time-optimal spline through the rows of a curve, by TOPP-RA; the limits also hold between the grid points.
-
-    None if toppra finds no time law.
-    """
+def _spline(curve: np.ndarray, at: np.ndarray, robot: Joints, limits: tuple[np.ndarray, np.ndarray]) -> Piece:
+    """Time-optimal spline through the rows of a curve; the limits also hold between the grid points."""
     knots = _coordinate(curve, robot.chain.unit)
     piece = Piece(knots, _cubics(robot, curve, knots), knots, knots, knots, at)
     between = max(1, math.ceil(GRID / (len(knots) - 1)))
     for _ in range(FINER + 1):
         grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
-        speed = _topp(piece, grid, limits)
-        if speed is None:
-            return None
-        times = np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (speed[1:] + speed[:-1])))
-        made = piece._replace(s=grid, speed=speed, t=times)
+        _, slope, bend = piece.curve(grid)
+        speed, _ = time_law(slope, bend, grid, *limits, start=0.0, end=0.0)
+        made = piece._replace(s=grid, speed=speed, t=times_of(grid, speed))
         factor = _excess(made, limits)
         if factor <= TOO_FAST:
             break
         between *= 2
     return made.slower(factor)
-
-
-def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
-    """Fastest speeds along a curve (G,) at the grid points within the joint limits; None if toppra finds none."""
-    try:
-        import toppra
-        import toppra.algorithm
-        import toppra.constraint
-    except ImportError:
-        raise MissingExtra("toppra", "paths") from None
-
-    class Path(toppra.interpolator.AbstractGeometricPath):
-        """The curve in toppra's interface, with lengths times `scale`."""
-
-        dof, scale = piece.coefficients.shape[2], 1.0
-
-        @property
-        def path_interval(self) -> np.ndarray:
-            """First and last path coordinate."""
-            return self.scale * piece.knots[[0, -1]]
-
-        def __call__(self, s: Any, order: int = 0) -> np.ndarray:
-            values = piece.curve(np.atleast_1d(s) / self.scale)[order] / self.scale**order
-            return values if np.ndim(s) else values[0]
-
-    velocity, acceleration = (np.stack([-limit, limit], axis=1) for limit in limits)
-    constraints = [
-        toppra.constraint.JointVelocityConstraint(velocity),
-        toppra.constraint.JointAccelerationConstraint(
-            acceleration, discretization_scheme=toppra.constraint.DiscretizationType.Interpolation
-        ),
-    ]
-    logging.getLogger("toppra").setLevel(logging.CRITICAL)  # its messages about a failing scale help nobody
-    for scale in SCALES:
-        path = Path()
-        path.scale = scale
-        solver = toppra.algorithm.TOPPRA(constraints, path, gridpoints=scale * grid, solver_wrapper="seidel")
-        speed = solver.compute_parameterization(0.0, 0.0)[1]
-        if speed is not None and np.isfinite(speed).all() and (speed[1:-1] > 0.0).all():
-            return np.asarray(speed) / scale
-    return None
 
 
 def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
@@ -317,6 +268,5 @@ def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.nda
     peak = math.sqrt(2.0 * gain * ramp)
     s = np.array([0.0, ramp, length - ramp, length]) if ramp < 0.5 * length else np.array([0.0, ramp, length])
     speed = np.array([0.0, peak, peak, 0.0]) if len(s) == 4 else np.array([0.0, peak, 0.0])
-    t = np.append(0.0, np.cumsum(2.0 * np.diff(s) / (speed[1:] + speed[:-1])))
     cubics = np.stack([np.zeros_like(a), np.zeros_like(a), slope, a])[:, None]
-    return Piece(np.array([0.0, length]), cubics, s, speed, t, at)
+    return Piece(np.array([0.0, length]), cubics, s, speed, times_of(s, speed), at)

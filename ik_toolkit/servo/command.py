@@ -11,7 +11,7 @@ from numba.extending import overload
 from ..compile.jit import INLINE, inline, inner
 from ..kernel.records import copy
 from ..kernel.search import SINGULAR_STEP
-from .constrained_step import SLOW, Allowed
+from .constrained_step import Allowed
 from .laws import (
     AA,
     AT_RATE,
@@ -26,7 +26,6 @@ from .laws import (
     JointMotion,
     PseudoInverse,
     TargetMotion,
-    apply,
     command,
     ease,
     factor,
@@ -160,7 +159,7 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
 
 
 @inline
-def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
+def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     n, m = s.J.shape
     border = REGION * law.damping
@@ -176,7 +175,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
         begin_anew(slack, basis)
         modes(s.J, basis, s.W, s.U, s.sv)
     for k in range(m):
-        s.lost[k], s.pull[k], s.pace[k], s.f[k] = 0.0, 0.0, s.f[k], sigma * s.f[k]
+        s.lost[k], s.pull[k], s.pace[k] = 0.0, 0.0, s.f[k]
     if weak:
         beyond = judge_modes(law, task, look, s, limits, h, rate, away, heavy, state)
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
@@ -195,14 +194,6 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-    jump = sigma - state[STATE.sigma] if law.mode == SLOW else 0.0  # of the clock's rate, now
-    if law.mode == SLOW:
-        apply(s.J, m, s.G, s.pace, s.y, s.lead)
-    if jump != 0.0:  # a jump is not extrapolated, nor is it an error of the rate
-        for i in range(n):
-            memory[i] += jump * s.lead[i] if law.code == CV else 0.0
-        for k in range(m):
-            s.f[k] -= jump * s.pace[k] if law.code == CA else 0.0
     command(law, inverse_of(s), target_of(s), rate, memory, h, ratio, joints)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
@@ -210,16 +201,11 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
         if law.code == CV:  # what the next step extrapolates from
             along_lost(s.V, s.lost, s.xk, memory, 1.0)
     add_wishes(law, s, limits, wish, ratio, h, memory)
-    if jump != 0.0 and law.code == CA:
-        for i in range(n):
-            s.x[i] += jump * s.lead[i]
-        for k in range(m):
-            s.f[k] += jump * s.pace[k]
     return damped
 
 
 @inline
-def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
+def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
     leaned = False
@@ -245,19 +231,19 @@ def copy_rows(source, target):
         copy(source[i], target[i])
 
 
-def wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
+def wanted(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
     """Rates that the law or the rule wants."""
     how = by_law if isinstance(rule, Published) else by_rule
     return how(
-        law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state
+        law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state
     )
 
 
 @overload(wanted, jit_options=INLINE)
-def _wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
+def _wanted(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
     how = by_law if rule.instance_class is Published else by_rule
-    return lambda law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state: how(
-        law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state
+    return lambda law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state: how(
+        law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state
     )  # fmt: skip
 
 

@@ -14,7 +14,6 @@ import math
 
 from ..compile.jit import inner
 from ..kernel.linalg import cholesky
-from .constrained_step import SLOW
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
 from .singular_directions import GAIN
@@ -47,12 +46,12 @@ def stuck(law, s, limits, square, h, state):
     """Whether the arm is stuck before a target that stands; square: of the weighted error now.
 
     It stands where neither its twist s.f (m,) nor the error moves from now, s.e, to the next sample, s.ahead: a caller may give a
-    twist of zero for a target that moves. Never where a published form is asked for, or a clock gives way instead.
+    twist of zero for a target that moves. Never where a published form is asked for.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
         most = max(most, abs(s.f[k]), abs(s.ahead[k] - s.e[k]) / h)
-    if law.mode == CLIP or law.mode == SLOW or most > STANDS or error < SMALL:
+    if law.mode == CLIP or most > STANDS or error < SMALL:
         state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, 0.0
     elif state[STATE.share] == 0.0:
         way = min(PROGRESS, PACE * STALLED * fastest(s, limits, error))

@@ -1,7 +1,7 @@
-"""A path that a robot can follow: where it starts, how large it is and which way it goes, found by trying."""
+"""Paths of the tips of a robot: circle, line and eight from where they stand, and one that every robot can follow."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,41 +9,18 @@ import numpy as np
 from ..errors import whole
 from ..motion import shapes
 from ..motion.reference import Reference, Samples, law_of, on_path, split
+from ..motion.trajectory import tip_motion
 from ..robot.joints import Joints
-from ..robot.pose import length
 from ..validate import one_of, positive
-from .path_reach import DENSE, References, pace, trace
-from .result import POSITION_TOLERANCE
+from .path_reach import References, freed
+from .result import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
 
-LENGTHS = (0.2, 0.15, 0.1, 0.075, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002)  # [m] of a line; radii are half of them
-SMALL = 0.15  # of the largest: below it another start or a free orientation is tried first
-LARGEST = 0.25  # of the reach: longer lines are not tried
-SPARE = 1.15  # times the size must be in reach as well: no path ends at the very edge
-ROOM = 0.01  # of a joint's range kept from its limits where possible
-EVEN = 10.0  # joint turn [rad] over tip way [reaches]: more is close to a singular configuration
-COARSE = 10  # least number of poses tested while trying
 DURATION = 10.0  # [s]
+SWING = 0.15  # [rad, or reaches] by which a joint moves at most on the way that every robot can follow ...
+ROOM = 0.5  # ... and share of what there is to its farther limit
 SPEED = 0.5  # of a joint's limit: what the path asks for at most
-# Of the tolerance: how far a step straight ahead may leave the path, as the first one of `cv` does. It turns the tip as well;
-# with 0.8 an arm (talos_arm at 2 Hz) kept its position, and its orientation to 0.126 degrees only.
-STRAIGHT = 0.4
-INSIDE = 0.1  # of a joint's range: how far from its limits the second start stands
-RANK = 1e-6  # of the largest singular value: smaller ones are rounding
-DRAWN, BEST = 64, 3  # random starts, and how many of them are tried
-AXIS_NAMES = ("x", "y", "z", "-x", "-y", "-z")
-BASE_AXES = np.vstack([np.eye(3), -np.eye(3)])
-
-
-@dataclass(frozen=True)
-class Placed:
-    """A path and how it was chosen: start q0 (n,), size [m], axis (3,) by tip, whether the orientation is free."""
-
-    reference: References
-    q0: np.ndarray
-    size: float
-    axis: np.ndarray
-    position_only: bool
-    words: str
+STRAIGHT = 0.4  # of the tolerances: how far a step straight ahead may leave the path, as the first one of `cv` does
+SEEN = 1000  # samples in which that is looked at
 
 
 def eight(
@@ -93,88 +70,51 @@ def draw(
 KINDS = ("circle", "line", "eight")
 
 
-def place(
+def joint_motion(
     robot: Joints,
-    kind: str = "circle",
-    *,
     q0: Any = None,
-    axis: Any = None,
+    *,
     position_only: bool = False,
     duration: float | None = None,
-    law: str | None = None,
-    turns: float = 0.0,
     dt: float = 0.01,
     position_tolerance: float = POSITION_TOLERANCE,
-    **counts: Any,
-) -> Placed:
-    """Path of a kind that the robot can follow, each tip its own, at half of the joints' speed limits at most.
+) -> References:
+    """Path of the tips while all joints swing a little from q0 (n,), default home, and back: a way that can be followed.
 
-    dt [s]: time between samples; where they are few, the path is slow enough to be followed within position_tolerance [m].
-
-    Whatever is not given is chosen, the first that works: the orientation kept, from home, large, along or about a base axis.
-    Where nothing works (no joint can move) the path is a line without length. counts: what counts, as for `ik.solve`; a tip
-    that is given relative to another keeps its pose in that one's frame.
+    Every joint moves towards its farther limit, every second one there and back twice. duration [s]: default such that speeds
+    are half of their limits at most and, with samples every dt [s], a step leaves the path by less than position_tolerance [m].
     """
-    relative = counts.get("relative_to") or {}
-    starts = [*_starts(robot)] if q0 is None else [robot.check_q(q0, "q0")]
-    for with_ease, free, start, size, way in _candidates(robot, kind, starts, axis, position_only):
-        trial = paths(robot, start, kind, SPARE * size, way, free, relative)
-        way_there = trace(robot, trial, start, fewest=COARSE, **counts)
-        if way_there is not None and (not with_ease or _is_easy(robot, *way_there)):
-            break
-    else:
-        kind, start, size, way, free = "line", starts[0], 0.0, BASE_AXES[0], True
-    rest: dict[str, Any] = {"law": law, "turns": turns}
-    seconds = duration
-    if seconds is None:
-        way_there = trace(robot, paths(robot, start, kind, size, way, free, relative, **rest), start, **counts)
-        share = 0.0 if way_there is None else pace(robot, *way_there)[0]
-        seconds = max(DURATION, float(np.ceil(DURATION * share / SPEED)))
-        bend = _acceleration(paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest))
-        allowed = STRAIGHT * positive(position_tolerance, "position_tolerance [m]")
-        missed = 0.5 * positive(dt, "dt [s]") ** 2 * bend / allowed
-        seconds = max(seconds, float(np.ceil(seconds * np.sqrt(missed))))
-    reference = paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest)
-    return Placed(reference, start, size, way, free, _words(robot, kind, size, way, free, seconds, start))
+    q0 = robot.home if q0 is None else robot.check_q(q0, "q0")
+    up, down = np.maximum(robot.upper - q0, 0.0), np.maximum(q0 - robot.lower, 0.0)
+    swing = np.where(up >= down, 1.0, -1.0) * np.minimum(SWING * robot.chain.unit, ROOM * np.maximum(up, down))
+    turns = np.pi * (1.0 + np.arange(robot.n) % 2)
+    if duration is None:
+        top = np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf)
+        duration = max(DURATION, float(np.ceil((np.abs(swing) * turns / top).max(initial=0.0) / SPEED)))
+        tolerances = positive(position_tolerance, "position_tolerance [m]"), ORIENTATION_TOLERANCE
+        t, trial = np.linspace(0.0, duration, SEEN), _swings(robot, q0, swing, turns, duration)
+        bends = [np.linalg.norm(one.at(t)[2].reshape(SEEN, 2, 3), axis=2) / tolerances for one in trial.values()]
+        missed = 0.5 * positive(dt, "dt [s]") ** 2 * float(np.max(bends)) / STRAIGHT
+        duration = max(duration, float(np.ceil(duration * np.sqrt(missed))))
+    made = _swings(robot, q0, swing, turns, duration)
+    made = {tip: freed(one) for tip, one in made.items()} if position_only else made
+    return made if robot.by_tip else made[robot.tips[0]]
 
 
-def _acceleration(reference: References) -> float:
-    """Largest acceleration [m/s^2] of a tip along the path."""
-    each = reference.values() if isinstance(reference, Mapping) else [reference]
-    return max(
-        float(np.linalg.norm(one.at(np.linspace(0.0, one.duration, DENSE))[2][:, :3], axis=1).max()) for one in each
-    )
+def _swings(robot: Any, q0: np.ndarray, swing: np.ndarray, turns: np.ndarray, duration: float) -> dict[str, Reference]:
+    """The references of `joint_motion`, by tip."""
+    made = {}
+    for tip, arm, place in zip(robot.tips, robot.arms, robot.places, strict=True):
+        function = partial(_tip_at, arm, q0[place], swing[place], turns[place] / positive(duration, "duration [s]"))
+        made[tip] = Reference(function, duration, name="joint motion")
+    return made
 
 
-def _words(robot: Joints, kind: str, size: float, way: np.ndarray, free: bool, seconds: float, q: np.ndarray) -> str:
-    """The choice, in words."""
-    if not size:
-        why = "" if (robot.upper > robot.lower).any() else ", as no joint can move"
-        return f"no path was found that {robot.name} can follow{why}: it holds still for {seconds:g} s"
-    along = next((name for name, axis in zip(AXIS_NAMES, BASE_AXES, strict=True) if np.array_equal(axis, way)), "")
-    along = along or f"({' '.join(f'{x:.4g}' for x in way + 0.0)})"
-    what = {
-        "line": f"line of {length(size)} along {along}",
-        "circle": f"circle of radius {length(size)} about {along}",
-        "eight": f"figure of eight, {length(size)} to each side, about {along}",
-    }[kind]
-    where = "home" if np.array_equal(q, robot.home) else f"q0 = {' '.join(f'{x:.4g}' for x in q + 0.0)}"
-    turn = "orientation free" if free else "orientation kept"
-    return f"{what}{' for each tip' * robot.by_tip}, {turn}, from {where}, in {seconds:g} s"
-
-
-def _is_easy(robot: Any, t: np.ndarray, q: np.ndarray) -> bool:
-    """Whether the path keeps clear of limits and of singular configurations."""
-    span = robot.upper - robot.lower
-    bounded = np.isfinite(span) & (span > 0.0)
-    gaps = np.minimum(q - robot.lower, robot.upper - q)[:, bounded] / span[bounded]
-    T: Any = [robot.fk(one) for one in q]
-    places = np.array(
-        [[T_k[tip].translation for tip in robot.tips] if robot.by_tip else [T_k.translation] for T_k in T]
-    )
-    moved = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1) / robot.reach
-    turned = np.abs(np.diff(q, axis=0) / robot.chain.unit).max(axis=1)
-    return bool(gaps.min(initial=1.0) >= ROOM and (turned <= EVEN * moved).all())
+def _tip_at(arm: Any, q0: np.ndarray, swing: np.ndarray, pace: np.ndarray, t: np.ndarray) -> Samples:
+    """Motion of the tip of an arm whose joints are at q0 + swing sin^2(pace t)."""
+    angle = 2.0 * pace * t[:, None]
+    q, dq, ddq = 0.5 * (1.0 - np.cos(angle)), pace * np.sin(angle), 2.0 * pace**2 * np.cos(angle)
+    return tip_motion(arm, q0 + swing * q, swing * dq, swing * ddq)
 
 
 def paths(
@@ -194,56 +134,3 @@ def paths(
 
 def _drawn(at: np.ndarray, kind: str, size: float, axis: Any, free: bool, rest: Mapping[str, Any]) -> Reference:
     return draw(kind, at[:3, 3].copy() if free else at, size, axis, **rest)
-
-
-def _candidates(
-    robot: Joints, kind: str, starts: list[np.ndarray], axis: Any, position_only: bool
-) -> Iterator[tuple[bool, bool, np.ndarray, float, np.ndarray]]:
-    """Ways to try, best first: whether to keep clear of limits, whether the orientation is free, start, size, axis."""
-    share = 1.0 if kind == "line" else 0.5
-    sizes = share * np.array(LENGTHS)
-    sizes = sizes[sizes <= max(LARGEST * share * robot.reach, sizes[-1])]
-    small = sizes < SMALL * sizes[0]
-    for with_ease in (True, False):
-        for few in (~small, small):
-            for free in (True,) if position_only else (False, True):
-                for start in starts:
-                    ways = _axes(robot, kind, start, free) if axis is None else [np.array(axis, dtype=float)]
-                    for size in sizes[few]:
-                        for way in ways:
-                            yield with_ease, free, start, float(size), way
-
-
-def _starts(robot: Joints) -> Iterator[np.ndarray]:
-    """Home, home away from the limits, and the random configurations in which the tips move most freely."""
-    yield robot.home
-    span = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 0.0)
-    low, high = robot.lower + INSIDE * span, robot.upper - INSIDE * span
-    inside = np.clip(robot.home, low, high)
-    if not np.array_equal(inside, robot.home):
-        yield inside
-    drawn = np.clip(robot.random_q(np.random.default_rng(0), DRAWN), low, high)
-    freedom = [min(float(s[1]) for _, s in _freedom(robot, q, True)) for q in drawn]
-    yield from drawn[np.argsort(-np.array(freedom), kind="stable")[:BEST]]
-
-
-def _axes(robot: Joints, kind: str, q: np.ndarray, free: bool) -> list[np.ndarray]:
-    """Directions of a line, or normals: those of the base, then what the joints can do at q."""
-    ways = list(BASE_AXES if kind == "line" else BASE_AXES[2::-1])
-    for U, _ in _freedom(robot, q, free):
-        ways += [U[:, 0], -U[:, 0]] if kind == "line" else [U[:, 2]]
-    return ways
-
-
-def _freedom(robot: Joints, q: np.ndarray, free: bool) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Directions (3, 3), a column each, in which each tip moves with its orientation kept or free, and how freely (3,)."""
-    found = []
-    for arm, place in zip(robot.arms, robot.places, strict=True):
-        J = arm.jacobian(q[place])
-        moves = np.eye(arm.n)
-        if not free:
-            _, s, Vt = np.linalg.svd(J[3:])
-            moves = Vt[int((s > RANK * max(1.0, s.max(initial=0.0))).sum()) :].T
-        U, s, _ = np.linalg.svd(np.hstack([J[:3] @ moves, np.zeros((3, 3))]))  # zeros: three values, however few joints
-        found.append((U, s[:3]))
-    return found

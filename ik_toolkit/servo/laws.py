@@ -19,7 +19,7 @@ from ..kernel.records import Array
 from .viability import approach
 
 CV, AV, CA, AA = range(4)
-CLIP = 3  # beside LEAVE, SLOW and DIRECT of constrained_step.py: each joint clipped on its own
+CLIP = 3  # beside LEAVE and DIRECT of constrained_step.py: each joint clipped on its own
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
 MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, with the rate given; go on; all is known
 FINE, NOT_FINITE, RUNAWAY = range(3)
@@ -36,12 +36,6 @@ class State(NamedTuple):
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
-    clock: int  # [samples] of the reference
-    sigma: int  # rate of the clock in the last step
-    waiting: int  # 1: the error was above the tolerance, and not yet below half of it
-    leaving: int  # 1: waiting has not helped, so the run continues off the path
-    idle: int  # [s] for which it has stood still
-    least: int  # least error over tolerance in that time
     near: int  # 1: near a singular pose in the last step, and [s] for which the target counts as out of reach; -1: once, 0: never
     share: int  # of the curvature, by which steps down are damped, 0: the method's own steps; see damped_descent.py
     lowest: int  # ... which it is not lowered below
@@ -70,10 +64,7 @@ class Law(NamedTuple):
     runaway: float  # largest mean move of a joint in a step; inf: hold still instead of stopping
     brake: float  # 1: come to rest
     late: float  # longest step that may follow [s]
-    mode: float  # LEAVE, SLOW, DIRECT, CLIP
-    clocked: float  # 1: the rows are samples of a reference with a clock, 0: one a step
-    tol_p: float  # [m] error above which the clock waits ...
-    tol_r: float  # ... or [rad]
+    mode: float  # LEAVE, DIRECT, CLIP
     avoid: float  # [1/s] how strongly joints are led away from their limits
     rows: float  # half-planes that hold
     measured: float  # 1: error and Jacobian are taken at the joints measured
@@ -388,13 +379,9 @@ def settle(p, h, rate_before, x, code, prev):
 
 
 @dual
-def own_up(p, h, ratio, wanted, x, lead, slower, prev):
-    """The same where all joints were changed: the earlier command becomes the one that the rates taken would have come from.
-
-    lead (n,): joint rates of the target's motion, of which `slower` was taken away as the clock ran slower than was wanted.
-    """
+def own_up(p, h, ratio, wanted, x, prev):
+    """The same where all joints were changed: the earlier command becomes the one that the rates taken would have come from."""
     ahead = 0.5 * ratio
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
-            change, clock = x[i] - wanted[i], lead[i] * slower
-            prev[i] += (change - ahead * clock if p.code == CV else (change + clock) / h) / (1.0 + ahead)
+            prev[i] += (x[i] - wanted[i]) / (1.0 if p.code == CV else h) / (1.0 + ahead)

@@ -8,11 +8,10 @@ from numba.extending import overload
 from ..compile.jit import INLINE, inline
 from ..kernel.records import copy
 from .command import Published
-from .constrained_step import LEAVE, SHORT, SLOW, WANTED, Allowed, StepTaken, TaskRate, constrain
+from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain
 from .laws import CLIP, NOT_FINITE, RUNAWAY, STATE
 from .null_space_motion import PRESSED
 from .singular_step import along_lost, by_modes
-from .time_scaling import QUICK, WHOLE
 from .viability import RECOVERING, ROW, box_of, clip
 
 LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
@@ -36,21 +35,17 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, code):
-    """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted.
+def by_constraints(law, s, count, mu, h, state, work, active, kept, code):
+    """Rates that the limits allow, to s.x; returns whether anything prevented those wanted.
 
     mu above 0: those of a step down, which `descend` has asked for.
     """
     n, m = s.J.shape
-    mode, size = LEAVE if state[STATE.leaving] > 0.0 and law.mode == SLOW else int(law.mode), s.size
+    mode, size = int(law.mode), s.size
     if mu > 0.0:
         mode, size = LEAVE, s.even
     else:
         for k in range(m):
-            if mode == SLOW:  # what joints cannot follow of the target's motion is no reason for a slower clock
-                s.f[k] = 0.0
-                for i in range(n):
-                    s.f[k] += sigma * s.J[i, k] * s.lead[i]
             s.ask[k] = -s.f[k]
             for i in range(n):
                 s.ask[k] += s.J[i, k] * s.x[i]
@@ -59,21 +54,11 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, code)
         along_lost(s.V, s.lost, s.xk, s.v, 1.0)
         by_modes(s.J, s.W, s.U, s.lost, s.f, s.ask, s.y)
     copy(s.x, s.w)
-    least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
     allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, active, kept, s.multiplier)
-    status, share, part = WANTED, 1.0, 1.0
-    for _ in range(2):
-        asked = TaskRate(s.J, s.weight, s.ask, s.f, s.w, s.v, size, mode, h, mu)
-        status, part = constrain(asked, allowed, work, taken)
-        share *= part
-        if status >= SHORT:
-            state[STATE.pressed] = PRESSED
-        if mode != SLOW or share * sigma >= least - WHOLE:
-            break
-        share, mode = least / sigma, LEAVE  # the clock cannot stop so fast: the path is left for a moment
-        for k in range(m):
-            s.ask[k] += share * s.f[k]
-            s.f[k] = 0.0
+    asked = TaskRate(s.J, s.weight, s.ask, s.f, s.w, s.v, size, mode, h, mu)
+    status, _ = constrain(asked, allowed, work, taken)
+    if status >= SHORT:
+        state[STATE.pressed] = PRESSED
     for i in range(n):
         code[i] = (s.why_low[i] | s.why_top[i]) & RECOVERING
         if status != WANTED and active[i] == 1:
@@ -87,38 +72,25 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, code)
                 if abs(s.planes[k, i]) > abs(s.planes[k, most]):
                     most = i
             code[most] = code[most] | ROW
-    return sigma * share if law.mode == SLOW else sigma, status != WANTED
+    return status != WANTED
 
 
 @inline
-def by_clipping(law, s, count, sigma, mu, h, state, work, active, kept, code):
+def by_clipping(law, s, count, mu, h, state, work, active, kept, code):
     """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
     clip(s.x, box_of(s), code)
-    return sigma, False
+    return False
 
 
-def obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, code):
+def obey(rule, law, s, count, mu, h, state, work, active, kept, code):
     """Rates that the limits allow, see `by_constraints`."""
     how = by_constraints if isinstance(rule, Published) else by_clipping
-    return how(law, s, count, sigma, mu, h, state, work, active, kept, code)
+    return how(law, s, count, mu, h, state, work, active, kept, code)
 
 
 @overload(obey, jit_options=INLINE)
-def _obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, code):
+def _obey(rule, law, s, count, mu, h, state, work, active, kept, code):
     how = by_constraints if rule.instance_class is Published else by_clipping
-    return lambda rule, law, s, count, sigma, mu, h, state, work, active, kept, code: how(
-        law, s, count, sigma, mu, h, state, work, active, kept, code
+    return lambda rule, law, s, count, mu, h, state, work, active, kept, code: how(
+        law, s, count, mu, h, state, work, active, kept, code
     )
-
-
-@inline
-def pacing(s, active, done, sigma, ahead):
-    """Joint that sets the clock's rate, -1: none."""
-    joint, most = -1.0, 0.0
-    if done < sigma:
-        for i in range(active.shape[0]):
-            if (active[i] == 1 or active[i] == -1) and abs(s.multiplier[i]) * s.size[i] > most:
-                joint, most = float(i), abs(s.multiplier[i]) * s.size[i]
-    if joint < 0.0 and done < 1.0:
-        joint = ahead
-    return joint

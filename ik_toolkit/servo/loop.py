@@ -6,9 +6,6 @@ limits or half-planes forbid the outcome `constrain` finds the best that they al
 are taken as they are, so a published form stays one. An arm that is stuck before a target that stands goes down to the least
 error nearby (damped_descent.py). CLIP is the published form whole: damped as a whole near singular
 poses, each joint clipped on its own.
-
-The reference's clock s counts samples. SLOW lets it run slower than time: by the look-ahead, by `constrain`, and while the error
-is above the tolerance (time_scaling.py).
 """
 
 import functools
@@ -22,56 +19,37 @@ from ..compile.jit import cached, inline, inner
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import problem_on, step_class
 from .command import Published, copy_rows, lean, wanted
-from .constrained_step import SLOW, room_on, room_space
+from .constrained_step import room_on, room_space
 from .damped_descent import descend, notice, stuck
 from .laws import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
-from .limited_step import judge, obey, pacing
+from .limited_step import judge, obey
 from .null_space_motion import lay_aside, reflect, slack_rows
-from .time_scaling import MAKE_UP, QUICK, SPARE, WHOLE, clock_at, next_rate, reference, to_go, too_far
 from .viability import CALMED, HELD, LASTING, UNLIMITED, approach, box_of, boxes, calm, clip, move, watch, way_to
 from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
 
 
 @inner
-def set_out(law, J, f, G, y, limits, cap, q, rate, state):
-    """Rate at the start: the target's where none was given, as far as the joints could still brake; and the clock's."""
-    m = J.shape[1]
-    asked, given = 0.0, 0.0
-    for k in range(m):
-        own = 0.0
-        for i in range(q.shape[0]):
-            own += J[i, k] * rate[i]
-        asked += f[k] * f[k]
-        given += f[k] * own
-    slow = False
-    for i in range(q.shape[0]):
-        slow = slow or limits[3, i] < np.inf
+def set_out(law, J, f, G, y, limits, q, rate, state):
+    """Rate at the start: the target's where none was given, as far as the joints could still brake."""
     if state[STATE.start] == MOVING:
-        factor(J, m, law.damping, G, y)
-        apply(J, m, G, f, y, rate)
+        factor(J, J.shape[1], law.damping, G, y)
+        apply(J, J.shape[1], G, f, y, rate)
         for i in range(q.shape[0]):
             up = rate[i] > 0.0
             gap = max(way_to(limits[1 if up else 0, i], q[i], 1.0 if up else -1.0), 0.0)
             top = min(limits[2, i], approach(gap, 0.0, law.gamma, 0.0, limits[3, i], law.late))
             rate[i] = min(max(rate[i], -top), top)
-        state[STATE.sigma] = 1.0
-        if law.mode == SLOW and cap < 1.0:  # no faster than the look-ahead allows
-            state[STATE.sigma] = cap
-            for i in range(q.shape[0]):
-                rate[i] *= cap
-    else:
-        state[STATE.sigma] = min(max(given / asked, 0.0), cap) if slow and asked > 0.0 else cap
     state[STATE.start] = READY
 
 
 @inline
-def take_stock(task, look, s, plain, counts, E):
+def take_stock(task, look, s, V, A, plain, counts, E):
     """Error, Jacobian and the target's motion as they count, to the bench; the error as it is reported to E (m,)."""
     copy(task.desk.y, s.e)
     task.jacobian(look)
     copy_rows(task.desk.J, s.J)
-    task.moving(s.Vs, s.f)
-    task.moving(s.As, s.a)
+    task.moving(V, s.f)
+    task.moving(A, s.a)
     task.base_axes(s.e, E)
     for k in range(E.shape[0]):
         E[k] -= min(max(E[k], -counts[2, k]), counts[2, k])
@@ -80,48 +58,6 @@ def take_stock(task, look, s, plain, counts, E):
         lay_aside(s.flip, s.J, s.e)
         reflect(s.flip, s.f)
         reflect(s.flip, s.a)
-
-
-@inline
-def advanced(state, law, sigma):
-    """How far [samples] the clock goes in a step in which its rate becomes sigma: as the joints do from rate to rate."""
-    return state[STATE.sigma] + law.gamma * (sigma - state[STATE.sigma])
-
-
-@inner
-def wind(state, law, a, E, cap, steps, clock, h):
-    """Rate at which the clock is to run at the end of this step; the target's acceleration a (m,) becomes what it then is.
-
-    cap: its highest here; steps: see `to_go`. A short last step would be a jump: the clock goes to the end in whole steps, this
-    one and `more`, all at the same share of what is allowed on the way.
-    """
-    if law.mode != SLOW:
-        return 1.0
-    sigma = next_rate(state, too_far(E, law.tol_p, law.tol_r), cap, h)
-    if sigma > 0.0:
-        begun = clock + (1.0 - law.gamma) * state[STATE.sigma]
-        left, share = to_go(steps, begun), sigma / cap if cap > 0.0 else 1.0
-        count = left / share
-        more = max(np.ceil(max(count - MAKE_UP, count * max(SPARE, sigma)) - law.gamma - WHOLE), 0.0)
-        least = max(state[STATE.sigma] - QUICK * h, 0.0) if more > 0.0 else 0.0
-        whole = (clock_at(steps, begun, left * more / (law.gamma + more)) - begun) / law.gamma
-        if abs(whole - sigma) > WHOLE:  # else it is the same, but for rounding
-            sigma = min(max(whole, least), state[STATE.sigma] + QUICK * h, 1.0)
-    for k in range(a.shape[0]):
-        a[k] *= sigma * sigma
-    return sigma
-
-
-@inner
-def tick(state, law, clock, done):
-    """Move the clock on."""
-    if law.mode != SLOW:
-        state[STATE.clock] = clock + 1.0
-        return
-    clock += advanced(state, law, done)
-    state[STATE.sigma] = done
-    near = np.rint(clock)
-    state[STATE.clock] = near if abs(clock - near) < WHOLE else clock
 
 
 @inner
@@ -187,7 +123,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
     _, p, counts, limits, wish, lines, level, measured = given
     _, motion, memory, swings, away, basis, state, active, kept = own
-    (_, T, V, A, caps), (_, Q, R, E, S, C) = samples, out
+    (_, T, V, A), (_, Q, R, E, S, C) = samples, out
     q, rate = motion[0], motion[1]
     n, m, room = q.shape[0], V.shape[1], kept.shape[0]
     law, o = read(Law, p), read(Orders, orders)
@@ -195,19 +131,14 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
     task = problem_on(block, rows, ends, orders[HEAD:first], n, o)
     weights, rule = orders[first : first + n], read(step, orders, first + n)
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
-    last, plain = T.shape[0] - 1, task.plain()
+    plain = task.plain()
     for i in range(n):
         s.size[i], s.even[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED, 1.0
     for i in range(E.shape[0]):
-        clock = state[STATE.clock] if law.clocked > 0.0 else float(i)
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)
-        j = min(int(clock), last)
-        cap = min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)])
-        sigma, further = 0.0, 0.0
         for stage in range(2):  # where the target is now, then where it will be
-            reference(T, V, A, clock + further, h, s.Ts, s.Vs, s.As)
-            task.head_for(s.Ts)
+            task.head_for(T[i + stage])
             look = task.see()
             task.stack(look)
             if stage == 1:
@@ -215,16 +146,14 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
                 if not plain:
                     reflect(s.flip, s.ahead)
                 break
-            take_stock(task, look, s, plain, counts, E[i])
+            take_stock(task, look, s, V[i], A[i], plain, counts, E[i])
             if state[STATE.start] == MOVING or state[STATE.start] == GIVEN:
-                set_out(law, s.J, s.f, s.G, s.y, limits, cap, q, rate, state)
+                set_out(law, s.J, s.f, s.G, s.y, limits, q, rate, state)
             copy(q, Q[i])
             copy(rate, R[i])
-            S[i, 0], S[i, 1], S[i, 2], S[i, 3] = clock, 1.0, -1.0, 0.0
-            if i == E.shape[0] - 1 or (law.clocked > 0.0 and clock >= last):
+            S[i] = 0.0
+            if i == E.shape[0] - 1:
                 return i
-            sigma = wind(state, law, s.a, E[i], cap, caps[2], clock, h)
-            further = advanced(state, law, sigma) if law.mode == SLOW else 1.0
             boxes(q, rate, limits, law.gamma, h, law.late, box_of(s))
             if lean(law, rule, s, limits, wish, rate, h):
                 task.stand(s.at)
@@ -236,30 +165,25 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
-        S[i, 3] = min(max(state[STATE.near], 0.0), 1.0)
+        S[i] = min(max(state[STATE.near], 0.0), 1.0)
         quieten(law, s, rate, swings, h, state)
         if mu == 0.0:
-            S[i, 3] = wanted(
-                law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, basis, state
+            S[i] = wanted(
+                law, rule, task, look, weights, s, counts[1], limits, wish, count, h, rate, memory, away, basis, state
             )  # fmt: skip
         copy(rate, s.before)
         stop, still = judge(s.x, h, law, state)
         if stop:
             return i
-        done = sigma
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, C[i])
+            held = obey(rule, law, s, count, mu, h, state, work, active, kept, C[i])
             look_on(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
-                own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
-        if law.mode == SLOW:
-            S[i, 1] = done
-            S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])
+                own_up(law, h, ratio, s.w, s.x, memory)
         if not still:
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
-        tick(state, law, clock, done)
         move(q, rate, s.x, law.gamma, h)
         state[STATE.start] = RUNNING if mu == 0.0 else READY  # no command of the method to go on from
         state[STATE.period] = h

@@ -12,18 +12,15 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, Portable
 from ..kernel.counted_error import POSE, POSITION
-from ..motion.reference import Reference, Samples
+from ..motion.reference import Reference
 from ..robot.narrow import with_limits
-from ..robot.pose import PROJECT_WITHIN, angles_between
+from ..robot.pose import angles_between
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.collision_free import collision_model
 from ..validate import number, one_of, positive
 from . import laws
 from .adapters import check_options
-from .branch_plan import Planner
-from .constrained_step import LEAVE, SLOW
-from .laws import CLIP
 from .methods import Method, interpolate
 from .path_reach import explain
 from .result import (
@@ -36,11 +33,10 @@ from .result import (
     settling,
     verdict,
 )
-from .samples import Run
-from .target_stream import samples_from
+from .retimed_run import Run, Taken
 from .tracker import JUMP, Tracker
 
-MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
+MODES = ("slow", "leave", "clip")
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
 MAX_STRETCH = 10.0  # how many times longer than its reference a run may take by default
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a step, where the error is evaluated
@@ -104,19 +100,14 @@ def track(
         positive(position_tolerance, "position_tolerance [m]"),
         positive(orientation_tolerance, "orientation_tolerance [rad]"),
     )
-    mode = MODES[one_of(on_limit, MODES, "on_limit")]
-    if limits is False:  # nothing binds
-        mode = CLIP
+    mode = "clip" if limits is False else one_of(on_limit, MODES, "on_limit")  # without limits nothing binds
     stretch = number(max_stretch, "max_stretch")
     if stretch < 1.0:
         raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
-    made = [_samples(one, times) for one in references]
-    T = np.stack([one[0] for one in made], axis=1)
-    V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     q0 = _start(robot, references, options.get("avoid_collisions", False)) if q0 is None else q0
     tracker = Tracker(
         robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,
-        on_limit="clip" if mode == CLIP else "leave", **options,
+        on_limit="clip" if mode == "clip" else "leave", **options,
     )  # fmt: skip
     outside = ", ".join(robot.outside(tracker.q)) if limits else ""
     if outside:
@@ -129,23 +120,19 @@ def track(
     settle = settling(settle, at_rest, times[-1])
     tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
-    begin, bounds = tracker.q, tracker._limits * robot.chain.unit
-    run = Run(
-        tracker, samples_from(T, V, A), dt, mode, tolerances, stretch, settle,
-        lambda: Planner(robot, reference, bounds, **counts).paths(begin, times),
-    )  # fmt: skip
-    run.go()
+    run = Run(tracker, references, times, tolerances, settle, stretch, counts)
+    best = run.go(mode == "slow")
 
     result = None
     try:
-        result = _judged(run, references, times, check)
+        result = _judged(run, best, check)
         if result.status in (TrackStatus.LEFT, TrackStatus.LOST) and not run.interrupted:
             reach, words = explain(robot, reference, q0, limits=limits, **counts)
             result.reach, result.message = reach, f"{result.message} {words}".rstrip()
     except KeyboardInterrupt:
         run.interrupted = True
     if run.interrupted or result is None:
-        raise TrackInterrupted(result or _judged(run, references, times, check))
+        raise TrackInterrupted(result or _judged(run, best, check))
     return result
 
 
@@ -171,27 +158,24 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
     return found
 
 
-def _judged(run: Run, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:
+def _judged(run: Run, best: Taken, check: Any) -> TrackResult:
     """What was run, with its verdict."""
     tracker = run.tracker
-    made = _result(run, tracker.robot, references, times, check)
+    made = _result(run, best, check)
     made.figures = figures(made, tracker.robot.chain.unit * JUMP)
-    made.status, made.message = verdict(made, int(tracker._state[laws.STATE.stop]), len(times) - 1)
+    made.status, made.message = verdict(made, int(tracker._state[laws.STATE.stop]), run.count)
     hold_against(made, tracker.robot)
     return made
 
 
-def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:
+def _result(run: Run, best: Taken, check: Any) -> TrackResult:
     """What was run, in the caller's units."""
-    unit = robot.chain.unit
-    Q, R = run.Q * unit, run.R * unit
+    robot, references, clock = run.tracker.robot, run.references, best.clock.s
+    Q, R = best.Q * robot.chain.unit, best.R * robot.chain.unit
     done = len(Q) - 1
-    clock = times[-1] * np.minimum(run.S[:, 0] / (len(times) - 1), 1.0) if run.mode == SLOW else times[: done + 1]
-    whole = run.S[:, 0] == np.rint(run.S[:, 0])
-    clock = np.where(whole[: done + 1], times[np.minimum(np.rint(run.S[:, 0]).astype(int), len(times) - 1)], clock)
-    targets = np.stack([one.at(clock)[0] for one in references], axis=1)
-    tips = _forward(robot, Q)
-    position, orientation = _errors(run, targets, whole[: done + 1])
+    targets, tips = np.stack([one.at(clock)[0] for one in references], axis=1), _forward(robot, Q)
+    errors = best.E.reshape(done + 1, -1, 6)
+    posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
     by_tip = robot.by_tip
     between = (
         _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and not by_tip else (None, None)
@@ -200,46 +184,32 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
         robot=robot.name,
         method=run.tracker.engine.name,
         options=run.tracker.engine.settings(run.dt),
-        dt=float(run.dt),
+        dt=run.dt,
         joint_names=robot.joint_names,
         t=np.arange(done + 1) * run.dt,
         q=Q,
         rate=R,
         xyz=tips if by_tip else tips[:, 0],
         target_xyz=targets[:, :, :3, 3] if by_tip else targets[:, 0, :3, 3],
-        position_error=position,
-        orientation_error=orientation,
-        limited=run.C[:done],
-        damped=run.S[:done, 3] > 0.0,
+        position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
+        orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
+        limited=best.C,
+        damped=best.S[:done] > 0.0,
         between_position=between[0],
         between_orientation=between[1],
-        elapsed=run.elapsed,
+        elapsed=best.elapsed,
         searched=run.searched,
-        between=run.between,
+        between=best.between,
         gain_check=check,
-        position_tolerance=run.tolerances[0],
-        orientation_tolerance=run.tolerances[1],
+        position_tolerance=float(run.tolerances[0]),
+        orientation_tolerance=float(run.tolerances[1]),
         settle=run.settle,
         clock=clock,
-        sigma=run.S[:done, 1].copy(),
-        pace=run.S[:done, 2].astype(int),
-        end=float(times[-1]),
+        sigma=best.clock.rate[1:],
+        pace=best.clock.joint[:done],
+        end=float(run.times[-1]),
         tips=robot.tips,
     )
-
-
-def _errors(run: Run, targets: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Largest position and orientation error (M,) of the tips to targets (M, F, 4, 4); whole (M,): where the clock is at a sample.
-
-    Between samples the loop sees cubics through the reference's samples; what a run is judged by is the reference itself.
-    """
-    errors, still = run.E.copy(), np.zeros((1, run.E.shape[1]))
-    for k in np.flatnonzero(~whole):
-        errors[k] = run.tracker.error_at(run.Q[k], samples_from(targets[k : k + 1], still, still), run.dt)
-    errors = errors.reshape(len(errors), -1, 6)
-    posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
-    position = np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1)
-    return position, np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None
 
 
 def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -252,25 +222,6 @@ def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
     """Positions of the tips (N, F, 3) [m] at Q (N, n)."""
     arms = zip(robot.arms, robot.places, strict=True)
     return np.stack([arm.chain.forward(np.ascontiguousarray(Q[:, at]))[0][:, :3, 3] for arm, at in arms], axis=1)
-
-
-def _samples(reference: Reference, times: np.ndarray) -> Samples:
-    """Pose, twist and acceleration at the samples. Raises InvalidTarget, with the time, where they are none."""
-    T, V, A = reference.at(times)
-    used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
-    bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
-    what = "is not finite"
-    if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
-        R = T[:, :3, :3]
-        bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
-        # Where a singular value is further off 1, so is an entry of R^T R by a third of that: most samples need no more.
-        doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
-        bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
-        bad |= np.linalg.det(R) < 0.0
-        what = "is no pose (a rotation, a position and the last row 0 0 0 1)"
-    if bad.any():
-        raise InvalidTarget(f"reference '{reference.name}' {what} at t = {times[int(np.argmax(bad))]:g} s")
-    return T, V, A
 
 
 def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:

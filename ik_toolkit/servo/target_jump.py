@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..motion.reference import exp
+from ..motion.time_law import time_law, times_of
 from . import laws
 from .motion_limits import speeds
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
@@ -23,7 +24,6 @@ STRAIGHT = 1.2  # times as long as through the joints that a straight way may ta
 POINTS = 24  # pieces of a straight way: within each the tip leaves it by 1/576 of what it would on the joints' own way
 TORN = 4.0  # times as long, from which on the joints do not follow the straight way but change posture between two of its points
 NEAR = 2e-3  # [m] error, angles at LEVER, that is left to the method
-TINY = 1e-300  # divided by where a joint does not move
 SLOW = 0.5  # share of the error left by a step above which the method is hindered: gains leave a third, or nothing
 SOONER = 0.5  # of the time to the nearest posture, below which one that spares slow joints is gone to instead
 CLOSE = 1e-3  # [s] left at full speed: as good as there
@@ -66,6 +66,7 @@ class Leap:
         straight: how many times as long as through the joints a straight way may take.
         """
         self.postures, self._chosen, self._most, self._elsewhere = postures, chosen, straight, elsewhere
+        timed(np.eye(2), np.zeros(2), np.ones((4, 2)), 1.0)  # compiled (or loaded) now, and not in a control loop
         self.forget()
 
     def forget(self) -> None:
@@ -165,8 +166,7 @@ class Leap:
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:
     """Motion through points (K + 1, n), from joint rates (n,) to rest, as fast as speeds and accelerations (4, n) allow.
 
-    Along the segments, each as long as it takes at full speed, the speed is at most 1, and what the bends take of a joint's
-    acceleration is not there for gaining or losing it (Bobrow, Dubowsky and Gibson, 1985, on a grid).
+    Along the segments, each as long as it takes at full speed, the speed is at most 1.
     """
     top, a = speeds(limits), (1.0 - HELD_BACK) * limits[3] / bending(gamma)
     d = np.diff(points, axis=0)
@@ -178,19 +178,11 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
     along = np.concatenate([g[:1], share * g[:-1] + (1.0 - share) * g[1:], g[-1:]])
     bend = np.zeros_like(along)
     bend[1:-1] = np.diff(g, axis=0) / (0.5 * (length[:-1] + length[1:]))[:, None]
-    size, bend = np.maximum(np.abs(along), TINY), np.abs(bend)
-    square = np.minimum((a / np.maximum(bend, TINY)).min(axis=1), 1.0)
+    s, begin, end = np.append(0.0, np.cumsum(length)), 1.0, 1.0
     if (a < np.inf).any():
-        square[0], square[-1] = np.clip(rate @ g[0] / (g[0] @ g[0]), 0.0, 1.0) ** 2, 0.0
-        size, bend = np.maximum(size[:-1], size[1:]), np.maximum(bend[:-1], bend[1:])
-        most, size, bend, span, square = (x.tolist() for x in (a, size, bend, length, square))  # faster: they are short
-        steps = list(range(len(d)))
-        for here, there, k in [*((k, k + 1, k) for k in steps), *((k + 1, k, k) for k in steps[::-1])]:
-            now = square[here]
-            gain = min((x - y * now) / z for x, y, z in zip(most, bend[k], size[k], strict=True))
-            square[there] = min(square[there], now + 2.0 * max(gain, 0.0) * span[k])
-    speed = np.sqrt(square)
-    t = np.concatenate([[0.0], np.cumsum(2.0 * length / (speed[:-1] + speed[1:]))])
+        begin, end = np.clip(rate @ g[0] / (g[0] @ g[0]), 0.0, 1.0), 0.0
+    speed, _ = time_law(along, bend, s, np.full(len(a), np.inf), a, top=1.0, start=begin, end=end)
+    t = times_of(s, speed)
     route = Route(t, points, speed[:, None] * along)
     longer = max(1.0, route.fastest(top), math.sqrt(route.hardest(a)))
     return Route(longer * t, points, route.rate / longer)

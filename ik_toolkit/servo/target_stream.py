@@ -7,17 +7,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compile.array_view import flat, view
-from ..compile.jit import cached, inner
+from ..compile.jit import cached, inline, inner
 from ..copying import Blocks
 from ..errors import InvalidTarget, floats
-from ..kernel.algebra import V3, put3
+from ..kernel.algebra import M3, V3, put3
 from ..kernel.checks import rigid
 from ..kernel.counted_error import POSE, POSITION
+from ..kernel.kinematics import angle_ratio, rotation_error
 from ..kernel.records import copy
 from ..motion.reference import exp, log
 from ..robot.pose import AxisTarget
 from ..solvers.task import read_one, read_target
-from .time_scaling import turn_left
 from .workspace import Samples, new_samples, samples_of
 
 TIGHT = 1e-9  # of a rotation accepted as it is: far stricter than the full check, outside the kernel, which corrects or refuses
@@ -49,6 +49,19 @@ def finite(A):
     for k in range(A.shape[0]):
         total += abs(A[k])
     return total < math.inf
+
+
+@inline
+def axes_of(T):
+    """Axes of a pose (4, 4)."""
+    return M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
+
+
+@inner
+def turn_left(T0, T1):
+    """Rotation vector, in base axes, that brings the rotation of T0 (4, 4) to that of T1."""
+    angular = rotation_error(axes_of(T0), axes_of(T1))
+    return angular * angle_ratio(angular.square())
 
 
 @inner
@@ -104,7 +117,7 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
     acceleration: whether they are given, else the last two targets give a twist, in dt [s], and the acceleration is 0. Returns
     TAKEN, DOUBTFUL or HELD.
     """
-    (_, T, V, A, _), (_, Ts, Vs, As, _) = samples_of(view(samples)), samples_of(view(given))
+    (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
         replace(T, V, A, 1, 0)
     held = how == REFUSED or (twist and not finite(Vs[0])) or (acceleration and not finite(As[0]))
@@ -159,7 +172,7 @@ class Stream(Blocks):
         self.kinds: tuple | None = None
         self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
         for one in (self.samples, self._given, self._last):
-            one.T[:], one.caps[0], one.caps[1] = np.eye(4), 1.0, -1.0
+            one.T[:] = np.eye(4)
         self.stand = np.zeros(len(STAND) + 16 * self.tips)  # see `arrival.Stand`
         self._cut()
         self.unseen = 0.0
@@ -337,7 +350,7 @@ def _finite(one: Any) -> bool:
 
 
 def samples_from(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> Samples:
-    """Samples of targets T (N, F, 4, 4), V, A (N, m), at which the clock may run as fast as time."""
+    """Samples of targets T (N, F, 4, 4), V, A (N, m)."""
     made = new_samples(*T.shape[:2])
-    made.T[:], made.V[:], made.A[:], made.caps[0], made.caps[1] = T, V, A, 1.0, -1.0
+    made.T[:], made.V[:], made.A[:] = T, V, A
     return made

@@ -28,7 +28,6 @@ from .stability import AGE
 from .step import Judged, Step, make_outcome
 from .target_jump import STRAIGHT, Leap
 from .target_stream import STAND, Stream
-from .time_scaling import QUICK
 from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
 
 JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
@@ -225,7 +224,7 @@ class Tracker(Blocks, ReadOnly):
         h = dt / (parts := parts_of(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
             self._step(part, h, not finite, q is not None)
-        code, lost = self._code.copy(), self._out.S[0, 3]
+        code, lost = self._code.copy(), self._out.S[0]
         if self._postures and finite and not self._goes:
             stream.unseen += dt
             left = self._postures.size(self._error)
@@ -279,7 +278,7 @@ class Tracker(Blocks, ReadOnly):
         """Let a step taken be looked at: whether the joints are to be led elsewhere."""
         out, unseen, self.stream.unseen = self._out, self.stream.unseen, 0.0
         taken = Taken(
-            self._code, out.S[0, 3] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
+            self._code, out.S[0] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
             self._limits, self._settings.law, lambda q: self.error_at(q, self.stream.last_of(samples), h),
         )  # fmt: skip
         for way in self._ways:
@@ -328,15 +327,12 @@ class Tracker(Blocks, ReadOnly):
 
     def run(
         self, samples: Samples, h: float, out: Record, *, brake: bool = False, measured: bool = False,
-        runaway: float = math.inf, mode: int | None = None, clock: tuple[float, float] | None = None,
+        runaway: float = math.inf,
     ) -> int:  # fmt: skip
-        """Take as many steps of h [s] from the present state as `out` has room for (see servo/loop.py); returns how many.
-
-        clock: tolerances (position [m], orientation [rad]) of a reference that has one.
-        """
+        """Take as many steps of h [s] from the present state as `out` has room for (see servo/loop.py); returns how many."""
         # With gains for each step's own time ca swings without end where these times differ.
         pace = max(h, min(self.stream.pace, self._late))
-        ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self._rows, self.secondary.avoid
+        ordered = h, pace, brake, measured, runaway, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:
             self._order(*ordered)
             self._ordered = ordered
@@ -347,7 +343,7 @@ class Tracker(Blocks, ReadOnly):
             chain.rows, chain.ends, self._orders, self._settings.block, self._carried.block, samples.block, out.block, h
         )
 
-    def _order(self, h, pace, brake, measured, runaway, mode, clock, late, rows, avoid) -> None:
+    def _order(self, h, pace, brake, measured, runaway, late, rows, avoid) -> None:
         """Write the law of a run to the settings."""
         made = self._laws.get((pace, measured))
         if made is None:
@@ -357,29 +353,24 @@ class Tracker(Blocks, ReadOnly):
         law, at = self._settings.law, laws.PLACE
         law[:] = made
         law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)
-        law[at.rows], law[at.avoid], law[at.clocked] = rows, avoid, clock is not None
-        law[at.mode] = self._mode if mode is None else mode
-        if clock is not None:
-            law[at.tol_p], law[at.tol_r] = clock
+        law[at.rows], law[at.avoid], law[at.mode] = rows, avoid, self._mode
 
     @property
     def one_by_one(self) -> bool:
         """Whether something has to be looked at before every step, so that the loop cannot take several."""
         return self.secondary.each_step or self._guard is not None
 
-    def take(
-        self, samples: Samples, h: float, out: Record, *, clock: Any = None, brake: bool = False, **how: Any
-    ) -> int:
+    def take(self, samples: Samples, h: float, out: Record, *, brake: bool = False, **how: Any) -> int:
         """Take a step as `run` does, or brake where it could end in a contact."""
         guard, unit = self._guard, self.robot.chain.unit
         if guard is None:
-            return self.run(samples, h, out, clock=clock, brake=brake, **how)
+            return self.run(samples, h, out, brake=brake, **how)
         guard.late = max(self._late, h)
         q, rate = self._carried.motion * self._units
         self._rows = r = guard.rows(q, rate, h)
         self._settings.lines[:r], self._settings.level[:r] = guard.A[:r] * unit, guard.b[:r]
         before = self.carried()
-        done = self.run(samples, h, out, clock=clock, brake=brake, **how)
+        done = self.run(samples, h, out, brake=brake, **how)
         held = np.flatnonzero(self._carried.kept[:r])
         self._between = guard.pairs[held[0]] if len(held) and out.C[0].any() else None
         next_q, next_rate = self._carried.motion * self._units
@@ -390,10 +381,9 @@ class Tracker(Blocks, ReadOnly):
         move = (self._q - q / unit) / h
         viability.watch(self._carried.swings, move, move, speeds(self._limits), 1.0, h)
         state, at = self._state, laws.STATE
-        state[at.start], state[at.free], state[at.sigma] = laws.READY, 0.0, max(state[at.sigma] - QUICK * h, 0.0)
+        state[at.start], state[at.free] = laws.READY, 0.0
         self._carried.memory[:], self._between = 0.0, guard.blocked
-        out.S[0, 1:3] = 0.0, -1.0  # the clock stood still
-        self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
+        self._end(self.stream.last_of(samples), h, out, **how)
         out.C[0] = np.where(self._rate == 0.0, viability.ROW, viability.ROW | viability.ACCELERATION) | (
             viability.HELD if brake else 0
         )

@@ -64,7 +64,6 @@ class Samples(NamedTuple):
     T: Array  # (N, F, 4, 4) [m]
     V: Array  # (N, m) twist
     A: Array  # (N, m) acceleration
-    caps: Array  # (3, N) highest rate of the clock, joint that sets it, steps to the end at these rates
 
     def __reduce__(self) -> tuple:
         return samples_of, (self.block,)
@@ -78,7 +77,7 @@ class Record(NamedTuple):
     Q: Array  # (N, n)
     R: Array  # (N, n) rates
     E: Array  # (N, m) errors [m, rad]
-    S: Array  # (N, 4) clock, its rate, joint that sets it (-1: none), lost directions (1 in a step down near a singular pose)
+    S: Array  # (N,) lost directions of each step (1 in a step down near a singular pose)
     C: Array  # (N - 1, n) bits of limits, uint8
 
     def __reduce__(self) -> tuple:
@@ -100,13 +99,13 @@ def carried_shapes(n, memory, rows, m):
 @shared
 def samples_shapes(N, F):
     """Shapes of `Samples`."""
-    return (N, F, 4, 4), (N, 6 * F), (N, 6 * F), (3, N)
+    return (N, F, 4, 4), (N, 6 * F), (N, 6 * F)
 
 
 @shared
 def record_shapes(N, n, m):
     """Shapes of `Record`."""
-    return (N, n), (N, n), (N, m), (N, 4), ((N - 1) * n + 7) // 8
+    return (N, n), (N, n), (N, m), N, ((N - 1) * n + 7) // 8
 
 
 @shared
@@ -184,15 +183,12 @@ class Bench(NamedTuple):
 
     why_low: Array  # of the box, see viability.py
     why_top: Array
-    Ts: Array  # (F, 4, 4) reference
-    Vs: Array  # (m,)
-    As: Array  # (m,)
     e: Array  # (m,) error now
     ahead: Array  # (m,) and to where the target will be
-    f: Array  # (m,) twist of the target, as it counts, at the clock's rate
-    pace: Array  # (m,) ... and in time
+    f: Array  # (m,) twist of the target, as it counts
+    pace: Array  # (m,) ... with what is lost of it
     a: Array  # (m,) acceleration
-    ask: Array  # (m,) rate of the task that does not scale with the clock
+    ask: Array  # (m,) rate of the task without the target's motion
     bias: Array  # (m,)
     weight: Array  # (m,) of the errors; ones where they are weighed already
     t: Array  # (m,)
@@ -215,7 +211,6 @@ class Bench(NamedTuple):
     x: Array  # rates wanted, then taken
     w: Array  # rates wanted, kept
     g: Array  # wishes
-    lead: Array  # J^+ pace
     v: Array
     probe: Array
     before: Array
@@ -241,6 +236,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
-        n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
+        m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
+        n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
     )))  # fmt: skip

@@ -69,7 +69,7 @@ def test_a_path_that_is_not_followed_ends_with_1_and_says_why(run, poses, tmp_pa
 
 
 def test_a_trajectory_is_written_and_shown(run, files, tmp_path):
-    pytest.importorskip("toppra")
+    pytest.importorskip("scipy")
     timed = ("path", ARM, "--poses", files["csv"], "--retime", "--velocity", "0.5", "--acceleration", "1")
     for name in ("t.csv", "t.json"):
         code, text, _ = run(*timed, "-o", tmp_path / name, "--rate", "50")

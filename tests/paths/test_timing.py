@@ -16,7 +16,7 @@ from ik_toolkit.paths.continuity import interpolate
 from ik_toolkit.paths.free_motion import connect
 from ik_toolkit.paths.result import PathStatus
 
-pytest.importorskip("toppra")
+pytest.importorskip("scipy")
 
 
 @functools.cache

@@ -33,7 +33,7 @@ def test_nothing_is_drawn_across_a_change_of_branch():
 
 
 def test_trajectories_are_shown_in_real_time_and_read_back(tmp_path):
-    pytest.importorskip("toppra")
+    pytest.importorskip("scipy")
     made = result().retime(1.0, 2.0, rate=50.0)
     scene = ik.view(made.robot, made)
     told = scene.window.about["animation"]

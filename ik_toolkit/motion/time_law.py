@@ -1,0 +1,127 @@
+"""How fast a path may be run: the fastest time law inside speed and acceleration limits of its joints.
+
+A path is given by joint values over a coordinate s. With z = (ds/dt)^2, joint i moves at q_i' sqrt(z) and accelerates by
+q_i'' z + q_i' u, where u = d2s/dt2 = (dz/ds) / 2 is constant between two grid points. One pass from the end finds the largest z
+at each point from which the rest can be run, one from the start the largest that can be come to (TOPP-RA, Pham and Pham, 2018).
+"""
+
+import numpy as np
+
+from ..compile.jit import cached
+
+TINY = 1e-12  # of a joint's bend: smaller slopes take no part of an acceleration
+
+
+def time_law(
+    slope: np.ndarray,
+    bend: np.ndarray,
+    s: np.ndarray,
+    speed: np.ndarray,
+    acceleration: np.ndarray,
+    *,
+    top: float | np.ndarray = np.inf,
+    gain: float = np.inf,
+    start: float = np.inf,
+    end: float = np.inf,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the highest rates ds/dt along a path, at its grid points.
+
+    A joint's acceleration is within its limit at both ends of every interval; with a limit at one end alone, single samples of
+    tracked runs had twice of it.
+
+    Args:
+        slope: First derivatives (N + 1, n) of the joint values with respect to s.
+        bend: Second derivatives (N + 1, n).
+        s: Path coordinate (N + 1,), increasing.
+        speed: Limits (n,) of joint speeds [rad/s or m/s], infinite where there are none.
+        acceleration: Limits (n,) of joint accelerations [rad/s^2 or m/s^2], infinite where there are none.
+        top: Largest ds/dt, one or (N + 1,).
+        gain: Largest magnitude of d2s/dt2.
+        start: Largest ds/dt at the first point.
+        end: Largest ds/dt at the last point.
+
+    Returns:
+        Rates (N + 1,), and the number (N + 1,) of the joint that limits each, -1 where `top`, `start` or `end` does.
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        share = np.where(np.isfinite(speed), speed, np.inf) / np.abs(slope)
+    share[np.isnan(share)] = np.inf
+    joint = np.argmin(share, axis=1)
+    least = share[np.arange(len(s)), joint]
+    rate = np.minimum(least, top)
+    rate[0], rate[-1] = min(rate[0], start), min(rate[-1], end)
+    z, joint = rate * rate, np.where(rate < least, -1, joint)
+    if np.isfinite(acceleration).any() or np.isfinite(gain):
+        bound = np.flatnonzero(np.isfinite(acceleration))
+        rows = np.ascontiguousarray(slope[:, bound]), np.ascontiguousarray(bend[:, bound])
+        sweep(*rows, np.diff(s), acceleration[bound], bound, gain, z, joint)
+    return np.sqrt(z), joint
+
+
+def times_of(s: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Times at the grid points s (N + 1,) where ds/dt is `rate` (N + 1,), from 0; infinite beyond where it stands still."""
+    with np.errstate(divide="ignore"):
+        return np.append(0.0, np.cumsum(2.0 * np.diff(s) / (rate[1:] + rate[:-1])))
+
+
+def coordinate_at(
+    t: np.ndarray, times: np.ndarray, s: np.ndarray, rate: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """s, ds/dt and d2s/dt2 (M,) at times t (M,) of a law with times, s and rate (N + 1,) at its grid points."""
+    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    steps = np.diff(times)
+    gain = np.divide(np.diff(rate), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]  # 0: nothing moves
+    past = t - times[k]
+    return np.clip(s[k] + (rate[k] + 0.5 * gain * past) * past, s[0], s[-1]), rate[k] + gain * past, gain
+
+
+@cached
+def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
+    """Lower z (N + 1,), the squares of the rates, to what accelerations allow; joint (N + 1,) then says by which of `names` (n,).
+
+    Where `gain` alone limits z, on the way to or from a slower place, it is the joint that limits that place.
+    In an interval the highest z is a linear program in (z, u): u is eliminated from all pairs of its lower and upper bounds.
+    """
+    n, last = slope.shape[1], steps.shape[0]
+    low, low_z, low_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
+    high, high_z, high_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
+    for k in range(last - 1, -1, -1):
+        h, top, by = steps[k], z[k], -1
+        # low - low_z z <= u <= high - high_z z; the first of them keep z at the end between 0 and what it may be there.
+        low[0], low_z[0], low_by[0] = 0.0, 0.5 / h, -1
+        high[0], high_z[0], high_by[0] = 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
+        low[1], low_z[1], low_by[1] = -gain, 0.0, -1
+        high[1], high_z[1], high_by[1] = gain, 0.0, -1
+        count = 2
+        for i in range(n):
+            for at in range(2):
+                b = bend[k + at, i]
+                g = slope[k + at, i] + at * 2.0 * h * b  # z at the end is z + 2 h u
+                if abs(g) <= TINY * (1.0 + abs(b)):
+                    if abs(b) * top > acceleration[i]:
+                        top, by = acceleration[i] / abs(b), names[i]
+                    continue
+                low[count], low_z[count], low_by[count] = -acceleration[i] / abs(g), b / g, names[i]
+                high[count], high_z[count], high_by[count] = acceleration[i] / abs(g), b / g, names[i]
+                count += 1
+        for j in range(count):
+            for m in range(count):
+                both = high_z[m] - low_z[j]
+                if both * top > high[m] - low[j]:
+                    top = max((high[m] - low[j]) / both, 0.0)
+                    by = high_by[m] if high_by[m] >= 0 else low_by[j]
+        if top < z[k]:
+            z[k], joint[k] = top, by
+    for k in range(last):
+        h, most, by = steps[k], gain, joint[k]
+        for i in range(n):
+            for at in range(2):
+                b = bend[k + at, i]
+                g = slope[k + at, i] + at * 2.0 * h * b
+                if abs(g) > TINY * (1.0 + abs(b)):
+                    u = (acceleration[i] - np.sign(g) * b * z[k]) / abs(g)
+                    if u < most:
+                        most, by = u, names[i]
+        reached = max(z[k] + 2.0 * h * most, 0.0)
+        if reached < z[k + 1]:
+            z[k + 1], joint[k + 1] = reached, by
