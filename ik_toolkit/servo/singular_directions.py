@@ -9,7 +9,6 @@ import numpy as np
 
 from ..compile.jit import compiled, inline, inner
 from ..kernel.records import copy
-from .constrained_step import SLOW
 from .laws import CV, REGION, STATE, natural
 from .null_space_motion import STEP, reflect
 from .singular_step import (
@@ -164,11 +163,11 @@ def fastest_along(V, r, limits):
 
 
 @inner
-def mode_speed(s, mode, gain, h, slow, limits, near, away):
+def mode_speed(s, mode, gain, h, limits, near, away):
     """Judge a mode: its speed to s.xk, and 1 to s.lost where it is taken out of the task.
 
-    s.t: the curvature of each `mode_probe`, along u_r; slow: whether a clock gives way where joints are too slow; near: above 0
-    when the last step was a singular one, above 1 for some time after the target was out of reach. Returns whether it is now.
+    s.t: the curvature of each `mode_probe`, along u_r; near: above 0 when the last step was a singular one, above 1 for some time
+    after the target was out of reach. Returns whether it is now.
 
     away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came. Where it says nothing
     about this one, they came from where they are.
@@ -203,15 +202,16 @@ def mode_speed(s, mode, gain, h, slow, limits, near, away):
         bring_along(V, r, away, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
     E = moved + h * gain * left
     bent = abs(b * E) > BENT * mode.sigma * mode.sigma
-    if mode.sigma < LOST or bent or (abs(E) > h * cap * mode.sigma and not slow):
+    if mode.sigma < LOST or bent or abs(E) > h * cap * mode.sigma:
         s.lost[r], s.xk[r] = 1.0, x
     return D < -LEAST * LEAST
 
 
 @inline
-def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
+def judge_modes(law, task, look, s, limits, h, own, heavy):
     """Judge directions in which the tip can hardly move (singular_step.py); returns whether the target is out of reach in one."""
     n, m = s.J.shape
+    rate, away, state = own.motion[1], own.away, own.state
     near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
     for r in range(m):
         if s.sv[r] >= REGION * law.damping:
@@ -220,18 +220,18 @@ def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
             forget_default(state, away)
         near = True
         left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
-        free, thin, own = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r], 0.0
+        free, thin, speed = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r], 0.0
         if not begin_mode(s, r, free, moved + h * gain * left, away):
             continue
         for part in range(-n if free else 0, 3):
             if part == ALONG and free:
                 thin = bent_direction(s.W, s.V, s.sv, r, s.null)
-            own = probe_mode(s, r, part, rate, h)
+            speed = probe_mode(s, r, part, rate, h)
             bend(task, look, s, True)
             note_curve(s, r, part)
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
-        mode = WeakMode(r, s.sv[r], thin, rest, own, left, moved)
-        out = mode_speed(s, mode, gain, h, law.mode == SLOW, limits, state[STATE.near], away)
+        mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
+        out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
         if free and out:  # damped, as in `hold_back`
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out

@@ -265,7 +265,7 @@ def take_out(J, W, U, V, lost, f, G):
 
 
 @inner
-def by_modes(J, W, U, lost, f, ask, y):
+def by_modes(J, W, U, lost, ask, y):
     """Write the task, J and what is asked, by the modes that are kept, where some are lost: independent rows say the same.
 
     A row of weight 0 is a mode of its own, as long as `modes` began without directions of another task.
@@ -276,18 +276,17 @@ def by_modes(J, W, U, lost, f, ask, y):
         some = some or lost[r] > 0.0
     if not some:
         return
-    for vector in (f, ask):
-        for r in range(m):
-            y[r] = 0.0 if lost[r] > 0.0 else mode_part(U, r, vector)
-        for r in range(m):
-            vector[r] = y[r]
+    for r in range(m):
+        y[r] = 0.0 if lost[r] > 0.0 else mode_part(U, r, ask)
+    for r in range(m):
+        ask[r] = y[r]
     for i in range(n):
         for r in range(m):
             J[i, r] = 0.0 if lost[r] > 0.0 else W[r, i]
 
 
 @inner
-def hold_back(U, sigma, lost, bend, e, ahead, f, pace, more):
+def hold_back(U, sigma, lost, bend, e, ahead, f, more):
     """Shrink what is asked for along the directions that are not lost, where what is lost cannot be reached.
 
     bend: the largest curvature of the tip's way. Times the error left it adds to sigma_k^2 of the second derivative, and whole
@@ -313,7 +312,7 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, pace, more):
         if lost[r] == 0.0:
             extra = bend * math.sqrt(more[r])
             share = extra / (sigma[r] * sigma[r] + extra)
-            for vector in (e, ahead, f, pace):
+            for vector in (e, ahead, f):
                 part = share * mode_part(U, r, vector)
                 for c in range(vector.shape[0]):
                     vector[c] -= part * U[r, c]

@@ -38,16 +38,16 @@ def run(J, v, want, low, high, planes, count, mode, repeats, active, kept):
     n, m = J.shape[1], J.shape[2]
     A, b = planes[:, :n].copy(), planes[:, n].copy()
     room = make_room(n, m, A.shape[0])
-    weight, size, none, at_rest = np.ones(m), np.ones(n), np.zeros(m), np.zeros(n)
-    taken = StepTaken(np.empty(n), active, kept, np.empty(n))
+    weight, size, at_rest = np.ones(m), np.ones(n), np.zeros(n)
+    taken = StepTaken(np.empty(n), active, kept)
     before, held = active.copy(), kept.copy()
     total = 0
     for _ in range(repeats):
         active[:] = before
         kept[:] = held
         for i in range(J.shape[0]):
-            asked = TaskRate(J[i], weight, v[i], none, want[i], at_rest, size, mode, 0.01, 0.0)
-            total += constrain(asked, Allowed(low, high, A, b, count), room, taken)[0]
+            asked = TaskRate(J[i], weight, v[i], want[i], at_rest, size, mode, 0.01, 0.0)
+            total += constrain(asked, Allowed(low, high, A, b, count), room, taken)
     return total
 
 

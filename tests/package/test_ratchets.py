@@ -7,12 +7,12 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files": 283,
-    "public names defined in two files or more": 95,
+    "files": 281,
+    "public names defined in two files or more": 94,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 40,
+    "functions of more than 9 parameters": 29,
     "constants of the most laden file of kernel and servo": 22,
-    "constants of modules": 1163,
+    "constants of modules": 1138,
     "uses of by_tip": 105,
     "imports for types alone": 16,
     "files under 120 lines that one other imports": 12,

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.servo import laws, limited_step
+from ik_toolkit.servo import laws, loop
 from ik_toolkit.servo.constrained_step import Allowed
 from ik_toolkit.servo.laws import AA, AT_RATE, AT_RATE_AND_STEP, AT_STEP, AV, CA, CLIP, CV, STATE, Law
-from ik_toolkit.servo.viability import RECOVERING, approach
+from ik_toolkit.servo.viability import approach
 
 
 def law(code=CV, **values):
@@ -193,16 +193,11 @@ def test_what_was_held_back_becomes_the_earlier_command():
         prev = np.full(3, 7.0)
         laws.settle(law(kind), 0.1, before, x, code, prev)
         np.testing.assert_allclose(prev, want)
-    lead, wanted, h, ratio, slower = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, 3.0]), 0.1, 0.8, 0.25
+    wanted, h, ratio = np.array([1.0, 2.0, 3.0]), 0.1, 0.8
     for kind in (CV, AV, CA, AA):
         prev = np.full(3, 7.0)
-        laws.own_up(law(kind), h, ratio, wanted, x, lead, slower, prev)
-        if kind == CV:  # the rates taken are u + ratio/2 (u - old), less the clock's
-            change = (x - wanted - 0.4 * lead * slower) / 1.4
-        elif kind == CA:
-            change = (x - wanted + lead * slower) / h / 1.4
-        else:
-            change = 0.0
+        laws.own_up(law(kind), h, ratio, wanted, x, prev)
+        change = (x - wanted) / {CV: 1.0, CA: h}.get(kind, np.inf) / 1.4  # the rates taken are u + ratio/2 (u - old)
         np.testing.assert_allclose(prev, 7.0 + change, rtol=1e-13)
 
 
@@ -213,18 +208,6 @@ def test_rates_that_cannot_be_followed():
         (CLIP, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
     ):  # fmt: skip
         x, state = np.array(wanted), np.zeros(len(STATE))
-        ended, still = limited_step.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
+        ended, still = loop.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
         assert ended == (stop > 0) and still == (stop < 0) and state[STATE.stop] == max(stop, 0)
         np.testing.assert_array_equal(x, [0.0, 0.0] if still else wanted)
-
-
-def test_the_joint_that_sets_the_clock():
-    class Bench:
-        multiplier, size = np.array([3.0, -5.0, 9.0, 1.0]), np.array([1.0, 1.0, 1.0, 4.0])
-
-    for active, done, sigma, ahead, joint in (
-        ([1, -1, 0, 1], 0.5, 0.6, 7.0, 1.0), ([1, 0, 2, 1], 0.5, 0.6, 7.0, 3.0), ([1, 0, 2, 0], 0.5, 0.6, 7.0, 0.0),
-        ([0, 0, 2, 0], 0.5, 0.6, 7.0, 7.0), ([1, 1, 1, 1], 0.6, 0.6, 7.0, 7.0), ([1, 1, 1, 1], 1.0, 1.0, 7.0, -1.0),
-    ):  # fmt: skip
-        assert limited_step.pacing(Bench, np.array(active), done, sigma, ahead) == joint
-    assert RECOVERING == 16

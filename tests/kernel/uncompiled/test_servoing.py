@@ -1,4 +1,4 @@
-"""The parts of a tracker step around its law (start, clock, wishes, clipping), and parts of the constrained step."""
+"""The parts of a tracker step around its law (start, wishes, clipping), and parts of the constrained step."""
 
 from types import SimpleNamespace
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ik_toolkit.kernel.search import SINGULAR_STEP
-from ik_toolkit.servo import command, laws, limited_step, loop, singular_directions, time_scaling, viability
-from ik_toolkit.servo.constrained_step import LEAVE, SLOW
+from ik_toolkit.servo import command, laws, loop, singular_directions, viability
+from ik_toolkit.servo.constrained_step import DIRECT, LEAVE
 from ik_toolkit.servo.laws import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
 from ik_toolkit.servo.viability import HELD
 
@@ -34,7 +34,7 @@ def scratch(rng, n=7, m=6):
         e=np.zeros(m),
         bias=np.zeros(m),
     )
-    for name in ("g", "v", "at", "x", "x1", "x2", "probe", "before", "lead", "w"):
+    for name in ("g", "v", "at", "x", "x1", "x2", "probe", "before", "w"):
         setattr(s, name, np.zeros(n))
     s.floor, s.roof = np.full(n, -1.0), np.full(n, 1.0)
     laws.factor(s.J, m, 0.0, s.G, s.y)
@@ -51,112 +51,18 @@ def test_the_rate_at_the_start():
     J, f = rng.normal(size=(n, m)), rng.normal(size=m)
     limits = np.array([np.full(n, -1.0), np.full(n, 1.0), np.full(n, 0.3), np.full(n, 0.5)])
     own = np.linalg.pinv(J.T) @ f
-    for mode in (LEAVE, SLOW):
-        for cap in (1.0, 0.4):
-            for at in (0.0, 0.995):
-                q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
-                state[STATE.start] = MOVING
-                loop.set_out(
-                    law(mode=mode, late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, cap, q, rate, state
-                )
-                top = [
-                    min(
-                        0.3,
-                        viability.approach(
-                            max(viability.way_to(1.0 if v > 0 else -1.0, at, 1.0 if v > 0 else -1.0), 0.0),
-                            0.0,
-                            1.0,
-                            0.0,
-                            0.5,
-                            0.05,
-                        ),
-                    )
-                    for v in own
-                ]
-                slower = cap if mode == SLOW else 1.0
-                np.testing.assert_allclose(rate, slower * np.clip(own, -np.array(top), top), rtol=1e-9)
-                assert state[STATE.sigma] == slower and state[STATE.start] == READY
-    for rates, want in ((0.5 * own, 0.5), (2.0 * own, 0.8), (-own, 0.0)):
-        state = np.zeros(len(STATE))
-        state[STATE.start] = GIVEN
-        loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, 0.8, np.zeros(n), rates.copy(), state)
-        assert state[STATE.sigma] == pytest.approx(want)
-        limits_off = limits.copy()
-        limits_off[3] = np.inf
-        loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits_off, 0.8, np.zeros(n), rates.copy(), state)
-        assert state[STATE.sigma] == 0.8
+    for at in (0.0, 0.995):
+        q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
+        state[STATE.start] = MOVING
+        loop.set_out(law(late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, q, rate, state)
+        gaps = [max(viability.way_to(np.copysign(1.0, v), at, np.copysign(1.0, v)), 0.0) for v in own]
+        top = np.array([min(0.3, viability.approach(gap, 0.0, 1.0, 0.0, 0.5, 0.05)) for gap in gaps])
+        np.testing.assert_allclose(rate, np.clip(own, -top, top), rtol=1e-9)
+        assert state[STATE.start] == READY
     state[STATE.start] = GIVEN
-    loop.set_out(law(), J, 0.0 * f, np.zeros((n, n)), np.empty(n), limits, 0.7, np.zeros(n), own.copy(), state)
-    assert state[STATE.sigma] == 0.7
-
-
-def steps_at(rate, samples=101):
-    """Steps to the end of a reference from each of its samples, at rates (a number, or one an interval)."""
-    return np.append(np.cumsum((1.0 / np.broadcast_to(rate, samples - 1))[::-1])[::-1], 0.0)
-
-
-def test_the_clock_of_a_run():
-    state, E = np.zeros(len(STATE)), np.zeros(6)
-    a, even = np.ones(6), steps_at(0.8)
-    assert loop.wind(state, law(mode=LEAVE, tol_p=1.0, tol_r=1.0), a, E, 0.5, even, 9.0, 0.1) == 1.0 and np.all(
-        a == 1.0
-    )
-    for gamma in (0.5, 0.6, 1.0):
-        slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=gamma)
-        for left in (0.4, 1.5, 1.7, 80.0, 0.8 * 3 + 1e-10):
-            for now in (0.6, 0.8, 0.0, 1.0):
-                state[STATE.sigma], a[:] = now, 1.0
-                sigma = loop.wind(state, slow, a, E, 0.8, even, 100.0 - left, 0.05)
-                np.testing.assert_allclose(a, sigma**2)
-                first = loop.advanced(state, slow, sigma)
-                assert first == pytest.approx(now + gamma * (sigma - now))
-                assert 0.0 <= sigma <= min(now + 0.5, 0.8 / time_scaling.SPARE if now < 1.0 else 1.0)
-                if sigma > 0.0 and left > first:
-                    assert sigma >= now - 0.5 - 1e-12  # 10 1/s
-                    more = (left - first) / sigma
-                    if sigma != pytest.approx(now - 0.5):
-                        assert more == pytest.approx(round(more), abs=1e-8)  # to the end in whole steps
-    slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
-    state[STATE.sigma] = 0.8
-    assert loop.wind(state, slow, np.ones(6), E, 0.8, even, 97.6 - 1e-10, 0.1) == pytest.approx(0.8)
-    assert loop.wind(state, slow, np.ones(6), E, 0.8, even, 99.6, 0.1) == pytest.approx(0.0)
-    far = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # the clock is to wait, and slows down no faster than 10 1/s
-    for left in (0.9, 7.3, 30.0):
-        slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.6)
-        assert loop.wind(state, slow, np.ones(6), far, 0.8, even, 100.0 - left, 0.02) >= 0.6 - 1e-12
-    slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
-    assert loop.advanced(state, slow, 0.4) == pytest.approx(0.6)
-    state[STATE.sigma] = 0.5
-    loop.tick(state, law(mode=LEAVE), 3.0, 0.2)
-    assert state[STATE.clock] == 4.0 and state[STATE.sigma] == 0.5
-    loop.tick(state, slow, 3.0, 0.3)
-    assert state[STATE.clock] == pytest.approx(3.4) and state[STATE.sigma] == 0.3
-    state[STATE.sigma] = 0.5
-    loop.tick(state, slow, 3.5 + 0.5e-9, 0.5)
-    assert state[STATE.clock] == 4.0
-    loop.tick(state, slow, 3.5 + 2e-9, 0.5)
-    assert state[STATE.clock] != 4.0 and time_scaling.WHOLE == 1e-9
-
-
-@pytest.mark.parametrize("gamma", [0.5, 0.6, 1.0])
-@pytest.mark.parametrize("turn", [0.02, -0.02, 0.05])
-def test_the_clock_ends_in_whole_steps_where_its_highest_rate_changes(gamma, turn):
-    """Up to the last step its rate changes by at most 10 1/s; a short last step, taken at once, was a jump."""
-    h, E = 0.002, np.zeros(6)
-    for count in range(60, 160, 3):
-        caps = np.clip(0.6 + 0.3 * np.sin(turn * np.arange(count + 1)), 0.0, 1.0)
-        steps = steps_at(np.minimum(caps[:-1], caps[1:]), count + 1)
-        state, slow, rates = np.zeros(len(STATE)), law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=gamma), [caps[0]]
-        state[STATE.sigma] = caps[0]
-        while state[STATE.clock] < count:
-            at = state[STATE.clock]
-            cap = caps[int(at) : int(at) + 2].min()
-            sigma = loop.wind(state, slow, np.ones(6), E, cap, steps, at, h)
-            loop.tick(state, slow, at, sigma)
-            rates.append(sigma)
-        assert state[STATE.clock] == count
-        assert np.abs(np.diff(rates)).max() <= time_scaling.QUICK * h + 1e-9, (count, rates[-3:])
-        assert max(rates) <= caps.max() / time_scaling.SPARE
+    loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, np.zeros(n), rate := own.copy(), state)
+    np.testing.assert_array_equal(rate, own)
+    assert state[STATE.start] == READY
 
 
 def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does():
@@ -182,7 +88,7 @@ def test_half_planes_are_gathered_and_rates_clipped():
         np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
     s.x[:] = [3.0, 0.2, -3.0]
-    assert limited_step.by_clipping(law(), s, 0, 0.7, 0.0, 0.1, None, None, None, None, code) == (0.7, False)
+    assert not loop.by_clipping(law(), s, 0, 0.0, 0.1, None, None, code)
     np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
 
 
@@ -215,7 +121,9 @@ def test_wishes_are_found_and_added():
             (AA, 0.01, 40.0),
         ):
             s.x[:], memory = base, np.full(n, 7.0)
-            command.add_wishes(law(code, avoid=avoid, null=damped), s, limits, wish, 0.6, h, memory)
+            command.add_wishes(
+                law(code, avoid=avoid, null=damped), s, SimpleNamespace(limits=limits, wish=wish), 0.6, h, memory
+            )
             # With the damping of the law, which is elsewhere, the joints' own motion comes to what is wished, at 20 1/s or more,
             # or in one step (ca: two thirds of it).
             rate = max(min(20.0, (2.0 / 3.0 if code == CA else 1.0) / h), damped)
@@ -294,16 +202,16 @@ def test_a_step_of_a_rule():
             p.desk.dq[:], p.desk.x[:] = 0.5, 3.0
             return self.code
 
-    args = (law(), Rule(), task, None, weights, s, None, None, None, 0, 1.0, 0.1, None)
-    assert command.by_rule(*args, memory, None, None, None) == 0.0 and task.asked == 0
+    args = law(), Rule(), task, None, weights, s, None, SimpleNamespace(memory=memory), command.Moment(0, 0.1)
+    assert command.by_rule(*args) == 0.0 and task.asked == 0
     np.testing.assert_allclose(s.x, 5.0)
     np.testing.assert_array_equal(memory, 3.0)
     memory[:], s.g[3] = old, 0.25
-    command.by_rule(*args, memory, None, None, None)
+    command.by_rule(*args)
     np.testing.assert_allclose(s.x, 5.0 + s.g)
     assert task.asked == 1
     Rule.code, memory[:] = SINGULAR_STEP, old
-    command.by_rule(*args, memory, None, None, None)
+    command.by_rule(*args)
     np.testing.assert_array_equal(s.x, s.g)
     out = np.zeros((3, 2))
     singular_directions.copy_column(np.arange(3.0), out, 1)
@@ -315,7 +223,7 @@ def test_a_step_of_a_rule():
 # -------------------------------------------------------------------------------------------------- the constrained step
 
 
-@pytest.mark.parametrize("mode", [LEAVE, SLOW, CLIP])
+@pytest.mark.parametrize("mode", [LEAVE, DIRECT, CLIP])
 def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mode):
     calmed, cases = (
         viability.CALMED,
