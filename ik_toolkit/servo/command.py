@@ -171,15 +171,22 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     n, m = s.J.shape
     limits, rate, state, h = given.limits, own.motion[1], own.state, now.h
     border = REGION * law.damping
-    damped, weak, beyond, heavy = 0.0, False, False, 0.0 if law.mode == CLIP else 1.0
+    damped, weak, weighed, beyond, heavy = 0.0, False, False, False, 0.0 if law.mode == CLIP else 1.0
     if law.mode == CLIP:
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
+        weighed = (
+            n < m
+        )  # not every error can be closed: what is closest, and what is lost of a task, is by their weights
+        if weighed:
+            heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         gram(s.J, m, n >= m, 0.0, s.G)
         low = invert(s.G, min(n, m), s.y)
         weak = law.damping > 0.0 and not low >= border * border
-    if weak:  # what is lost of a task, and what is closest, is by the weights of the errors
-        heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
+    if weak:
+        if not weighed:
+            heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
+        weighed = True
         begin_anew(given.counts[1], own.basis)
         modes(s.J, own.basis, s.W, s.U, s.sv)
     for k in range(m):
@@ -197,8 +204,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
             for i in range(n):
                 s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
                 s.x2[i] = 0.0
-        bend(task, look, s, weak)
-    if weak:  # all is weighed by now
+        bend(task, look, s, weighed)
+    if weighed:  # all is weighed by now
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
