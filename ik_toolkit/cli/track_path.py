@@ -62,7 +62,9 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
             arm, q, position_only=line.position_only, duration=line.duration, dt=1.0 / line.rate,
             position_tolerance=line.position_tolerance,
         )  # fmt: skip
-        return Asked(motion, arm.home if q is None else q, "all joints swing a little, and back")
+        seconds = next(iter(motion.values())).duration if isinstance(motion, Mapping) else motion.duration
+        start = "home" if q is None else "--q0"
+        return Asked(motion, arm.home if q is None else q, f"all joints swing a little from {start}, and back, in {seconds:g} s")
     if line.path is not None and line.path not in SHAPES:
         if Path(line.path).suffix.lower() not in (".csv", ".npz"):
             raise InvalidOption(f"no path '{line.path}'.{near_match(line.path, SHAPES)} Or give a .csv or .npz file.")

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..robot.pose import check_target
+from ..robot.pose import PROJECT_WITHIN, check_target
 from ..validate import number, one_of, positive, switch
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
@@ -81,6 +81,25 @@ class Reference(Holds):
     def __repr__(self) -> str:
         """One line: kind, duration and what is asked for."""
         return f"Reference({self.name}, {self.duration:g} s, {'position' if self.position_only else 'pose'})"
+
+
+def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pose, twist and acceleration at times (N,) [s] of a reference. Raises InvalidTarget, with the time, where they are none."""
+    T, V, A = reference.at(times)
+    used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
+    bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
+    what = "is not finite"
+    if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
+        R = T[:, :3, :3]
+        bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
+        # Where a singular value is further off 1, so is an entry of R^T R by a third of that: most samples need no more.
+        doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
+        bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
+        bad |= np.linalg.det(R) < 0.0
+        what = "is no pose (a rotation, a position and the last row 0 0 0 1)"
+    if bad.any():
+        raise InvalidTarget(f"reference '{reference.name}' {what} at t = {times[int(np.argmax(bad))]:g} s")
+    return T, V, A
 
 
 # ------------------------------------------------------------------------------------------------ time laws

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..compile.jit import cached
 
+ROUNDED = 2  # samples before and after over which a clock is averaged: a step errs where it begins to slow down or to run faster
 TINY = 1e-12  # of a joint's bend: smaller slopes take no part of an acceleration
 
 
@@ -73,6 +74,13 @@ def coordinate_at(
     gain = np.divide(np.diff(rate), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]  # 0: nothing moves
     past = t - times[k]
     return np.clip(s[k] + (rate[k] + 0.5 * gain * past) * past, s[0], s[-1]), rate[k] + gain * past, gain
+
+
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """Means of values (M,) over ROUNDED of them to each side, fewer next to the ends."""
+    total, k = np.append(0.0, np.cumsum(values)), np.arange(len(values))
+    side = np.minimum(np.minimum(k, k[::-1]), ROUNDED)
+    return (total[k + side + 1] - total[k - side]) / (2 * side + 1)
 
 
 @cached

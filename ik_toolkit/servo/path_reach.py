@@ -20,6 +20,7 @@ STARTS = 24  # attempts to find another posture for the start of a path
 APART = 0.1  # [rad, or reaches] by which a joint must differ for another posture
 SHORTER = 0.95  # of the stretch that can be reached: what is suggested
 SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # factors tried besides: of a closed path, more may be in reach
+PROBE = 1e-4  # [rad, or reaches] of the difference that tells whether a singular value grows
 DIGITS = ".7g"  # of joint values suggested: with 4, the tip starts up to a millimetre beside its path
 
 References = Reference | Mapping[str, Reference]
@@ -194,6 +195,31 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
         works.append(f"from q0 = [{', '.join(f'{x:{DIGITS}}' for x in elsewhere)}]")
     tried = f"; it works {', or '.join(works)}" if works else ""
     return found, f"{'The path is ' if found.until else 'Of the path, '}{found.message}{tried}."
+
+
+def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
+    """Directions (N, n) of the joints at q (N, n) away from the nearest singular pose: the slope of the least singular value.
+
+    posed: whether an orientation is asked for, by tip.
+    """
+    J = _jacobians(robot, posed, path)
+    U, sigma, V = np.linalg.svd(J)
+    least = sigma.shape[1] - 1
+    # J changes along v; the change of u'J is that of sigma = u'J v along each joint.
+    change = _jacobians(robot, posed, path + PROBE * V[:, least] * robot.chain.unit) - J
+    slope = np.einsum("km,kmn->kn", U[:, :, least], change)
+    return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+def _jacobians(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
+    """Jacobians (N, m, n) of what is asked for, lengths in reaches."""
+    rows = []
+    for arm, place, angular in zip(robot.arms, robot.places, posed, strict=True):
+        J = np.zeros((len(path), 6, path.shape[1]))
+        J[:, :, place] = arm.chain.forward(np.ascontiguousarray(path[:, place]), jacobian=True)[1]
+        J[:, :3] /= robot.chain.scale
+        rows.append(J[:, : 6 if angular else 3])
+    return np.concatenate(rows, axis=1) * robot.chain.unit
 
 
 # --------------------------------------------------------------------------------------------------------- samples

@@ -11,40 +11,41 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidTarget
-from ..motion.reference import Reference
-from ..motion.time_law import coordinate_at, time_law, times_of
-from ..robot.pose import PROJECT_WITHIN
+from ..motion.reference import Reference, checked
+from ..motion.time_law import coordinate_at, smoothed, time_law, times_of
 from ..validate import LATE
 from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
-from .path_reach import bound_lm, samples_of, targets_at
+from .path_reach import bound_lm, samples_of, singular_sides, targets_at
 from .singular_step import SIDE
 from .target_stream import samples_from
 from .tracker import Tracker
 from .workspace import Samples, new_record
 
 QUICK = 10.0  # [1/s^2] largest d2s/dt2: a run stops or starts in a tenth of a second
-FULL = 1.0 - 1e-9  # rate of the clock above which it is not slowed
 SPEED = 0.98  # share of speed limits that a law uses: the run is not quite the motion that it was made for
-FOLLOWED = 0.2  # of a tolerance: error of a step while the joints' path is sought
-FEWEST = 400  # steps of that path
-TOLERANCE = 0.8  # share of the tolerances that a law uses for the error of a step
 # Shares of acceleration limits that a law uses: in turn, where a run has missed. With 0.95 31 of 288 runs needed a second one.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
+TOLERANCE = 0.8  # share of the tolerances that a law uses for the error of a step
+FASTER = 5  # times that these shares are raised, where a run has kept to the reference ...
+JOINTS, TIP = 1.2, 1.5  # ... each by these factors: those of redundant joints, that of the tip
+FAR_OFF = 4.0  # times its tolerance above which a run was not off by the error of a step
 ENOUGH = 0.8  # of a tolerance that is aimed at where a run has missed it ...
-LEAST = 0.25  # share to which the square of its rate is lowered there at a time
+NEAR = 0.05  # [s] ... how long before and after that it is slower ...
+LEAST = 0.25  # ... and share to which the square of its rate is lowered at a time
 HELPED = 0.8  # share of the samples off the reference that have to remain fewer after a run was taken again
-FASTER, OVER = 5, 1.2  # times that the limits of a law are raised, each by this factor
-NEAR = 0.05  # [s] ... and how long before and after that it is slower
+FOLLOWED = 0.2  # of a tolerance: error of a step while the joints' path is sought
+FEWEST = 400  # steps of that path
 HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
-RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
-AT_ONCE = 20_000  # steps between which Ctrl-C is heard
-LEAD = 0.5  # share of what is missing to a path of `solve_path` that a step makes up for, in the null space
+POSES = 40  # least number of poses that must all be in reach before `solve_path` is asked for a path ...
+MOST_POSES = 2001  # ... and the largest that it is given; in between its path is linear
 EXACT = 1e-6  # [m, rad] of that path: errors of neighbouring samples must not look like accelerations
 STRIDE = (0.5, 0.2)  # [rad, m] that its joints may move between two poses: they are near each other
-POSES = 40  # least number that must all be in reach before it is sought
-MOST_POSES = 2001  # it is given; in between it is linear
+LEAD = 0.5  # share of what is missing to it that a step makes up for, in the null space
+SLOWEST = 0.02  # rate of the clock at which what touches is passed, or not at all
+RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
+AT_ONCE = 20_000  # steps between which Ctrl-C is heard
+NOWHERE = np.zeros((0, 0))
 
 
 class Clock(NamedTuple):
@@ -63,8 +64,8 @@ class Way(NamedTuple):
     Q: np.ndarray
     avoid: float  # [1/s] with which limits are avoided
     posture: np.ndarray  # (2, n) sought, and how strongly [1/s]
-    led: bool = False  # whether a run is led along it, in the null space ...
-    across: bool = False  # ... and across singular poses where it goes across them
+    led: bool = False  # whether a run is led along it, in the null space, and across singular poses where it crosses them
+    sides: np.ndarray = NOWHERE  # (M + 1, n) of one that is, at the samples of the run, see `singular_sides`
 
 
 class Taken(NamedTuple):
@@ -99,9 +100,10 @@ class Run:
         self.tracker, self.references, self.times, self.dt = tracker, references, times, float(times[1])
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
-        self.own = samples_along(references, Clock(times, np.ones(len(times)), np.zeros(len(times)), times * 0))
+        self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
+        self.own = samples_along(references, self.full)
         tracker._late = LATE * self.dt
-        self.start = tracker.carried()
+        self.start, self.q0 = tracker.carried(), tracker.q
         self.made: list[Taken] = []
         self.interrupted = False
 
@@ -129,14 +131,13 @@ class Run:
     def _try(self, slow: bool) -> None:
         """Take runs until one keeps to the reference, or nothing else helps."""
         limits, here = self.tracker._limits, Way(self.times, NOWHERE, *self._wishes())
-        jerks = self._at_rest() and np.isfinite(limits[3]).any() and self.own.V[0].any()
-        if not (slow and jerks):
-            full = Clock(self.times, np.ones(self.count + 1), np.zeros(self.count + 1), np.full(self.count + 1, -1))
-            own = self._take(full, self.own, here)
+        from_rest = self._at_rest() and np.isfinite(limits[3]).any() and self.own.V[0].any()
+        if not (slow and from_rest):
+            own = self._take(self.full, self.own, here)
             if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # nothing helps one that begins off it
                 return
         for way in self._ways(here):
-            self._slowly(way, jerks)
+            self._slowly(way, from_rest)
             if min(taken.missed for taken in self.made) == 0:
                 return
 
@@ -144,9 +145,9 @@ class Run:
         """Whether the joints stand at the start."""
         return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
-    def _slowly(self, way: Way, jerks: bool) -> None:
-        """Take runs along a law for a joint path, with more and more in reserve."""
-        top, start, last = np.ones(len(way.s)), 0.0 if jerks else np.inf, np.inf
+    def _slowly(self, way: Way, from_rest: bool) -> None:
+        """Take runs along a law for a joint path, with more and more in reserve; then along faster ones."""
+        top, start, last = self._clear(way), 0.0 if from_rest else np.inf, np.inf
         for share in ACCELERATION:
             clock = self._law(way, share, top, start)
             taken = self._take(clock, samples_along(self.references, clock), way)
@@ -154,31 +155,38 @@ class Run:
                 self._faster(way, share, top, start)
             if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
                 return
-            last = taken.missed
             moved = np.append(True, np.diff(clock.s) > 0.0)
             if not way.led and len(taken.Q) == len(clock.s):  # the path that the joints really took
                 way = way._replace(
                     Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
                 )
-            excess, near = self._excess(taken.E), round(NEAR / self.dt)
-            for k in (
-                np.flatnonzero(excess > 1.0) if share < ACCELERATION[0] else ()
-            ):  # a step's error grows with its square
-                begin, end = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
-                here = slice(*np.searchsorted(way.s, (begin, end)))
-                top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
+            again = share < ACCELERATION[0]
+            if again or self._excess(taken.E).max() < FAR_OFF:
+                self._lower(top, way, taken)
+            last = taken.missed if again else np.inf
 
     def _faster(self, way: Way, share: float, top: np.ndarray, start: float) -> None:
-        """Take runs along a law for more than there is, while the joints beside the slow one can do its part."""
-        if not self._redundant():
-            return
-        for k in range(1, FASTER + 1):
-            clock = self._law(way, share, top, start, OVER**k)
-            before = self.made[-1].clock.s
+        """Take runs along laws for more than there is: other joints may do what a slow one cannot, and smooth steps err less."""
+        over, before = 1, self.made[-1].clock.s
+        for _ in range(FASTER):
+            clock = self._law(way, share, top, start, over)
             if (len(clock.s), -clock.s[-1]) >= (len(before), -before[-1]):
                 return
-            if self._take(clock, samples_along(self.references, clock), way).missed > 0:
+            taken = self._take(clock, samples_along(self.references, clock), way)
+            if taken.missed == 0:
+                over, before = over + 1, clock.s
+            elif self._excess(taken.E).max() < FAR_OFF:
+                self._lower(top, way, taken)
+            else:
                 return
+
+    def _lower(self, top: np.ndarray, way: Way, taken: Taken) -> None:
+        """Lower the highest rates (K + 1,) of a law where a run has missed: the error of a step grows with their square."""
+        excess, near, clock = self._excess(taken.E), round(NEAR / self.dt), taken.clock
+        for k in np.flatnonzero(excess > 1.0):
+            ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
+            here = slice(*np.searchsorted(way.s, ends))
+            top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
 
     # ------------------------------------------------------------------------------------------------ joint paths
     def _wishes(self) -> tuple[float, np.ndarray]:
@@ -207,8 +215,8 @@ class Run:
         slowest = found[0][0] == 0 and found[0][1] > self.most  # another posture would hardly be so much faster
         if plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one:
             planned = self._planned(samples)
-            for across in (False, True) if planned is not None else ():
-                yield Way(s, planned, 0.0, here.posture, led=True, across=across)
+            if planned is not None:
+                yield Way(s, planned, 0.0, here.posture, led=True)
         if found[0][0] > 0:
             yield found[0][2]
 
@@ -247,15 +255,16 @@ class Run:
         robot, unit = self.tracker.robot, self.tracker.robot.chain.unit
         reference: Any = dict(zip(robot.tips, self.references, strict=True)) if robot.by_tip else self.references[0]
         anywhere = bound_lm(robot, **self.counts)
-        q0 = self.start_q = self.made[0].Q[0] * unit if self.made else self.tracker.q
-        if not all(anywhere(one, q0).success for one in targets_at(reference, samples_of(robot, reference, POSES)[0])):
+        if not all(
+            anywhere(one, self.q0).success for one in targets_at(reference, samples_of(robot, reference, POSES)[0])
+        ):
             return None
         from ..paths.solve_path import solve_path
 
         some = np.unique(np.linspace(0, len(samples.T) - 1, min(len(samples.T), MOST_POSES)).astype(int))
         poses = samples.T[some] if robot.by_tip else samples.T[some, 0]
         found = solve_path(
-            robot, poses[..., :3, 3] if self.references[0].position_only else poses, q0=q0, reconfigurations="none",
+            robot, poses[..., :3, 3] if self.references[0].position_only else poses, q0=self.q0, reconfigurations="none",
             max_step=STRIDE, position_tolerance=EXACT, orientation_tolerance=EXACT, **self.counts,
         )  # fmt: skip
         every = np.arange(len(samples.T))
@@ -266,20 +275,23 @@ class Run:
         )
 
     # ------------------------------------------------------------------------------------------------ the law
-    def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: float = 1.0) -> Clock:
+    def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
         """The fastest clock along a joint path, at `start` first, at most at `top`; share: of acceleration limits that it uses.
 
-        over: factor of the limits.
+        over: times that its limits are raised.
         """
         limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
         secant = np.diff(way.Q, axis=0) / np.diff(s)[:, None]
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
-        speed, most = over * SPEED * limits[2], over * share * limits[3]
+        more = JOINTS**over if self._redundant() else 1.0
+        speed, most = more * SPEED * limits[2], more * share * limits[3]
         if self.tracker.engine.waits:  # a step misses by half of the tip's acceleration times dt^2
             _, V, A = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))[1:4]
             slope, bend = np.hstack([slope, V]), np.hstack([bend, A])
-            allowed = np.tile(np.repeat(2.0 * TOLERANCE * self.tolerances / self.dt**2, 3), len(self.references))
+            allowed = np.tile(
+                np.repeat(2.0 * TOLERANCE * TIP**over * self.tolerances / self.dt**2, 3), len(self.references)
+            )
             counted = self.tracker._settings.counts[0] > 0.0
             speed = np.append(speed, np.full(len(counted), np.inf))
             most = np.append(most, np.where(counted, allowed, np.inf))
@@ -291,7 +303,23 @@ class Run:
         t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
         at[t == times[-1]] = s[-1]  # whatever rounding says
-        return Clock(at, now * slower, gain * slower**2, joint[np.searchsorted(s, at, side="right") - 1])
+        held = joint[np.searchsorted(s, at, side="right") - 1]
+        return Clock(smoothed(at), smoothed(now * slower), smoothed(gain * slower**2), held)
+
+    def _clear(self, way: Way) -> np.ndarray:
+        """Highest rates (K + 1,) of a law at which the arm can brake before what is in its way, see servo/collision_guard.py."""
+        guard, unit, rates = self.tracker._guard, self.tracker.robot.chain.unit, np.ones(len(way.s))
+        if guard is None:
+            return rates
+        slope = np.gradient(way.Q, way.s, axis=0) * unit
+        some = np.unique(np.linspace(0, len(rates) - 1, min(len(rates), FEWEST)).astype(int))
+        for k in some:
+            guard.restart(way.Q[k] * unit)
+            r = guard.rows(way.Q[k] * unit, slope[k], self.dt)
+            nearer = guard.A[:r] @ slope[k]
+            least = np.min(guard.b[:r][nearer > 0.0] / nearer[nearer > 0.0], initial=1.0)
+            rates[k] = max(SPEED * least, SLOWEST) if least < 1.0 else 1.0
+        return np.interp(way.s, way.s[some], rates[some])
 
     # ------------------------------------------------------------------------------------------------ runs
     def _begin(self, way: Way) -> None:
@@ -299,12 +327,16 @@ class Run:
         self.tracker.put_back(self.start)
         secondary = self.tracker.secondary
         secondary.avoid, secondary.wish[:2], secondary.wish[2] = way.avoid, way.posture, 0.0
+        if self.tracker._guard:
+            self.tracker._guard.restart(self.tracker.q)
 
     def _take(self, clock: Clock, samples: Samples, way: Way) -> Taken:
         """Run from the start to the end of a clock, or until Ctrl-C."""
         began, made, pairs = time.perf_counter(), [], Counter[tuple[str, str]]()
         if way.led:
-            way = way._replace(Q=np.stack([np.interp(clock.s, way.s, one) for one in way.Q.T], axis=1))
+            path = np.stack([np.interp(clock.s, way.s, one) for one in way.Q.T], axis=1)
+            robot, posed = self.tracker.robot, [not one.position_only for one in self.references]
+            way = way._replace(Q=path, sides=singular_sides(robot, posed, path * robot.chain.unit))
         self._begin(way)
         try:
             self._steps(samples, way, made, pairs)
@@ -322,9 +354,8 @@ class Run:
             if way.led:
                 move = way.Q[k + 1] - way.Q[k]
                 tracker.secondary.wish[:] = way.Q[k], np.full(len(move), LEAD / self.dt), move / self.dt
-                if way.across:
-                    tracker._carried.away[:] = move
-                    tracker._state[laws.STATE.near] = 1.0 + SIDE
+                tracker._carried.away[:] = way.sides[k + 1]
+                tracker._state[laws.STATE.near] = 1.0 + SIDE
             now = samples if steps == count else samples_from(*(one[k : k + steps + 1] for one in samples[1:4]))
             record = new_record(steps + 1, tracker.robot.n, samples.V.shape[1])
             done = tracker.take(now, self.dt, record, runaway=RUNAWAY)
@@ -354,31 +385,9 @@ class Run:
         return np.where(late, (errors / self.tolerances).max(axis=(1, 2)), 0.0)
 
 
-NOWHERE = np.zeros((0, 0))
-
-
 def samples_along(references: list[Reference], clock: Clock) -> Samples:
     """Poses, twists and accelerations of the references where a clock is, as it runs. Raises InvalidTarget, see `checked`."""
     made = [checked(one, clock.s) for one in references]
     V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     rate, gain = clock.rate[:, None], clock.gain[:, None]
     return samples_from(np.stack([one[0] for one in made], axis=1), V * rate, A * rate**2 + V * gain)
-
-
-def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pose, twist and acceleration at times (N,). Raises InvalidTarget, with the time, where they are none."""
-    T, V, A = reference.at(times)
-    used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
-    bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
-    what = "is not finite"
-    if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
-        R = T[:, :3, :3]
-        bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
-        # Where a singular value is further off 1, so is an entry of R^T R by a third of that: most samples need no more.
-        doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
-        bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
-        bad |= np.linalg.det(R) < 0.0
-        what = "is no pose (a rotation, a position and the last row 0 0 0 1)"
-    if bad.any():
-        raise InvalidTarget(f"reference '{reference.name}' {what} at t = {times[int(np.argmax(bad))]:g} s")
-    return T, V, A

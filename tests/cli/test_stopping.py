@@ -16,7 +16,7 @@ import robots
 from ik_toolkit.cli import bench, main, path, targets, tune, workspace
 from ik_toolkit.cli.streams import stoppable
 from ik_toolkit.papers.report import Report
-from ik_toolkit.servo.samples import Run
+from ik_toolkit.servo.tracker import Tracker
 
 SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 
@@ -59,8 +59,15 @@ def in_the_report(monkeypatch, number, k):
 
 
 def while_it_tracks(monkeypatch, number, k):
-    count, take = iter(range(1, 10**9)), Run._record
-    monkeypatch.setattr(Run, "_record", lambda *a: (take(*a), send(number) if next(count) == 20 * k else None)[0])
+    count, take = iter(range(1, 10**9)), Tracker.take
+
+    def then_stop(*given, **how):
+        done = take(*given, **how)
+        if next(count) == 20 * k:
+            send(number)
+        return done
+
+    monkeypatch.setattr(Tracker, "take", then_stop)
 
 
 def whole(tmp_path):

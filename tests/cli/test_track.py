@@ -13,7 +13,7 @@ def figures(out):
 
 
 def test_tables_of_a_run_follow_deg_and_lengths_stay_in_metres(run):
-    words = ("track", "inspection_7dof", "--path", "line", "--duration", "2")
+    words = ("track", "inspection_7dof", "--duration", "20")
     (code, plain, _), (_, degrees, _) = run(*words), run(*words, "--deg")
     assert code == 0 and "[rad]" not in degrees and "[rad]" in plain and "[deg]" not in plain
     wanted, found = figures(plain), figures(degrees)
@@ -62,7 +62,7 @@ def test_words_and_what_somebody_typed_are_not_taken_for_options(run):
 
 
 def test_a_line_of_no_turns_goes_one_way(run):
-    words = ("track", "planar_2r", "--path", "line", "--position-only", "--duration", "2", "--json")
+    words = ("track", "planar_2r", "--path", "line", "--axis", "-1", "0", "0", "--position-only", "--duration", "2", "--json")
     shown = [json.loads(run(*words, *turns)[1])["figures"]["peak_speed"] for turns in ((), ("--turns", "0"))]
     assert shown[0] == shown[1]
 

@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from ik_toolkit.servo import laws, null_space_motion
+from ik_toolkit.servo import laws, null_space_motion, target_stream
 from ik_toolkit.servo.laws import CV, STATE, Law
 
 
@@ -132,3 +133,14 @@ def test_wishes_go_into_the_null_space():
     laws.factor(J, 6, 0.0, G, y)
     null_space_motion.into_null_space(J, 6, G, y, t, out, part)
     np.testing.assert_allclose(out, g - np.linalg.pinv(J.T) @ (J.T @ g), atol=1e-10)
+
+
+def test_turns_of_a_reference():
+    rng = np.random.default_rng(7)
+    for size in (0.0, 1e-6, 0.9e-4, 1.1e-4, 0.3, 3.0):
+        r = rng.normal(size=3)
+        r *= size / np.linalg.norm(r)
+        T0, T1 = np.eye(4), np.eye(4)
+        T0[:3, :3] = pin.exp3(rng.normal(size=3))
+        T1[:3, :3] = pin.exp3(r) @ T0[:3, :3]
+        np.testing.assert_allclose(target_stream.turn_left(T0, T1), r, atol=1e-12)
