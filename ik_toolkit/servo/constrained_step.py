@@ -235,7 +235,7 @@ def damping(p, asked):
     """How much what the task misses damps the motion, and the speed of the fastest joint.
 
     The curvature of the tip's way that C leaves out is at most that of a circle of one kernel unit, the same for all joints,
-    however slow they are. Two thirds of the way (CAUTION in singular_step.py) are taken, as whole ways zigzag.
+    however slow they are. Two thirds of the way (`Weak.caution`) are taken, as whole ways zigzag.
     """
     miss, heavy, fastest = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):

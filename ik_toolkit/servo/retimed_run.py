@@ -64,7 +64,9 @@ class Way(NamedTuple):
     Q: np.ndarray
     avoid: float  # [1/s] with which limits are avoided
     posture: np.ndarray  # (2, n) sought, and how strongly [1/s]
-    led: bool = False  # whether a run is led along it, in the null space, and across singular poses where it crosses them
+    led: bool = (
+        False  # whether a run is led along it, in the null space, and across singular poses where it crosses them
+    )
     sides: np.ndarray = NOWHERE  # (M + 1, n) of one that is, at the samples of the run, see `singular_sides`
 
 

@@ -13,16 +13,10 @@ from .laws import CV, REGION, STATE, natural
 from .null_space_motion import STEP, reflect
 from .singular_step import (
     ALONG,
-    BENT,
     BESIDE,
     BOTH,
-    CAUTION,
-    CLEAR,
-    KNOWN,
-    LEAST,
-    LOST,
-    MINOR,
     SIDE,
+    WEAK,
     begin_bent,
     bent_direction,
     bring_along,
@@ -176,13 +170,13 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     b, beside = s.t[ALONG], s.t[BESIDE]
     cap, a = fastest_along(V, r, limits)
     grows = np.sign(b)  # the way along V_r in which sigma does: the side on which the joints are
-    clear = mode.full > CLEAR and mode.sigma > KNOWN * mode.full
+    clear = mode.full > WEAK.clear and mode.sigma > WEAK.known * mode.full
     back = part_along(V, r, away)
-    if abs(back) < KNOWN and clear:
+    if abs(back) < WEAK.known and clear:
         bring_along(V, r, away, grows, 1.0)
         back = grows
     sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
-    if abs(left) < MINOR * mode.rest:  # see `hold_back`
+    if abs(left) < WEAK.minor * mode.rest:  # see `hold_back`
         left *= sigma * sigma / (sigma * sigma + mode.rest)
         moved *= sigma * sigma / (sigma * sigma + mode.rest)
     for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
@@ -192,19 +186,19 @@ def mode_speed(s, mode, gain, h, limits, near, away):
         if last == 0 and gain * abs(y) > most:
             left *= most / (gain * abs(y))
     edge = D < 0.0
-    x = (CAUTION if edge else 1.0) * y / h
-    if edge and mode.sigma > LOST and grows * back < 0.0:  # carried far to the other side: back across
-        x = -grows * (mode.sigma / abs(b) + LOST) * gain
+    x = (WEAK.caution if edge else 1.0) * y / h
+    if edge and mode.sigma > WEAK.lost and grows * back < 0.0:  # carried far to the other side: back across
+        x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
     if edge and a < np.inf:
         x = min(max(x, -most), most)
     x = min(max(x, -cap), cap)
     if clear and not edge:
         bring_along(V, r, away, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
     E = moved + h * gain * left
-    bent = abs(b * E) > BENT * mode.sigma * mode.sigma
-    if mode.sigma < LOST or bent or abs(E) > h * cap * mode.sigma:
+    bent = abs(b * E) > WEAK.bent * mode.sigma * mode.sigma
+    if mode.sigma < WEAK.lost or bent or abs(E) > h * cap * mode.sigma:
         s.lost[r], s.xk[r] = 1.0, x
-    return D < -LEAST * LEAST
+    return D < -WEAK.least * WEAK.least
 
 
 @inline
@@ -216,11 +210,11 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
     for r in range(m):
         if s.sv[r] >= REGION * law.damping:
             continue
-        if not near and s.sv[r] > CLEAR:
+        if not near and s.sv[r] > WEAK.clear:
             forget_default(state, away)
         near = True
         left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
-        free, thin, speed = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r], 0.0
+        free, thin, speed = s.sv[r] < WEAK.lost and state[STATE.near] > 1.0, s.sv[r], 0.0
         if not begin_mode(s, r, free, moved + h * gain * left, away):
             continue
         for part in range(-n if free else 0, 3):

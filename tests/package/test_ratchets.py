@@ -12,7 +12,7 @@ CEILINGS = {
     "file names used twice": 4,
     "functions of more than 9 parameters": 29,
     "constants of the most laden file of kernel and servo": 22,
-    "constants of modules": 1138,
+    "constants of modules": 1131,
     "uses of by_tip": 105,
     "imports for types alone": 16,
     "files under 120 lines that one other imports": 12,

@@ -79,12 +79,12 @@ def test_the_way_along_a_mode_solves_its_quadratic():
             assert y == pytest.approx((D * root + least * own) / (D + least), rel=1e-9, abs=1e-12)
         else:  # the vertex is as near as it gets
             assert y == pytest.approx((-0.5 * D * middle + least * own) / (-0.5 * D + least), rel=1e-9, abs=1e-12)
-    flat = 0.04 - 2.0 * singular_step.FLAT * 0.03
+    flat = 0.04 - 2.0 * singular_step.WEAK.flat * 0.03
     y, D = singular_step.way_along(0.2, 0.0, 0.03, 0.4, 1.0, False, 0.01)
     assert D == pytest.approx(flat) and y == pytest.approx((flat * 0.15 + least * 0.4 * 0.9) / (flat + least))
     # What it moves the tip by is next to nothing: no way to go fast.
     y, D = singular_step.way_along(1e-4, 0.0, 0.03, 0.0, 1.0, False, 0.01)
-    assert D < 0.0 and 0.0 < y < 1e-4 / singular_step.FLAT
+    assert D < 0.0 and 0.0 < y < 1e-4 / singular_step.WEAK.flat
     y, D = singular_step.way_along(0.0, 0.0, 0.0, 0.4, 1.0, False, 0.01)
     assert D == 0.0 and y == pytest.approx(0.36)
     assert singular_step.way_along(0.0, 0.0, 0.03, 0.4, 1.0, False, 0.2)[0] == 0.0

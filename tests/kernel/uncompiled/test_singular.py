@@ -74,7 +74,7 @@ def test_the_speed_along_a_singular_direction():
         speed(0.0051, [0.0, 0.0, 0.0], left=1e-6)[0] is None
         and speed(0.0049, [0.0, 0.0, 0.0], left=1e-6)[0] is not None
     )
-    assert speed(0.1, [0.0, 0.0, 0.0], left=1.0)[0] is not None  # beyond LOST: the joints are too slow for it
+    assert speed(0.1, [0.0, 0.0, 0.0], left=1.0)[0] is not None  # above what is lost: the joints are too slow for it
     assert speed(0.1, [0.0, 0.0, 0.0], moved=0.9 * h * cap * 0.1)[0] is None
     assert speed(0.1, [0.0, 0.0, 0.0], moved=1.1 * h * cap * 0.1)[0] is not None
     # or it bends: |b E| above a fifth of sigma^2
@@ -215,7 +215,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
                 task.bending(None, x, x, s.bias)
                 curve[part] = u @ s.bias
             gain = 4.0 if code == CV else 2.0 / 3.0 / h
-            known = near > 0.0 or last < singular_step.CLEAR
+            known = near > 0.0 or last < singular_step.WEAK.clear
             lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
             full = last if last > 1e-9 else s.sv.min()
             rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + SIDE else 0.0
