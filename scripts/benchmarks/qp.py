@@ -23,7 +23,6 @@ REPEATS = 15  # the minimum of these is a step's own time: background load only 
 # Mode, speed limits over what the task needs (0: the wanted motion fits), number of half-planes.
 CASES = {
     "x_want fits": (LEAVE, 0.0, 0),
-    "nothing binds": (LEAVE, 10.0, 0),
     "leave": (LEAVE, 0.3, 0),
     "direct": (DIRECT, 0.3, 0),
     "leave, 12 half-planes": (LEAVE, 0.3, ROWS),
