@@ -101,7 +101,7 @@ def cli_page() -> str:
         usage = "".join(f"{placeholder(p)} " for p in arguments)
         parts.append(f"## ik {name}\n\n```text\nik {name} {usage}[OPTIONS]\n```\n\n{_plain(command.help or '')}")
         rows = []
-        for p in command.params:
+        for p in sorted(command.params, key=lambda one: one not in arguments):
             flag = getattr(p, "is_flag", False)
             shown = placeholder(p) if p in arguments else ""
             if p not in arguments:
@@ -304,13 +304,38 @@ def escape(text: str) -> str:
     )
 
 
+SECTIONS = ("Args", "Returns", "Yields", "Raises", "Attributes")
+
+
 def escape_docstring(app, what, name, obj, options, lines: list[str]) -> None:
-    """Docstrings are plain text. Attributes of a class stand in a table below, and some docstrings say nothing else."""
-    out = []
-    for line in lines:
-        indented = line.startswith("    ") and line.strip()
-        out.append(f"| {escape(line).strip()}" if indented else escape(line))
+    """Make reStructuredText of a docstring, which is plain text with sections such as `Args:` (Google's style).
+
+    A class whose attributes are in attributes.toml gets a table of them; it replaces what the docstring says of attributes.
+    """
     rows = attributes_of(obj) if what == "class" else []
+    out: list[str] = []
+    section = ""
+    for line in lines:
+        if line.rstrip(":") in SECTIONS and line.endswith(":"):
+            section = line[:-1]
+            if not (section == "Attributes" and rows):
+                out += ["", f"**{section}**", ""]
+        elif section and line.strip() and not line.startswith("    "):
+            section = ""
+            out += ["", escape(line)]
+        elif section == "Attributes" and rows:
+            continue
+        elif section:
+            if not line.strip():
+                continue
+            name, colon, rest = line[4:].partition(": ")
+            entry = section != "Returns" and colon and not line.startswith("     ")
+            out.append(
+                f"- ``{name}``: {escape(rest)}" if entry else "  " * (section != "Returns") + escape(line.strip())
+            )
+        else:
+            indented = line.startswith("    ") and line.strip()
+            out.append(f"| {escape(line).strip()}" if indented else escape(line))
     if rows:
         if obj.__name__ in TABLE_INSTEAD:
             out = out[: next((k for k, line in enumerate(out) if not line.strip()), len(out))]

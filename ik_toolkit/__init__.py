@@ -1,6 +1,6 @@
-"""Inverse kinematics for any robot description: solve, follow paths, track, tune, compare, view.
+"""Inverse kinematics for any robot description: solve targets, follow paths, track, tune and compare solvers, view robots.
 
-Public names load on first use, so that importing the package costs almost nothing.
+A public name is imported when it is first used, so that importing the package takes almost no time.
 """
 
 import importlib
@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "Robot": "robot.robot",
     "Tree": "robot.tree",
+    "approach": "robot.pose",
     "pose": "robot.pose",
     "solve": "solvers.solve",
     "Solver": "solvers.solve",
@@ -71,5 +72,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Names for completion."""
+    """Return the public names, for completion in an editor or a shell."""
     return __all__

@@ -15,6 +15,7 @@ from .paths.solve_path import PathInterrupted as PathInterrupted
 from .paths.solve_path import solve_path as solve_path
 from .robot.geometry.collision import CollisionModel as CollisionModel
 from .robot.geometry.shape import Shape as Shape
+from .robot.pose import approach as approach
 from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot
 from .robot.tree import Tree as Tree

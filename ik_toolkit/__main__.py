@@ -1,4 +1,4 @@
-"""`python -m ik_toolkit` runs the command `ik`."""
+"""Run the command `ik` as `python -m ik_toolkit`."""
 
 import sys
 

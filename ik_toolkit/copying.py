@@ -1,4 +1,4 @@
-"""How things are copied and pickled: rightly, or not at all with an error that says why."""
+"""Copying and pickling: an object is copied correctly, or an error says why it cannot be."""
 
 import copy
 import pickle
@@ -8,7 +8,7 @@ from .errors import InvalidOption
 
 
 def importable(value: Any, what: str) -> None:
-    """Raise InvalidOption, "WHAT ...", for a function or class of the caller's that another process would not find."""
+    """Raise InvalidOption, "WHAT cannot be pickled", for a function or class that another process would not find."""
     try:
         pickle.dumps(value)
     except Exception as error:
@@ -17,62 +17,66 @@ def importable(value: Any, what: str) -> None:
 
 
 class Holds:
-    """Something that holds a function of the caller's: copied in any case, pickled if another process finds the function."""
+    """Base of objects that hold a function given by the user.
 
-    FUNCTION = ""  # name of the attribute
+    They can always be copied, and can be pickled if another process finds the function.
+    """
+
+    FUNCTION = ""  # name of the attribute that holds the function
 
     def __getstate__(self) -> dict[str, Any]:
-        """All attributes."""
+        """Return all attributes."""
         return vars(self).copy()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take what a copy was given."""
+        """Set all attributes of a copy."""
         vars(self).update(state)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """A copy that shares nothing."""
+        """Return a copy that shares nothing with the original."""
         made = memo[id(self)] = type(self).__new__(type(self))
         made.__setstate__(copy.deepcopy(self.__getstate__(), memo))
         return made
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Raise InvalidOption where the function would not be found."""
+        """Prepare to pickle; raise InvalidOption if another process would not find the function."""
         if self.FUNCTION:
             importable(getattr(self, self.FUNCTION), f"the {self.FUNCTION} of this {type(self).__name__.lower()}")
         return super().__reduce_ex__(protocol)
 
 
-class Blocks(Holds):
-    """Something that keeps views of blocks of numbers: its copy has blocks of its own, of which `_cut` takes the views.
+class CopiesViews(Holds):
+    """Base of objects that keep blocks of numbers and views of them.
 
-    `copy.copy` shares only what does not change: of a tracker the robot, and the things around it.
+    A copy gets its own blocks, and `_cut` makes its views of them. `copy.copy` shares only what does not change; for a tracker
+    that is the robot and the obstacles.
     """
 
-    VIEWS: tuple[str, ...] = ()  # attributes that `_cut` sets
-    SHARED: tuple[str, ...] = ()  # attributes that a shallow copy has in common with the original
+    VIEWS: tuple[str, ...] = ()  # names of the attributes that `_cut` sets
+    SHARED: tuple[str, ...] = ()  # names of the attributes that a shallow copy shares with the original
 
     def _cut(self) -> None:
-        """Take the views."""
+        """Make the views of the blocks."""
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the views."""
+        """Return all attributes but the views."""
         return {name: value for name, value in vars(self).items() if name not in self.VIEWS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take what a copy was given, and the views of it."""
+        """Set all attributes of a copy, and make its views."""
         super().__setstate__(state)
         self._cut()
 
     def __copy__(self) -> Self:
-        """A copy that shares what does not change."""
+        """Return a copy that shares only what does not change."""
         kept = [getattr(self, name) for name in self.SHARED]
         return self.__deepcopy__({id(one): one for one in kept if one is not None})
 
 
 class Unique:
-    """Something that belongs to a window or a server of this process."""
+    """Base of objects that belong to a window or a server of this process, and therefore cannot be copied."""
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Raise InvalidOption."""
+        """Raise InvalidOption, which says that there can be no copy."""
         raise InvalidOption(f"a {type(self).__name__} cannot be copied or pickled: make another one")

@@ -1,7 +1,7 @@
-"""The exceptions of ik_toolkit, with one base class, so that `except IKError` catches every error we report.
+"""The exceptions of ik_toolkit. They have one base class, so `except IKError` catches every error that we report.
 
-Invalid input raises one of these; it names the joint, frame, file or option, lists the valid names and suggests the nearest
-match. A numerical outcome (not converged, unreachable, singular) never raises: it is a status in the result.
+Invalid input raises one of them; its message names the joint, frame, file or option, lists the valid names and suggests the
+nearest match. A numerical outcome (not converged, unreachable, singular) is no error but a status in the result.
 """
 
 import difflib
@@ -14,22 +14,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-COMPARED = 1_000  # names that a misspelled one is compared with; each takes up to 50 us
-SHOWN = 100  # characters of a name that are compared and shown: comparing takes quadratic time
-# Characters a terminal acts on instead of showing: C0 and C1 controls except tab and newline, and bidirectional marks.
+COMPARED = 1_000  # most names that a misspelled one is compared with, as each comparison takes up to 50 us
+SHOWN = 100  # most characters of a name that are compared and shown, as the time to compare grows with their square
+# Characters that a terminal acts on instead of showing them: control characters but tab and newline, and bidirectional marks.
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
-FEW_TURNS = 4.0 * math.pi  # rad; larger angles are more often degrees than turns
-DOUBTED: set[str] = set()
+FAR_AWAY = 50.0  # reaches; targets farther away are more often in millimetres
+FEW_TURNS = 4.0 * math.pi  # rad, a larger angle was more probably given in degrees than meant as turns
+DOUBTED: set[str] = set()  # angles that a warning was given for, so that it is not repeated
+# A requirement of an extra in the metadata of a package, such as: scipy>=1.10; extra == "tune".
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
 def clean(text: object) -> str:
-    """Text safe for a terminal: control characters (which come only from names in files) are escaped."""
+    """Return text that is safe for a terminal: control characters, which names in files may contain, are escaped."""
     return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
 def rebuild(kind: type[BaseException], args: tuple, state: dict[str, Any]) -> BaseException:
-    """An exception as it was, without a call of its constructor, which may take something else than `args`."""
+    """Make an exception again from its pickled parts, without its constructor, whose arguments may differ from `args`."""
     made = kind.__new__(kind, *args)
     next(base for base in kind.__mro__ if base.__module__ == "builtins").__init__(made, *args)
     made.__dict__.update(state)
@@ -37,10 +39,10 @@ def rebuild(kind: type[BaseException], args: tuple, state: dict[str, Any]) -> Ba
 
 
 class Portable(BaseException):
-    """An exception that can be copied and pickled, so that a worker process can raise it in its caller."""
+    """An exception that can be copied and pickled, so that one raised in a worker process reaches the caller."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The class, its arguments and all attributes."""
+        """Return how to make the exception again: from its class, arguments and attributes."""
         return rebuild, (type(self), self.args, self.__dict__)
 
 
@@ -48,20 +50,24 @@ class IKError(Portable, Exception):
     """Base class of every error raised by ik_toolkit."""
 
     def __str__(self) -> str:
-        """Return the message itself (KeyError would quote it), without control characters."""
+        """Return the message without control characters, and without the quotes that KeyError adds."""
         return clean(self.args[0]) if self.args else ""
 
 
 class RobotNotFound(IKError, KeyError):
-    """No robot of that name and no file at that path."""
+    """There is no robot of that name, and no file at that path."""
 
 
 class ModelError(IKError, ValueError):
-    """A robot description that cannot be used: broken, hostile or outside what the toolkit handles."""
+    """A robot description cannot be used: it is broken, hostile, or has something that the toolkit does not handle."""
 
 
 class FrameNotFound(IKError, KeyError):
-    """The model has no frame (link) of that name, or one must be chosen from `tips`."""
+    """The model has no frame (link) of that name, or a tip must be chosen.
+
+    Attributes:
+        tips: Names to choose from, if a tip must be chosen.
+    """
 
     tips: tuple[str, ...] = ()
 
@@ -75,51 +81,69 @@ class ConfigurationNotFound(IKError, KeyError):
 
 
 class InvalidTarget(IKError, ValueError):
-    """A target that is not a finite position or rigid pose."""
+    """A target is not a finite position or a rigid pose."""
 
 
 class InvalidConfiguration(IKError, ValueError):
-    """Joint values of the wrong size, not finite, or outside the limits where that is not allowed."""
+    """Joint values have the wrong size, are not finite, or lie outside the limits where that is not allowed."""
 
 
 class InvalidOption(IKError, ValueError):
-    """An option or parameter that does not exist or whose value is out of range."""
+    """An option or parameter does not exist, or its value is out of range."""
 
 
 class ReadOnlyAttribute(IKError, AttributeError):
-    """An attribute that was read when its object was built: assigning it would change nothing. The message says what does."""
+    """An attribute was assigned that is only read when its object is built; the message says what to do instead."""
 
 
 class UnknownSolver(IKError, KeyError):
-    """No solver of that name, or one that does not fit this robot."""
+    """There is no solver of that name, or it does not fit this robot."""
 
 
 class MissingExtra(IKError, ImportError):
-    """An optional dependency is not installed; the message gives the pip command."""
+    """An optional dependency is not installed; the message gives the pip command.
+
+    Attributes:
+        extra: Name of the extra that installs it.
+    """
 
     def __init__(self, package: str, extra: str) -> None:
-        """package: the missing package; extra: the extra whose packages the message lists."""
+        """Make the message from the name of the missing package and of the extra that installs it."""
         needed = " ".join(extras().get(extra, [package]))
         super().__init__(f"{package} is not installed; run: pip install {needed}")
         self.extra = extra
 
 
 class NotSolved(IKError):
-    """Raised by `Result.raise_for_status()` when the solve did not succeed; carries the result."""
+    """A solve did not succeed; `Result.raise_for_status()` raises it.
+
+    Attributes:
+        result: The result of the solve.
+    """
 
     def __init__(self, result) -> None:
-        """Keep the result along with its message."""
+        """Make the message from a result, and keep the result."""
         super().__init__(f"{result.status.name}: {result.message}")
         self.result = result
 
 
 def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "np.ndarray":
-    """Return real numbers as a new float64 array in C order; kinds: numpy's kind letters that are accepted.
+    """Convert a value to a new array of real numbers.
 
-    Raises `error`, "WHAT, not VALUE", for everything else: strings, booleans, dates, complex numbers and objects, which numpy
-    might convert to some number, and masked entries.
+    Args:
+        value: A number, a list or an array.
+        what: What the value should be, for the message.
+        error: Class of the exception to raise.
+        kinds: numpy's letters of the kinds of number that are accepted.
+
+    Returns:
+        An array of float64 in C order.
+
+    Raises:
+        IKError: `error`, "WHAT, not VALUE", for anything else that numpy might convert to a number: strings, booleans, dates,
+            complex numbers, objects and masked entries.
     """
-    import numpy as np  # keeps `import ik_toolkit` light
+    import numpy as np  # imported here so that `import ik_toolkit` stays fast
 
     try:
         if not masked(value) and (array := np.array(value, order="C")).dtype.kind in kinds:
@@ -130,7 +154,10 @@ def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "
 
 
 def whole(value: Any, what: str, least: int = 1) -> int:
-    """Return a whole number of at least `least`, 3.0 as 3. Raises InvalidOption, "WHAT must be ..., not VALUE"."""
+    """Return a whole number as an int, also if it is a float such as 3.0.
+
+    Raises InvalidOption, "WHAT must be ..., not VALUE", if it is none or less than `least`.
+    """
     what = f"{what} must be a whole number of at least {least}"
     number = floats(value, what, InvalidOption)
     if number.shape != () or not number >= least or number % 1.0 != 0.0:
@@ -139,14 +166,14 @@ def whole(value: Any, what: str, least: int = 1) -> int:
 
 
 def check_progress(progress: Any, of: str) -> None:
-    """Raise InvalidOption unless `progress` is None or can be called; of: what it is called with."""
+    """Raise InvalidOption unless `progress` is None or can be called; `of` says what it is called with."""
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a function of {of}, not {progress!r:.60}")
 
 
 def masked(value: Any) -> bool:
-    """Whether an array, or an array inside a list, has masked entries."""
-    import numpy as np  # keeps `import ik_toolkit` light
+    """Return whether an array, or an array inside a list, has masked entries."""
+    import numpy as np  # imported here so that `import ik_toolkit` stays fast
 
     if type(value) is np.ndarray:
         return False
@@ -157,9 +184,14 @@ def masked(value: Any) -> bool:
 
 
 def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
-    """Warn that angles [rad] of several turns, by joint ('' if of none), may have been meant in degrees.
+    """Warn that large angles may have been meant in degrees.
 
-    Once for a joint of one `what`, as it may be in a loop; and once for a joint's value, whatever it is called on its way.
+    The warning comes once for each joint of one `what`, which may be given in a loop, and once for each value of a joint, which
+    may be passed on under several names.
+
+    Args:
+        what: What the angles are, for the message.
+        angles: The angles [rad] by joint; '' stands for no joint.
     """
     known = {joint for joint, x in angles.items() if DOUBTED.intersection((f"{what}, {joint}", f"{joint}: {x!r}"))}
     DOUBTED.update(f"{what}, {joint}" for joint in angles)
@@ -174,9 +206,18 @@ def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
     )
 
 
+def doubt_lengths(what: str, away: float, reach: float) -> None:
+    """Warn, once for one `what`, that lengths [m] beyond FAR_AWAY reaches may have been meant in millimetres."""
+    if away > FAR_AWAY * reach and what not in DOUBTED:
+        DOUBTED.add(what)
+        logging.getLogger("ik_toolkit").warning(
+            "%s: %.4g m is %.3g times the robot's reach; were millimetres meant?", what, away, away / reach
+        )
+
+
 def extras() -> dict[str, list[str]]:
-    """Packages by extra, from the requirements of the installed ik_toolkit; empty if it is not installed."""
-    import importlib.metadata  # keeps `import ik_toolkit` light
+    """Return the packages of each extra of the installed ik_toolkit; there are none if it is not installed."""
+    import importlib.metadata  # imported here so that `import ik_toolkit` stays fast
 
     found: dict[str, list[str]] = {}
     try:
@@ -190,7 +231,7 @@ def extras() -> dict[str, list[str]]:
 
 
 def nearest(name: object, options: Iterable[str], alike: float = 0.5) -> str | None:
-    """The option most like a misspelled name; None when the likeness of all (0 to 1, see `difflib`) is below `alike`."""
+    """Return the option most similar to a misspelled name, None if the similarity (0 to 1, see `difflib`) is below `alike`."""
     known = [str(option)[:SHOWN] for option, _ in zip(options, range(COMPARED), strict=False)]
     lower = [option.lower() for option in known]
     best = difflib.get_close_matches(str(name)[:SHOWN].lower(), lower, 1, alike)
@@ -198,7 +239,7 @@ def nearest(name: object, options: Iterable[str], alike: float = 0.5) -> str | N
 
 
 def near_match(name: object, options: Iterable[str]) -> str:
-    """Return ' Did you mean ...? Available: ...' for an unknown name (a sentence tail for error messages)."""
+    """Return ' Did you mean ...? Available: ...' for an unknown name, to be appended to an error message."""
     known = [str(option)[:SHOWN] for option in options]
     close = nearest(name, known)
     listed = ", ".join(known[:30]) + (f", ... ({len(known)} in all)" if len(known) > 30 else "")

@@ -5,35 +5,44 @@ An interruption, a full disk or a late error never destroys the existing file.
 
 import csv
 import io
+import json
+import math
 import os
 import re
 import uuid
+import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from .errors import InvalidOption
+from .errors import IKError, InvalidOption
 
 PARTIAL = ".partial"  # suffix for an incomplete result
 FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginnings of what a spreadsheet runs, also marked as text
+# Largest arrays of a file together [bytes]: the first, and the second for each byte of the file; poses compress to a fifth at best.
+UNPACKED, EXPANSION = 2**26, 20
+NAMES = 2**18  # bytes of an array of names
+NUMBERS, TEXTS = "fiu", "U"  # kinds of dtype that are read as numbers, and as names
+HEADER = 2**16  # bytes of an array's header, which numpy takes into memory before it looks at it
+JSON_BYTES = 20_000_000  # lists take up to 20 times as much, and a second for 5 MB
 
 
 def as_path(value: Any, what: str = "it") -> Path:
-    """Path of a file. Raises InvalidOption, "WHAT must be the path of a file, not VALUE"."""
+    """Return a value as a path. Raises InvalidOption, "WHAT must be the path of a file, not VALUE"."""
     if not isinstance(value, str | os.PathLike):
         raise InvalidOption(f"{what} must be the path of a file, not {value!r:.60}")
     return Path(value)
 
 
 class WholeFile:
-    """A file that gets its name only at `finish`.
+    """A file that gets its name when `finish` is called.
 
-    If the work ends early it can be kept under another name, cut off after the last `mark`.
+    If the work ends early, the file can be kept under another name, cut off after the last `mark`.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open a temporary file next to `path`. A device or a pipe is written to directly. Raises OSError."""
+        """Open a temporary file beside `path`, or the device or pipe itself. Raises OSError."""
         self.path = Path(path)
         place = Path(os.path.realpath(path))  # a symbolic link stays one
         self._place = place if place.is_file() or not place.exists() else None
@@ -43,20 +52,20 @@ class WholeFile:
             self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")
 
     def write(self, data: str | bytes) -> None:
-        """Write text (as UTF-8) or bytes as one unit: it counts only once it is written completely."""
+        """Write text (as UTF-8) or bytes, and mark them when they are written completely."""
         with self.named():
             self.stream.write(data.encode() if isinstance(data, str) else data)
         self.mark()
 
     def mark(self) -> None:
-        """Mark everything written to the stream so far as worth keeping."""
+        """Mark everything written so far as worth keeping if the work ends early."""
         with self.named():
             self.stream.flush()
         if self._place is not None:
             self._good = self.stream.tell()
 
     def finish(self) -> None:
-        """Flush the file to disk and give it its name. If that fails, the marked part is kept as NAME.partial."""
+        """Flush the file to disk and give it its name; if that fails, keep the marked part as NAME.partial."""
         try:
             with self.named():
                 self.stream.flush()
@@ -72,7 +81,7 @@ class WholeFile:
             raise
 
     def keep(self, suffix: str) -> Path | None:
-        """Keep the marked part as NAME`suffix` and return that name; None, and nothing is kept, if that is impossible."""
+        """Keep the marked part under the name with a suffix. Returns that path, or None if nothing could be kept."""
         if self._place is None or not self._good:
             self.drop()
             return None
@@ -90,7 +99,7 @@ class WholeFile:
         return kept
 
     def drop(self) -> None:
-        """Remove the temporary file."""
+        """Close and remove the temporary file."""
         try:
             self.stream.close()
         except OSError:
@@ -100,7 +109,7 @@ class WholeFile:
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """Make errors name the requested file."""
+        """Make errors of the block name the requested file instead of the temporary one."""
         try:
             yield
         except OSError as error:
@@ -109,7 +118,7 @@ class WholeFile:
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[BinaryIO]:
-    """Binary stream of a file that gets its name if the block succeeds and is removed if it fails."""
+    """Open a binary stream to a file that gets its name if the block succeeds, and is removed if it fails."""
     file = WholeFile(path)
     try:
         with file.named():
@@ -121,13 +130,13 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
 
 
 def write_whole(path: str | Path, data: str | bytes) -> None:
-    """Write a file whole, text as UTF-8."""
+    """Write a file whole or not at all; text is written as UTF-8."""
     with whole_file(path) as stream:
         stream.write(data.encode() if isinstance(data, str) else data)
 
 
 def inert(text: str) -> str:
-    """Text for a cell of a CSV file that a spreadsheet shows, and does not run as a formula: a quote in front marks it as text."""
+    """Return text for a cell of a CSV file, with a quote in front if a spreadsheet would run it as a formula."""
     try:
         float(text)  # -0.5 is a number
     except ValueError:
@@ -136,14 +145,61 @@ def inert(text: str) -> str:
 
 
 def without_mark(text: str) -> str:
-    """Text of a cell as `inert` was given it."""
+    """Return the text that `inert` made a cell of."""
     return text[1:] if text.startswith("'") and FORMULA.match(text) else text
 
 
 def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float | str]]) -> None:
-    """Write a CSV file of numbers in full precision and text; NaN is left empty."""
+    """Write a CSV file of text and of numbers in full precision; the cell of a NaN is empty."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(map(inert, head))
     writer.writerows(["" if x != x else inert(x) if isinstance(x, str) else repr(x) for x in row] for row in rows)
     write_whole(path, text.getvalue())
+
+
+def read_json(path: Path, error: type[IKError]) -> Any:
+    """Read a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
+    if path.stat().st_size > JSON_BYTES:
+        raise error(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ or CSV")
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise error(f"'{path.name}': its lists are nested too deep") from None
+
+
+def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: type[IKError]) -> None:
+    """Check the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
+
+    Of the arrays called `names`, those in `texts` have names, all others real numbers (no dates, complex numbers, truth
+    values or objects). None may be larger than its data, and together they may take no more than a file of this size
+    can hold.
+    """
+    import numpy as np  # keeps `ik --help` light
+
+    packed, together = path.stat().st_size, 0
+    with zipfile.ZipFile(path) as archive:
+        members = [member for member in archive.infolist() if member.filename.removesuffix(".npy") in names]
+        for member in members:
+            name = member.filename.removesuffix(".npy")
+            with archive.open(member) as stream:
+                start = io.BytesIO(stream.read(HEADER))
+                version = np.lib.format.read_magic(start)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(start)
+            what, kinds = ("names", TEXTS) if name in texts else ("real numbers", NUMBERS)
+            if dtype.kind not in kinds:
+                raise error(f"'{path.name}': the array {name} holds values of the type {dtype}, not {what}")
+            promised = math.prod(shape) * dtype.itemsize
+            if promised > member.file_size:
+                raise error(
+                    f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
+                )
+            together += member.file_size
+            if name in texts and promised > NAMES:
+                raise error(f"'{path.name}': the array {name} takes {promised:,} bytes, too many for names")
+            if together > UNPACKED + EXPANSION * packed:
+                raise error(
+                    f"'{path.name}': {member.filename} unpacks to {together / 1e6:,.1f} MB from {packed / 1e6:,.1f} MB; save it "
+                    "with numpy.savez, without compression"
+                )

@@ -1,4 +1,4 @@
-"""Objects whose public attributes stay as they were built."""
+"""A base class of objects whose public attributes cannot be assigned once they are built."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -7,28 +7,26 @@ from .errors import ReadOnlyAttribute
 
 
 class ReadOnly:
-    """Once sealed, an object refuses to have a public attribute assigned: what was made from it would not follow.
+    """Base of objects whose public attributes cannot be assigned once they are sealed.
 
-    _INSTEAD: what to use in place of an assignment, by name ("" for all others). Names with an underscore, and those in
-    _LOOSE, stay free.
+    An assignment would have no effect on what was made from the attribute before. Names with an underscore stay free.
     """
 
     __slots__ = ()
-    _LOOSE: ClassVar[tuple[str, ...]] = ()
-
-    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}
+    _LOOSE: ClassVar[tuple[str, ...]] = ()  # public names that stay free, too
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}  # what to do instead, by name; "" is for all others
     _sealed = False
 
     def _seal(self) -> None:
-        """Refuse assignments from now on."""
+        """Seal the object: from now on assignments are refused."""
         self._sealed = True
 
     def _put(self, **values: Any) -> None:
-        """Set attributes of a sealed object, for our own use."""
+        """Set attributes of a sealed object from inside the package."""
         vars(self).update(values)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set an attribute; raises ReadOnlyAttribute for a public one of a sealed object."""
+        """Set an attribute. Raises ReadOnlyAttribute if the object is sealed and the attribute public."""
         if name[0] != "_" and self._sealed and name not in self._LOOSE:
             kind = type(self).__name__
             instead = self._INSTEAD.get(name, self._INSTEAD.get("", ""))
@@ -36,7 +34,7 @@ class ReadOnly:
         object.__setattr__(self, name, value)
 
     def __delattr__(self, name: str) -> None:
-        """Delete an attribute; raises ReadOnlyAttribute for a public one of a sealed object."""
+        """Delete an attribute. Raises ReadOnlyAttribute if the object is sealed and the attribute public."""
         if name[0] != "_" and self._sealed and name not in self._LOOSE:
             raise ReadOnlyAttribute(f"{name} of a {type(self).__name__} cannot be deleted")
         object.__delattr__(self, name)

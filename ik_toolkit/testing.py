@@ -1,10 +1,10 @@
-"""The contract of every solver, as a test you can run on your own rule or closed form.
+"""The contract that every solver keeps, as a test that you can run on your own rule or closed form.
 
     from ik_toolkit.testing import check_solver
     check_solver(HalfStep)
 
-Each clause is a function of a `Case` (a solver, a robot, a kind of target) that raises AssertionError with a sentence; `CLAUSES`
-lists them by name. Poses are compared by Pinocchio and numpy, never by the kernel that computed the result.
+Each clause of the contract is a function of a `Case` (a solver, a robot, a kind of target) that raises AssertionError with a
+sentence; `CLAUSES` lists them by name. Poses are compared by Pinocchio and numpy, never by the kernel that computed the result.
 """
 
 import functools
@@ -26,15 +26,16 @@ from .solvers.solve import Solver
 from .solvers.status import Status
 
 KINDS = ("pose", "position")
-LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}  # reachable for slow methods, too
-SAMPLES = 8  # targets per clause: most faults show at the first one
-SHORT = 20  # characters: a proper sentence is longer
-ROUNDING = 1e-9  # m: kernel and Pinocchio sum the same chain in a different order
-ANGLE_ROUNDING = 1e-7  # rad: the angle of a matrix near the identity has half the digits of its entries
+# Tolerances [m] and [rad] that slow methods reach, too.
+LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}
+SAMPLES = 8  # number of targets for a clause, as most faults show at the first one
+SHORT = 20  # characters, fewer than a proper sentence has
+ROUNDING = 1e-9  # m, largest difference of kernel and Pinocchio, which sum the same chain in a different order
+ANGLE_ROUNDING = 1e-7  # rad, the same of angles: that of a matrix near the identity has half the digits of its entries
 
 
 def default_robots() -> list[Any]:
-    """Shipped arms of different kinds: six joints, planar, prismatic joints, a lift, and two tips on one base."""
+    """Return shipped robots of different kinds: six joints, planar, sliding joints, a lift, and two tips on one base."""
     arms = [Robot.load(name) for name in ("hydrolek_7w", "planar_2r", "planar_3r", "cartesian_pp", "inspection_7dof")]
     wrist = Robot.load("inspection_7dof", locked={"lift": 0.25})
     return [*arms, wrist, Tree.load("brokk_hydrolek")]
@@ -43,9 +44,14 @@ def default_robots() -> list[Any]:
 def check_solver(solver: Any, robots: Iterable[Any] | None = None, seed: int = 0) -> None:
     """Check a solver against the contract on every robot that it accepts.
 
-    solver: a registered name, a class marked by `@ik_toolkit.rule` or `@ik_toolkit.closed_form`, or an instance. robots: Robot,
-    Tree or names (default: shipped ones). seed: of the targets. Raises AssertionError, "SOLVER on ROBOT (KIND): what is wrong",
-    also if it accepts none of the robots; UnknownSolver if it is not a solver.
+    Args:
+        solver: A registered name, a class marked by `@ik_toolkit.rule` or `@ik_toolkit.closed_form`, or an instance of one.
+        robots: Robots, trees or names. Default: shipped robots of different kinds.
+        seed: Seed of the targets.
+
+    Raises:
+        AssertionError: "SOLVER on ROBOT (KIND): what is wrong", also if the solver accepts none of the robots.
+        UnknownSolver: It is not a solver.
     """
     row = find_row(solver)
     made = default_robots() if robots is None else [Robot.load(r) if isinstance(r, str) else r for r in robots]
@@ -64,7 +70,7 @@ def check_solver(solver: Any, robots: Iterable[Any] | None = None, seed: int = 0
 
 
 def cases(solver: Any, robots: Iterable[Any], seed: int = 0) -> Iterator["Case"]:
-    """A case for every robot and kind of target; positions only for an arm that cannot orient its tip freely."""
+    """Yield a case for every robot and kind of target; arms that cannot orient their tip freely get positions only."""
     for robot in robots:
         for kind in KINDS:
             free = all(Asked(arm, (POSE,)).rows == 6 for arm in robot.arms)
@@ -76,24 +82,27 @@ class Case:
     """One solver on one robot with one kind of target."""
 
     def __init__(self, solver: Any, robot: Any, kind: str, seed: int = 0) -> None:
-        """solver: as for `check_solver`; robot: Robot or Tree; kind: 'pose' or 'position'."""
+        """Take a solver as for `check_solver`, a Robot or Tree, and the kind of target: 'pose' or 'position'."""
         self.solver, self.robot, self.kind, self.seed = solver, robot, kind, seed
         self.row: Row = find_row(solver)
 
     def __str__(self) -> str:
-        """Prefix of the case's messages."""
+        """Return the beginning of all messages of the case."""
         return f"{self.row.name} on {self.robot.name} ({self.kind})"
 
     def claim(self, holds: Any, sentence: str) -> None:
-        """Raise AssertionError with the sentence unless `holds`."""
+        """Raise AssertionError with the sentence unless it is true that the promise `holds`."""
         _hold(bool(holds), f"{self}: {sentence}")
 
     def bind(self, **options: Any) -> Solver:
-        """The solver bound to the robot, ready for targets of this kind."""
+        """Return the solver bound to the robot, ready for targets of this kind."""
         return Solver(self.robot, self.solver, **options)
 
     def fits(self) -> bool:
-        """Whether the solver accepts this robot and kind of target; a refusal must explain itself. Raises AssertionError."""
+        """Return whether the solver accepts this robot and kind of target.
+
+        Raises AssertionError if it refuses without an explanation.
+        """
         try:
             self.bind()(self.target(self.robot.home))
         except (UnknownSolver, InvalidOption) as refused:
@@ -107,19 +116,22 @@ class Case:
         return True
 
     def target(self, q: np.ndarray, moved: Any = 0.0) -> Any:
-        """Target reached at q, shifted by a vector [m]: a pose or position, for several tips a dict by tip."""
+        """Return the target that the robot reaches at q (n,), shifted by a vector (3,) [m].
+
+        It is a pose (4, 4) or a position (3,), for several tips a dict of them by tip.
+        """
         poses = {tip: pose + _shift(moved) for tip, pose in self.poses(q).items()}
         if self.kind == "position":
             poses = {tip: T[:3, 3].copy() for tip, T in poses.items()}
         return poses if len(poses) > 1 else next(iter(poses.values()))
 
     def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
-        """T_base_tip (4, 4) of each tip, by Pinocchio."""
+        """Return T_base_tip (4, 4) [m] of each tip at q (n,), computed by Pinocchio."""
         arms = zip(self.robot.arms, self.robot.places, strict=True)
         return {arm.tip: arm.fk(np.asarray(q)[place]).homogeneous for arm, place in arms}
 
     def left(self, q: np.ndarray, target: Any) -> tuple[float, float | None]:
-        """Largest position error [m] and rotation angle [rad] over the tips at q; None for positions."""
+        """Return the largest position error [m] and rotation error [rad] of all tips at q; the latter is None for positions."""
         wanted = target if isinstance(target, dict) else {self.robot.tips[0]: target}
         errors = [_error(T, np.asarray(wanted[tip])) for tip, T in self.poses(q).items()]
         angles = [angle for _, angle in errors if angle is not None]
@@ -127,7 +139,7 @@ class Case:
 
     @functools.cached_property
     def sample(self) -> list[tuple[Any, np.ndarray, Result]]:
-        """Targets, starts and results with LOOSE tolerances; half of the starts are near a solution, half are home."""
+        """Targets, starts and results with LOOSE tolerances; half of the starts are near a solution, half are at home."""
         solver, robot, rng = self.bind(**LOOSE), self.robot, np.random.default_rng(self.seed)
         rows = []
         for k in range(SAMPLES):
@@ -151,7 +163,7 @@ def _shift(moved: Any) -> np.ndarray:
 
 
 def _error(T: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
-    """Distance and angle from a pose (4, 4) to a target (4, 4) or (3,)."""
+    """Return the distance [m] and angle [rad] from a pose (4, 4) to a target (4, 4) or (3,), which leaves the angle None."""
     if target.shape == (3,):
         return float(np.linalg.norm(target - T[:3, 3])), None
     R = target[:3, :3] @ T[:3, :3].T
@@ -161,14 +173,14 @@ def _error(T: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
 
 
 def _inside(case: Case, q: np.ndarray) -> str:
-    """Name of a joint outside its limits or not finite, or ''."""
+    """Return the name of a joint whose value is outside its limits or not finite, '' if there is none."""
     good = np.isfinite(q) & (q >= case.robot.lower) & (q <= case.robot.upper)
     return "" if good.all() else case.robot.joint_names[int(np.argmin(good))]
 
 
 # ------------------------------------------------------------------------------------------------------------- clauses
 def leaves_arguments_alone(case: Case) -> None:
-    """The call leaves target and start unchanged."""
+    """A call leaves its target and start unchanged."""
     solver, q = case.bind(**LOOSE), case.robot.random_q(np.random.default_rng(case.seed))
     target, start = case.target(q), case.robot.home.copy()
     before, began = pickle.dumps(target), start.copy()
@@ -178,7 +190,7 @@ def leaves_arguments_alone(case: Case) -> None:
 
 
 def answers_inside_the_limits(case: Case) -> None:
-    """q is finite and inside the limits, solved or not."""
+    """The returned q is finite and inside the joint limits, whether the target is solved or not."""
     for _, _, result in case.sample:
         joint = _inside(case, result.q)
         case.claim(not joint, f"q is not finite or outside the limits at joint {joint} ({result.status.name})")
@@ -212,7 +224,7 @@ def succeeds_inside_the_tolerances_only(case: Case) -> None:
 
 
 def gives_the_same_bytes_again(case: Case) -> None:
-    """The same target, start and seed give the same bytes and counts, also with a newly bound solver."""
+    """The same target, start and seed give exactly the same result and counts again, also with a newly bound solver."""
     again = case.bind(**LOOSE)
     for target, start, result in case.sample:
         other = again(target, q0=start)
@@ -225,7 +237,7 @@ def gives_the_same_bytes_again(case: Case) -> None:
 
 
 def solves_an_easy_target(case: Case) -> None:
-    """It reaches some target a hundredth of a radian (metre) away, and any target at its start without a step."""
+    """A solver reaches some target a hundredth of a radian (or metre) away, and any target at its start without a step."""
     solver, rng, solved = case.bind(tolerance=1e-3), np.random.default_rng(case.seed), 0
     robot = case.robot
     for _ in range(SAMPLES):
@@ -256,7 +268,7 @@ def says_why_it_fails(case: Case) -> None:
 
 
 def keeps_to_its_budget(case: Case) -> None:
-    """max_evaluations, max_iterations and restarts are never exceeded."""
+    """A solver never exceeds max_evaluations, max_iterations and restarts."""
     target = case.target(case.robot.upper * 0.8 + case.robot.lower * 0.2 if _bounded(case) else case.robot.home + 0.7)
     for budget in (1, 2, 5, 40):
         result = case.bind(max_evaluations=budget, tolerance=1e-300)(target)
@@ -276,14 +288,15 @@ def _bounded(case: Case) -> bool:
 
 
 def records_every_evaluation(case: Case) -> None:
-    """history=True records q and errors of every iteration, and the result is one of them (up to full turns)."""
+    """With history=True q and errors of every iteration are recorded, and the result is one of them (up to full turns)."""
     target = case.target(np.clip(case.robot.home + 0.1, case.robot.lower, case.robot.upper))
     result = case.bind(history=True, restarts=0, max_iterations=20)(target)
     history = result.history
     case.claim(history is not None and len(history["q"]) >= 1, "there is no history")
     assert history is not None
     if not case.row.closed:
-        last = 0 if result.status == Status.STALLED else 1  # a step that moves nothing is not evaluated
+        # The last step of a stalled solve moves nothing and is not evaluated.
+        last = 0 if result.status == Status.STALLED else 1
         case.claim(
             last <= len(history["q"]) - result.iterations <= 1,
             "the history must have one row more than there are iterations",
@@ -298,7 +311,7 @@ def records_every_evaluation(case: Case) -> None:
 def holds_joints(case: Case) -> None:
     """A joint with weight 0 keeps its value from q0, or the solver rejects weights with a message."""
     robot = case.robot
-    if robot.n == 1:  # one joint that is held leaves nothing to solve
+    if robot.n == 1:  # a robot whose only joint is held cannot solve anything
         return
     weights = np.ones(robot.n)
     weights[-1] = 0.0
@@ -313,7 +326,7 @@ def holds_joints(case: Case) -> None:
 
 
 def solves_batches(case: Case) -> None:
-    """A batch keeps the same promises in every row, with the same bytes for one thread and for two."""
+    """A batch keeps the same promises for every target, with exactly the same results from one thread and from two."""
     Q = [case.robot.random_q(np.random.default_rng([case.seed, k])) for k in range(SAMPLES)]
     targets = [case.target(q) for q in Q]
     several = isinstance(targets[0], dict)

@@ -1,4 +1,4 @@
-"""Parse typed numbers and values, and convert results to JSON."""
+"""Parsing of numbers and values that a user typed, and conversion of results to JSON."""
 
 import json
 import math
@@ -8,7 +8,7 @@ from .errors import InvalidOption, InvalidTarget
 
 
 def numbers(text: str) -> list[float] | None:
-    """Read the numbers of '1 2', '1,2' or '1'; None if there are none or anything else."""
+    """Return the numbers in a text such as '1 2', '1,2' or '1', None if there are none or there is anything else."""
     try:
         return [float(part) for part in text.replace(",", " ").split()] or None
     except ValueError:
@@ -16,7 +16,12 @@ def numbers(text: str) -> list[float] | None:
 
 
 def vector(text: str, what: str, size: int | None = None) -> list[float]:
-    """Read the numbers of `text`. Raises InvalidOption naming `what` if there are none, InvalidTarget if not `size` of them."""
+    """Return the numbers in a text.
+
+    Raises:
+        InvalidOption: There are none; the message names `what`.
+        InvalidTarget: There are not `size` of them.
+    """
     values = numbers(text)
     if size is None and values is None:
         raise InvalidOption(f"{what} takes numbers, not '{text.strip()}'")
@@ -27,7 +32,10 @@ def vector(text: str, what: str, size: int | None = None) -> list[float]:
 
 
 def parameter(name: str, text: str) -> Any:
-    """Read a number, True or False, a list like [1, 2] or a word; InvalidOption, naming the parameter, for anything else."""
+    """Return a value from its text: a number, True or False, a list such as [1, 2], or a word.
+
+    Raises InvalidOption, which names the parameter, for anything else.
+    """
     for read in (int, float, json.loads):
         try:
             return read(text.lower() if text in ("True", "False") else text)
@@ -39,12 +47,12 @@ def parameter(name: str, text: str) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Convert arrays, paths and enums to JSON types; numbers that are not finite become null."""
+    """Convert arrays, paths and enums to types that JSON has; numbers that are not finite become None (null)."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set):
         return [plain(item) for item in value]
-    if hasattr(value, "tolist"):  # numpy array or scalar
+    if hasattr(value, "tolist"):  # an array or a number of numpy
         return plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None

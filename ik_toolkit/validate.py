@@ -1,4 +1,4 @@
-"""Numbers and names that several calls take, validated in one place before any work begins."""
+"""Checks of arguments that several functions take. They raise before any work begins."""
 
 import math
 from collections.abc import Iterable
@@ -8,14 +8,14 @@ import numpy as np
 
 from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 
-LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts ...
-MOST_PARTS = 100_000  # ... of which this many take some seconds
-
-ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}  # values that only one of two calls takes
+LATE = 5.0  # longest step, over the first one, in which joint limits can be kept; a longer one is taken in parts
+MOST_PARTS = 100_000  # most parts of a step, which already take some seconds
+# Values of options that only one function takes, which an error message can name.
+ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
 
 
 def number(value: Any, name: str) -> float:
-    """Return a finite number. Raises InvalidOption."""
+    """Return a value as a finite float. Raises InvalidOption, which names the argument, if it is none."""
     array = floats(value, f"{name} must be a number", InvalidOption)
     if array.ndim or not math.isfinite(array):
         raise InvalidOption(f"{name} must be a finite number, not {value!r:.60}")
@@ -23,15 +23,19 @@ def number(value: Any, name: str) -> float:
 
 
 def positive(value: Any, name: str) -> float:
-    """Return a positive, finite number. Raises InvalidOption."""
-    found = value if type(value) is float else number(value, name)  # most are floats, once a sample
+    """Return a value as a positive, finite float. Raises InvalidOption, which names the argument, if it is none."""
+    # A float is checked faster, once in every control step.
+    found = value if type(value) is float else number(value, name)
     if not 0.0 < found < math.inf:
         raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
     return found
 
 
-def parts_of(dt: float, longest: float) -> int:
-    """Return in how many parts a step of dt [s] is taken, none over longest [s]. Raises InvalidOption for more than MOST_PARTS."""
+def parts_of_step(dt: float, longest: float) -> int:
+    """Return in how many parts, none longer than `longest` [s], a step of dt [s] is taken.
+
+    Raises InvalidOption if there are more than MOST_PARTS, because dt was then probably given in another unit.
+    """
     if dt > MOST_PARTS * longest:
         whole = f"{longest:g} s, {LATE:g} times the first one"
         raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.0f} parts of at most {whole}. Was another unit meant?")
@@ -39,14 +43,14 @@ def parts_of(dt: float, longest: float) -> int:
 
 
 def switch(value: Any, name: str) -> bool:
-    """Return True or False. Raises InvalidOption for anything else: "no" would count as true."""
+    """Return a value that is True or False. Raises InvalidOption for anything else, as text such as "no" would count as true."""
     if not isinstance(value, bool | np.bool_):
         raise InvalidOption(f"{name} is True or False, not {value!r:.60}")
     return bool(value)
 
 
 def one_of(value: Any, names: Iterable[str], what: str) -> str:
-    """Return a name that exists. Raises InvalidOption, "no WHAT 'VALUE'", with a near match."""
+    """Return a name that is among `names`. Raises InvalidOption, "no WHAT 'VALUE'", with a near match, if it is not."""
     if not (isinstance(value, str) and value in names):
         taken_by = ELSEWHERE.get(what, {}).get(str(value))
         meant = f"; '{value}' is for {taken_by}" if taken_by else ""
@@ -55,7 +59,7 @@ def one_of(value: Any, names: Iterable[str], what: str) -> str:
 
 
 def rates(robot: Any, rate0: Any) -> np.ndarray:
-    """Joint rates (n,) at the start [rad/s or m/s]. Raises InvalidConfiguration."""
+    """Return the joint rates (n,) at the start of a motion [rad/s or m/s]. Raises InvalidConfiguration if they do not fit."""
     found = robot._values(rate0, "rate0")
     if not np.isfinite(found).all():
         raise InvalidConfiguration(f"rate0 must be finite, not {found}")
@@ -63,8 +67,9 @@ def rates(robot: Any, rate0: Any) -> np.ndarray:
 
 
 def solver_list(solvers: Any) -> list[Any]:
-    """One solver or several (names, classes or instances) as a list. Raises InvalidOption."""
-    if isinstance(solvers, str | type) or hasattr(type(solvers), "loop"):  # an instance of a rule is a tuple, too
+    """Return one solver or several (names, classes or instances) as a list. Raises InvalidOption for anything else."""
+    # An instance of a rule is a tuple, but one solver.
+    if isinstance(solvers, str | type) or hasattr(type(solvers), "loop"):
         return [solvers]
     if not isinstance(solvers, Iterable):
         raise InvalidOption(f"solvers must be names, rule classes or instances of them, not {solvers!r:.60}")

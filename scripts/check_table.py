@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ik_toolkit.errors import IKError
 from ik_toolkit.files import write_whole
-from ik_toolkit.robot.formats.finding import Finding, wrong
+from ik_toolkit.robot.formats.finding import Finding, error_finding
 from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.library import find
 from ik_toolkit.robot.load import urdf_of
@@ -74,7 +74,7 @@ def check(file: Path, packages: Iterable[Path]) -> list[Finding]:
         read = urdf_of(entry, packages)
         return check_urdf(read.text, read.package_dirs, file=read.file)
     except IKError as error:
-        return [wrong("file", str(error), "", 0)]
+        return [error_finding("file", str(error), "", 0)]
 
 
 def kinds(found: list[Finding], root: Path) -> list[str]:

@@ -23,8 +23,8 @@ import pinocchio as pin
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError
-from ik_toolkit.robot.load import read
-from ik_toolkit.robot.pose import rpy_matrix
+from ik_toolkit.robot.load import read_source
+from ik_toolkit.robot.rotation import rpy_matrix
 from ik_toolkit.robot.tips import guess_tip, tip_candidates
 
 SUFFIXES = (".urdf", ".xacro", ".xml")
@@ -57,7 +57,7 @@ def row(path: Path, targets: int) -> dict:
     out: dict = {"loaded": False, "tip": "", "joints": 0, "solved": None, "fk": None, "seconds": 0.0, "reason": ""}
     began = time.perf_counter()
     try:
-        entry, made = read(path, (path.parent,))
+        entry, made = read_source(path, (path.parent,))
         out["seconds"] = time.perf_counter() - began
         guess = guess_tip(made["model"]).tips
         model = made["model"]

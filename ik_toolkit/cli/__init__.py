@@ -1,4 +1,4 @@
-"""The command `ik`: one module per group of commands, each with `register(app)`. Heavy imports happen inside commands."""
+"""The command `ik`: modules of commands (see command.py). Heavy imports happen inside commands."""
 
 import functools
 import importlib
@@ -14,8 +14,7 @@ import typer
 from .. import __version__
 from ..errors import IKError, MissingExtra
 from . import first_use
-from .arguments import Command, join_vectors
-from .examples import EXAMPLES
+from .command import add_commands
 from .output import LogNotices, notice
 from .streams import Output, open_standard_streams, stoppable
 from .usage import Group, UsageError
@@ -31,11 +30,9 @@ MODULES = (
     "tune",
     "workspace",
     "files",
-    "convert",
     "view",
-    "panel",
     "doctor",
-)  # a new group of commands is one module and its name here
+)  # a new module of commands is named here
 NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED, TERMINATED = 1, 2, 3, 70, 130, 143
 
 
@@ -65,10 +62,7 @@ def application() -> typer.Typer:
     app = typer.Typer(name="ik", cls=Group, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.callback()(_options)
     for module in MODULES:
-        importlib.import_module(f".{module}", __name__).register(app)
-    for info in app.registered_commands:
-        info.cls = Command
-        info.epilog = EXAMPLES[info.callback.__name__]  # type: ignore[union-attr]
+        add_commands(app, importlib.import_module(f".{module}", __name__))
     return app
 
 
@@ -81,7 +75,7 @@ def _command() -> Any:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit code. Invalid input becomes one sentence on stderr, never a traceback."""
     open_standard_streams()
-    arguments = join_vectors(sys.argv[1:] if argv is None else argv)
+    arguments = [*(sys.argv[1:] if argv is None else argv)]
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     shown = LogNotices("" if "--deg" in arguments else " Then add --deg.")

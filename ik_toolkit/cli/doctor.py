@@ -8,13 +8,14 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from ..errors import extras
 from . import first_use
-from .arguments import Json
+from .command import command, flag, options
+from .options import JsonOutput
 from .output import notice, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
@@ -23,30 +24,32 @@ ROOM = 2**21  # bytes; the largest kernel takes less
 DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras that users do not need
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command()(doctor)
+@options()
+class DoctorOptions(JsonOutput):
+    """What is done beside checking."""
+
+    prepare: bool = flag("--prepare", "Compile what the default solvers need now; about half a minute, once.")
+    background: bool = flag("--background", "", hidden=True)
 
 
-def doctor(
-    as_json: Json = False,
-    prepare: Annotated[
-        bool, typer.Option("--prepare", help="Compile what the default solvers need now; about half a minute, once.")
-    ] = False,
-    background: Annotated[bool, typer.Option("--background", hidden=True)] = False,
-) -> None:
+@command
+def doctor(asked: DoctorOptions) -> None:
     """Check the installation: versions, extras, cache folder, robots.
 
     Uses no network. Damaged files of compiled code are removed; they are made again when needed. Exit code 1 when something
     is wrong; a missing extra is not.
+
+    Examples:
+    ik doctor
+    ik doctor --prepare
     """
-    if prepare:
-        _prepare(background)
+    if asked.prepare:
+        _prepare(asked.background)
         return
     rows = [*_versions(), *_extras(), _compiler(), _cache(), *_background(), _pinocchio(), _robots()]
     healthy = all(row["state"] != "problem" for row in rows)
-    write_json({"healthy": healthy, "checks": rows}, as_json)
-    if not as_json:
+    write_json({"healthy": healthy, "checks": rows}, asked.as_json)
+    if not asked.as_json:
         from rich.text import Text
 
         made = table("<what", "<state", "detail")
@@ -135,15 +138,15 @@ def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, whether there is room, and whether they are whole; what is damaged is removed."""
     try:
         from ..compile.cache import damaged, open_to_others
-        from ..kernel.chain import forward
+        from ..kernel.chain import forward_kinematics
 
-        folder, broken = damaged(forward)
+        folder, broken = damaged(forward_kinematics)
     except Exception as error:  # a broken installation: the rows above say which part
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
-        why = getattr(getattr(forward, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")
+        why = getattr(getattr(forward_kinematics, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")
         return _row("compile cache", "missing", f"every process compiles again ({why}); set NUMBA_CACHE_DIR")
-    place = Path(forward._cache.cache_path)
+    place = Path(forward_kinematics._cache.cache_path)
     if why := open_to_others(place):
         remedy = f"chmod go-w {place}, or set NUMBA_CACHE_DIR to a folder of your own"
         return _row("compile cache", "problem", f"{why}, so every process compiles again: {place}; {remedy}")

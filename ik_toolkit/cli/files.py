@@ -1,73 +1,93 @@
-"""`ik dh` and `ik check`: a URDF from a D-H table, and what is wrong with a URDF."""
+"""`ik dh`, `ik check` and `ik convert`: a URDF from a D-H table, what is wrong with a URDF, and any description as one URDF."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption, ModelError
 from ..files import write_whole
-from .arguments import Json, PackageDir, UrdfOut, XacroArg, assignments, writes
+from .command import argument, command, flag, option, options, same
+from .options import JsonOutput, RobotOptions, assignments
 from .output import notice, progress, show, table, write_json
 
-TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
-SrdfOut = Annotated[
-    Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        metavar="FILE.srdf",
-        help="With --self-collision: write these pairs.",
-        callback=writes(".srdf"),
-    ),
-]
-Sampled = Annotated[
-    bool,
-    typer.Option(
-        "--self-collision", help="Find the pairs of links that always or never touch and need no collision test."
-    ),
-]
-Samples = Annotated[int | None, typer.Option(metavar="N", help="Configurations to sample; default 10000.")]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the samples.")]
-UrdfArg = Annotated[str, typer.Argument(metavar="URDF", help="Path of a URDF, xacro or MJCF file, or a robot's name.")]
+SHOWN = 3  # meshes that are not found and named
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command()(dh)
-    app.command()(check)
+@options("Robot")
+class FileOptions(JsonOutput):
+    """How a description is read."""
+
+    package_dir: list[str] | None = same(RobotOptions, "package_dir")
+    xacro_arg: list[str] | None = same(RobotOptions, "xacro_arg")
+
+    def read(self, *more: Any) -> dict[str, Any]:
+        """Options of what reads a description; more: folders to search after those of --package-dir."""
+        arguments = assignments(self.xacro_arg, "--xacro-arg", ":=") or None
+        return {"package_dirs": [*(self.package_dir or ()), *more], "xacro_args": arguments}
 
 
-def dh(table_file: TableArg, output: UrdfOut = None, as_json: Json = False) -> None:
-    """Write the URDF of a D-H table (classic or modified), with primitive shapes."""
+@options()
+class DhOptions(JsonOutput):
+    """The table and where the URDF goes."""
+
+    table: str = argument("TABLE", "D-H table, a .toml or .csv file.")
+    output: Path | None = option("FILE", "Write the URDF to a file instead of stdout.", "-o", "--output", writes=[])
+
+
+@options()
+class ConvertOptions(FileOptions):
+    """The robot and where its URDF goes."""
+
+    robot: str = same(RobotOptions, "robot")
+    output: Path | None = same(DhOptions, "output")
+
+
+@options()
+class CheckOptions(FileOptions):
+    """The file and what is asked about it."""
+
+    urdf: str = argument("URDF", "Path of a URDF, xacro or MJCF file, or a robot's name.")
+    sampled: bool = flag(
+        "--self-collision", "Find the pairs of links that always or never touch and need no collision test."
+    )
+    samples: int | None = option("N", "Configurations to sample; default 10000.")
+    seed: int = option("N", "Seed of the samples.", default=0, panel="Solver")
+    output: Path | None = option(
+        "FILE.srdf", "With --self-collision: write these pairs.", "-o", "--output", writes=[".srdf"]
+    )
+
+
+@command
+def dh(asked: DhOptions) -> None:
+    """Write the URDF of a D-H table (classic or modified), with primitive shapes.
+
+    Examples:
+    ik dh arm.toml -o arm.urdf
+    """
     from ..robot.formats.dh import read_dh_table, to_urdf
 
-    made = read_dh_table(table_file)
+    made = read_dh_table(asked.table)
     text = to_urdf(made)
-    if output is not None:
-        write_whole(output, text)
-        notice(f"wrote {output}: {made.name}, {len(made.rows)} joints, {made.convention} D-H")
-    if as_json:
-        joints = [row.name for row in made.rows]
-        write_json(
-            {"name": made.name, "convention": made.convention, "joints": joints, "output": output, "urdf": text}, True
-        )
-    elif output is None:
+    if asked.output is not None:
+        write_whole(asked.output, text)
+        notice(f"wrote {asked.output}: {made.name}, {len(made.rows)} joints, {made.convention} D-H")
+    joints = [row.name for row in made.rows]
+    _print(asked, text, {"name": made.name, "convention": made.convention, "joints": joints, "output": asked.output})
+
+
+def _print(asked: Any, text: str, payload: dict[str, Any]) -> None:
+    """Print the object with the URDF in it, or the URDF if it is written nowhere else."""
+    if asked.as_json:
+        write_json({**payload, "urdf": text}, True)
+    elif asked.output is None:
         print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # the same XML, for a terminal
 
 
-def check(
-    urdf: UrdfArg,
-    sampled: Sampled = False,
-    samples: Samples = None,
-    seed: Seed = 0,
-    output: SrdfOut = None,
-    package_dir: PackageDir = None,
-    xacro_arg: XacroArg = None,
-    as_json: Json = False,
-) -> None:
+@command
+def check(asked: CheckOptions) -> None:
     """Validate a robot's URDF (or the one that its xacro or MJCF comes to), element by element.
 
     --self-collision also finds the pairs of links that need no collision test: adjacent, always touching, touching by
@@ -75,19 +95,22 @@ def check(
     or next to the URDF.
 
     Exit code 0 when it can be loaded (warnings may remain), 1 when it has errors.
+
+    Examples:
+    ik check hydrolek_7w
+    ik check arm.urdf --package-dir meshes
     """
-    if not sampled and (samples is not None or output is not None):
+    if not asked.sampled and (asked.samples is not None or asked.output is not None):
         raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
-    from ..robot.formats.finding import odd, wrong
+    from ..robot.formats.finding import error_finding, odd
     from ..robot.formats.urdf_check import check_urdf
     from ..robot.library import find
     from ..robot.load import urdf_of
 
-    entry = find(urdf)
-    options: dict[str, Any] = {"package_dirs": [*(package_dir or ()), *entry.package_dirs]}
-    options["xacro_args"] = assignments(xacro_arg, "--xacro-arg", ":=") or None
+    entry = find(asked.urdf)
+    options = asked.read(*entry.package_dirs)
     try:
         read = urdf_of(entry, **options)
         expanded = read.made
@@ -95,17 +118,23 @@ def check(
         findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
     except ModelError as error:
         text, expanded = "", False
-        findings = [wrong("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
+        findings = [error_finding("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
     forms = {} if errors else _closed_forms(entry.tips, text)
-    payload = {"urdf": urdf, "loadable": not errors, "errors": len(errors), "findings": rows, "closed_forms": forms}
-    found = _self_collision(entry, options, samples, seed) if sampled and not errors else None
+    payload = {
+        "urdf": asked.urdf,
+        "loadable": not errors,
+        "errors": len(errors),
+        "findings": rows,
+        "closed_forms": forms,
+    }
+    found = _self_collision(entry, options, asked.samples, asked.seed) if asked.sampled and not errors else None
     if found is not None:
         pairs = [{"links": pair, "reason": reason} for pair, reason in found.reasons.items()]
         payload["self_collision"] = {**asdict(found), "reasons": pairs, "counts": found.counts()}
-    write_json(payload, as_json)
-    if not as_json:
+    write_json(payload, asked.as_json)
+    if not asked.as_json:
         made = table("<severity", ">line", "element", "problem", "what to do")
         for finding in findings:
             colour, line = "red" if finding.severity == "error" else "yellow", str(finding.line or "")
@@ -125,9 +154,9 @@ def check(
             show(
                 f"something touches in {100 * found.before:.3g} % of them, of the pairs to be tested in {100 * found.after:.3g} %"
             )
-    if found is not None and output is not None:
-        write_whole(output, found.to_srdf())
-        notice(f"wrote {output}: {len(found.reasons)} pairs of links that need no test")
+    if found is not None and asked.output is not None:
+        write_whole(asked.output, found.to_srdf())
+        notice(f"wrote {asked.output}: {len(found.reasons)} pairs of links that need no test")
     if errors:
         raise typer.Exit(1)
 
@@ -154,7 +183,7 @@ def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
     from ..robot.formats.urdf_model import build_model
     from ..robot.robot import Robot
     from ..robot.tips import guess_tip
-    from ..solvers.closed_form import describe
+    from ..solvers.closed_form import describe_fit
 
     found, model = {}, build_model(text)
     for tip in tips or (guess_tip(model).tips if len(guess_tip(model).tips) == 1 else ()):
@@ -163,6 +192,31 @@ def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
             robot = Robot(model, tip=tip, base=held[1] if held else None, urdf=text)
         except IKError:  # several ends and none named: no single arm to describe
             continue
-        if describe(robot):
-            found[robot.tip] = describe(robot)
+        if describe_fit(robot):
+            found[robot.tip] = describe_fit(robot)
     return found
+
+
+@command
+def convert(asked: ConvertOptions) -> None:
+    """Write a robot as one plain URDF: xacro expanded, package:// names of meshes resolved.
+
+    Meshes below the folder of the new file are named relative to it, all others by their absolute path.
+
+    Examples:
+    ik convert arm.urdf.xacro -o arm.urdf
+    """
+    from ..robot.formats.convert import convert as make
+
+    made = make(asked.robot, None if asked.output is None else asked.output.parent, **asked.read())
+    if asked.output is not None:
+        write_whole(asked.output, made.text)
+        notice(f"wrote {asked.output}: {made.name}, {len(made.meshes)} mesh files")
+    if made.lost:
+        some = "; ".join(f"'{name}' {why}" for name, why in list(made.lost.items())[:SHOWN])
+        more = f"; and {len(made.lost) - SHOWN} more" if len(made.lost) > SHOWN else ""
+        notice(f"meshes that keep their names (--package-dir names their folder): {some}{more}")
+    outside = sorted({str(Path(file).parent) for file in made.meshes.values() if Path(file).is_absolute()})
+    if outside and asked.output is not None:
+        notice(f"meshes lie outside its folder; pictures and collisions of it need --package-dir {outside[0]}")
+    _print(asked, made.text, {"name": made.name, "output": asked.output, "meshes": made.meshes, "lost": made.lost})

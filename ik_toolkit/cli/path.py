@@ -2,147 +2,118 @@
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import typer
 
 from ..errors import InvalidOption, InvalidTarget
 from ..text import numbers
-from . import by_tip
-from . import solve_options as asked
-from .arguments import (
-    PLOTS,
-    Base,
-    BaseRpy,
-    BaseXyz,
-    Deg,
-    Group,
-    Json,
-    Limit,
-    Lock,
-    PackageDir,
-    RobotArg,
-    SrdfFile,
-    Tips,
-    XacroArg,
-    joint_vector,
-    load_robot,
-    narrowed,
-    writes,
-)
-from .obstacles import avoided
+from .command import PLOTS, REQUIRED, command, flag, option, options, same
+from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
 from .output import facts, notice, partial, progress, show, table, write_json
-from .pictures import Html, Live, present
+from .pictures import present
+from .solve import SolverOptions
 from .streams import uninterrupted
+from .target import CountOptions, TargetOptions
 
-if TYPE_CHECKING:
-    from ..motion.trajectory import Trajectory
-    from ..paths.result import PathResult
-
-Poses = Annotated[
-    Path,
-    typer.Option(
-        "--poses",
-        metavar="FILE",
-        help="Poses in order, in the base frame: CSV with the header x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ or "
-        "JSON with targets (N, 4, 4) or (N, 3), or xyz and quat_xyzw. Several tips: as for ik solve --targets.",
-    ),
-]
-First = Annotated[
-    str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Start of the path, or a configuration to start near.")
-]
-Last = Annotated[
-    str | None, typer.Option("--q-end", metavar="Q1 Q2 ...", help="End of the path, or a configuration to end near.")
-]
-StepDeg = Annotated[float, typer.Option("--max-step-deg", metavar="DEG", help="Largest step of a revolute joint.")]
-StepMm = Annotated[float, typer.Option("--max-step-mm", metavar="MM", help="Largest step of a prismatic joint.")]
-Reconfigurations = Annotated[
-    str,
-    typer.Option("--reconfigurations", metavar="fewest|none|N", help="Allowed changes of branch."),
-]
-Retime = Annotated[
-    bool,
-    typer.Option(
-        "--retime", help="Time the path optimally within --velocity and --acceleration; -o writes the trajectory."
-    ),
-]
-Velocity = Annotated[
-    str | None,
-    typer.Option(
-        metavar="V [V2 ...]",
-        help="With --retime: speed limits [rad/s, m/s], one, or one per joint; default: the robot's.",
-    ),
-]
-Acceleration = Annotated[
-    str | None,
-    typer.Option(
-        metavar="A [A2 ...]", help="With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint."
-    ),
-]
-Rate = Annotated[float, typer.Option(metavar="HZ", help="With --retime: samples per second.")]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        metavar="FILE",
-        help="Write the path to .csv, .npz or .json; with --retime the trajectory to .csv, or to .json as a ROS JointTrajectory.",
-        callback=writes(".csv", ".npz", ".json"),
-    ),
-]
-Plot = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Draw the joints to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
-]
+TURN = math.radians(1.0)  # [rad] path tolerance of the orientation where that of the position is given
 LISTED = 5  # unreached poses listed on the terminal; the file lists all
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command()(path)
+@options()
+class PathOptions:
+    """The poses, and what the path through them may be like."""
+
+    poses: Path = option(
+        "FILE",
+        "Poses in order, in the base frame: CSV with the header x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ or "
+        "JSON with targets (N, 4, 4) or (N, 3), or xyz and quat_xyzw. Several tips: as for ik solve --targets.",
+        default=REQUIRED,
+    )
+    q0: str | None = option(
+        "Q1 Q2 ...", "Start of the path, or a configuration to start near.", panel="Start and preferences"
+    )
+    q_end: str | None = option("Q1 Q2 ...", "End of the path, or a configuration to end near.")
+    max_step_deg: float = option("DEG", "Largest step of a revolute joint.", default=7.0)
+    max_step_mm: float = option("MM", "Largest step of a prismatic joint.", default=20.0)
+    reconfigurations: str = option("fewest|none|N", "Allowed changes of branch.", default="fewest")
+    retime: bool = flag(
+        "--retime", "Time the path optimally within --velocity and --acceleration; -o writes the trajectory."
+    )
+    velocity: str | None = option(
+        "V [V2 ...]", "With --retime: speed limits [rad/s, m/s], one, or one per joint; default: the robot's."
+    )
+    acceleration: str | None = option(
+        "A [A2 ...]", "With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint."
+    )
+    tip_speed: float | None = option(
+        "M/S", "With --retime: speed of the tip along the path, kept where the limits allow."
+    )
+    path_tolerance_mm: float | None = option(
+        "MM",
+        "How far the tip may leave the chords between poses; default 1, and with --retime the chords' own sagitta.",
+    )
+    rate: float = option("HZ", "With --retime: samples per second.", default=100.0)
+    output: Path | None = option(
+        "FILE",
+        "Write the path to .csv, .npz or .json; with --retime the trajectory to .csv, or to .json as a ROS JointTrajectory.",
+        "-o",
+        "--output",
+        writes=[".csv", ".npz", ".json"],
+    )
+    plot: Path | None = option("FILE", "Draw the joints to a .png, .pdf or .svg file.", writes=PLOTS)
+
+    def check(self) -> None:
+        """Raise InvalidOption for options that do not go together."""
+        if not self.retime and (self.velocity is not None or self.acceleration is not None):
+            raise InvalidOption("--velocity and --acceleration belong to --retime")
+        if not self.retime and self.tip_speed is not None:
+            raise InvalidOption("--tip-speed belongs to --retime")
+        if self.retime and self.acceleration is None:
+            raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
+        if self.retime and self.output is not None and self.output.suffix.lower() == ".npz":
+            raise InvalidOption(f"a trajectory is written as .csv or .json, not '{self.output}'")
+        sizes = ("--max-step-deg", self.max_step_deg), ("--max-step-mm", self.max_step_mm)
+        for name, value in (*sizes, ("--path-tolerance-mm", self.path_tolerance_mm or 1.0)):
+            if not 0.0 < value < math.inf:
+                raise InvalidOption(f"{name} must be positive, not {value:g}")
+
+    def read(self, arm: Any, deg: bool) -> dict[str, Any]:
+        """Options of `solve_path`, only those given."""
+        ends = {"q0": joint_vector(arm, self.q0, "--q0", deg), "q_end": joint_vector(arm, self.q_end, "--q-end", deg)}
+        words = self.reconfigurations
+        return {
+            **{name: q for name, q in ends.items() if q is not None},
+            "reconfigurations": int(words) if words.isdecimal() else words,
+            "max_step": (math.radians(self.max_step_deg), 1e-3 * self.max_step_mm),
+            **({} if self.path_tolerance_mm is None else {"path_tolerance": (1e-3 * self.path_tolerance_mm, TURN)}),
+        }
 
 
+@options()
+class PathCounts(CountOptions):
+    """What counts of the poses."""
+
+    relative: list[str] | None = same(TargetOptions, "relative")
+
+
+@options()
+class Seed:
+    """What is random."""
+
+    seed: int = same(SolverOptions, "seed")
+
+
+@command
 def path(
-    robot: RobotArg,
-    poses: Poses,
-    q0: First = None,
-    q_end: Last = None,
-    max_step_deg: StepDeg = 7.0,
-    max_step_mm: StepMm = 20.0,
-    reconfigurations: Reconfigurations = "fewest",
-    mask: asked.Mask = None,
-    slack: asked.Slack = None,
-    free_turn: asked.FreeTurn = None,
-    frame: asked.Frame = None,
-    relative: asked.Relative = None,
-    avoid_collisions: asked.AvoidCollisions = False,
-    obstacle: asked.Obstacles = None,
-    margin: asked.Margin = None,
-    tolerance: asked.Tolerance = None,
-    position_tolerance: asked.PositionTolerance = None,
-    orientation_tolerance: asked.OrientationTolerance = None,
-    seed: asked.Seed = 0,
-    retime: Retime = False,
-    velocity: Velocity = None,
-    acceleration: Acceleration = None,
-    rate: Rate = 100.0,
-    tip: Tips = None,
-    base: Base = None,
-    base_xyz: BaseXyz = None,
-    base_rpy: BaseRpy = None,
-    lock: Lock = None,
-    limit: Limit = None,
-    package_dir: PackageDir = None,
-    xacro_arg: XacroArg = None,
-    srdf: SrdfFile = None,
-    group: Group = None,
-    deg: Deg = False,
-    as_json: Json = False,
-    output: Out = None,
-    plot: Plot = None,
-    html: Html = None,
-    live: Live = False,
+    asked: PathOptions,
+    file: FileOptions,
+    counts: PathCounts,
+    collisions: CollisionOptions,
+    tolerances: ToleranceOptions,
+    random: Seed,
+    robot: RobotOptions,
+    out: SceneOutput,
 ) -> None:
     """Find one joint motion through poses, with the fewest changes of branch, verified between the poses.
 
@@ -151,56 +122,53 @@ def path(
 
     Exit code 0 when every pose is followed (FOLLOWED, RECONFIGURES), otherwise 1: the status says why, and a message on stderr
     says what to try.
+
+    Examples:
+    ik path hydrolek_7w --poses cut.csv --free-turn z -o path.csv --plot path.png
+    ik path hydrolek_7w --poses cut.csv --retime --acceleration 1 -o motion.json
     """
-    line = SimpleNamespace(**locals())
-    _refuse_contradictions(line)
+    asked.check()
     from ..paths.solve_path import PathInterrupted, solve_path
     from ..robot.pose_files import read_poses
 
-    tips = by_tip.choose_tips(robot, tip, None, None, False, group)
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
-    arm = narrowed(arm, limit, deg)
-    _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
-    targets = _joined([block.poses for block in blocks], poses.name)
-    options = _options(line, arm)
+    arm = robot.load(robot.choose_tips())
+    _, blocks = read_poses(asked.poses, "poses", given=file.convention(robot.deg), tips=arm.tips if arm.by_tip else ())
+    targets = _joined([block.poses for block in blocks], asked.poses.name)
+    options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
+    options |= collisions.read(arm) | given(random)
     result = made = None
     try:
         with progress("searching", 100) as bar:
             result = solve_path(arm, targets, progress=lambda share, words: bar(100.0 * share, words), **options)
-        if retime and result.success:
-            made = result.retime(
-                _numbers(velocity, "--velocity"), _numbers(acceleration, "--acceleration"), rate=rate, seed=seed
-            )
+        if asked.retime and result.success:
+            bounds = _numbers(asked.velocity, "--velocity"), _numbers(asked.acceleration, "--acceleration")
+            made = result.retime(*bounds, rate=asked.rate, seed=random.seed, tip_speed=asked.tip_speed)
     except KeyboardInterrupt as stop:
         found = stop.result if isinstance(stop, PathInterrupted) else result
-        if output is not None and found is not None:
-            _keep(found, output, "the path, without times," if retime else "the best path so far")
+        if asked.output is not None and found is not None:
+            _keep(found, asked.output, "the path, without times," if asked.retime else "the best path so far")
         raise
     with uninterrupted():
-        _write(result, made, line)
-    _draw(result, made, line)
-    write_json(_payload(result, made), as_json)
-    if not as_json:
+        _write(result, made, asked)
+    what = result if made is None else made
+    if asked.plot is not None:
+        from ..show.plot import plot
+
+        plot(what, file=asked.plot)
+        notice(f"wrote {asked.plot}")
+    if out.html is not None or out.live:
+        from ..show.scene import view
+
+        present(view(result.robot, what), out.html, out.live)
+    write_json(_payload(result, made), out.as_json)
+    if not out.as_json:
         _show(result, made)
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
-    elif made is not None and not made.success:
+    elif made is not None and (not made.success or made.stops or asked.tip_speed is not None):
         notice(made.message)
     if not result.success or (made is not None and not made.success):
         raise typer.Exit(1)
-
-
-def _refuse_contradictions(line: SimpleNamespace) -> None:
-    """Raise InvalidOption for options that do not go together."""
-    if not line.retime and (line.velocity is not None or line.acceleration is not None):
-        raise InvalidOption("--velocity and --acceleration belong to --retime")
-    if line.retime and line.acceleration is None:
-        raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
-    if line.retime and line.output is not None and line.output.suffix.lower() == ".npz":
-        raise InvalidOption(f"a trajectory is written as .csv or .json, not '{line.output}'")
-    for name, value in (("--max-step-deg", line.max_step_deg), ("--max-step-mm", line.max_step_mm)):
-        if not 0.0 < value < math.inf:
-            raise InvalidOption(f"{name} must be positive, not {value:g}")
 
 
 def _joined(parts: list[Any], name: str) -> Any:
@@ -214,21 +182,6 @@ def _joined(parts: list[Any], name: str) -> Any:
     return np.concatenate(parts)
 
 
-def _options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
-    """Options of `solve_path`, only those given."""
-    options = asked.read_counting(line)
-    for name in ("tolerance", "position_tolerance", "orientation_tolerance"):
-        if getattr(line, name) is not None:
-            options[name] = getattr(line, name)
-    for name, text in (("q0", line.q0), ("q_end", line.q_end)):
-        if text is not None:
-            options[name] = joint_vector(arm, text, f"--{name.replace('_', '-')}", line.deg)
-    options |= avoided(arm, line)
-    words = line.reconfigurations
-    options["reconfigurations"] = int(words) if words.isdecimal() else words
-    return options | {"max_step": (math.radians(line.max_step_deg), 1e-3 * line.max_step_mm), "seed": line.seed}
-
-
 def _numbers(text: str | None, option: str) -> Any:
     """One number, or one per joint."""
     if text is None:
@@ -239,7 +192,7 @@ def _numbers(text: str | None, option: str) -> Any:
     return found[0] if len(found) == 1 else found
 
 
-def _keep(found: "PathResult", output: Path, what: str) -> None:
+def _keep(found: Any, output: Path, what: str) -> None:
     """Keep the path of an interrupted command beside the file asked for."""
     with uninterrupted():
         kept = partial(output)
@@ -247,37 +200,19 @@ def _keep(found: "PathResult", output: Path, what: str) -> None:
         notice(f"partial: {what}, {found.status.name}, is in {kept}")
 
 
-def _write(result: "PathResult", made: "Trajectory | None", line: SimpleNamespace) -> None:
+def _write(result: Any, made: Any, asked: PathOptions) -> None:
     """Write the file asked for."""
-    if line.output is not None:
+    if asked.output is not None:
         if made is not None:
-            save = made.to_json if line.output.suffix.lower() == ".json" else made.to_csv
-            notice(f"wrote {save(line.output)}")
-        elif not line.retime:
-            notice(f"wrote {result.save(line.output)}")
+            save = made.to_json if asked.output.suffix.lower() == ".json" else made.to_csv
+            notice(f"wrote {save(asked.output)}")
+        elif not asked.retime:
+            notice(f"wrote {result.save(asked.output)}")
         else:
-            notice(f"nothing written to {line.output}: the path is not followed, so there is no trajectory")
+            notice(f"nothing written to {asked.output}: the path is not followed, so there is no trajectory")
 
 
-def _draw(result: "PathResult", made: "Trajectory | None", line: SimpleNamespace) -> None:
-    """Make the pictures asked for."""
-    what = result if made is None else made
-    if line.plot is not None:
-        from ..show.plot import plot
-
-        plot(what, file=line.plot)
-        notice(f"wrote {line.plot}")
-    if line.html is not None or line.live:
-        from ..show.scene import view
-
-        scene = view(result.robot, what)
-        if line.html is not None:
-            present(scene, line.html)
-        if line.live:
-            present(scene, None)
-
-
-def _payload(result: "PathResult", made: "Trajectory | None") -> dict[str, Any]:
+def _payload(result: Any, made: Any) -> dict[str, Any]:
     payload = result.to_dict()
     if made is not None:
         payload["trajectory"] = {
@@ -287,7 +222,7 @@ def _payload(result: "PathResult", made: "Trajectory | None") -> dict[str, Any]:
     return payload
 
 
-def _show(result: "PathResult", made: "Trajectory | None") -> None:
+def _show(result: Any, made: Any) -> None:
     turn, slide = result.length
     step, glide = result.largest_step
     off, tilt = result.deviation

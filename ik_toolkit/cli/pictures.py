@@ -3,41 +3,10 @@
 import signal
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import Any
 
 from ..errors import InvalidOption
-from .arguments import PLOTS, writes
 from .output import notice
-
-if TYPE_CHECKING:
-    from ..show.scene import Scene
-
-Html = Annotated[
-    Path | None,
-    typer.Option(
-        "--html",
-        metavar="FILE",
-        help="Write the scene as one HTML file that needs no network.",
-        rich_help_panel="Output",
-        callback=writes(".html", ".htm"),
-    ),
-]
-Chart = Annotated[
-    Path | None,
-    typer.Option(
-        "--plot",
-        metavar="FILE",
-        help="Draw the error per iteration to a .png, .pdf or .svg file.",
-        rich_help_panel="Output",
-        callback=writes(*PLOTS),
-    ),
-]
-Live = Annotated[
-    bool,
-    typer.Option("--view", help="Show the robot in 3-D in the browser, until Ctrl-C.", rich_help_panel="Output"),
-]
 
 
 def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:
@@ -52,17 +21,14 @@ def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None,
     if html is not None or live:
         from ..show.scene import view as make
 
-        scene = make(arm, what, target=getattr(target, "T_base_tip", target))
-        if html is not None:
-            present(scene, html)
-        if live:
-            present(scene, None)
+        present(make(arm, what, target=getattr(target, "T_base_tip", target)), html, live)
 
 
-def present(scene: "Scene", html: Path | None, port: int = 0, browse: bool = True) -> None:
-    """Write the page, or serve it until Ctrl-C or SIGTERM."""
+def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bool = True) -> None:
+    """Write the page where a file is given; serve it until Ctrl-C or SIGTERM if it is to be seen live."""
     if html is not None:
         written(scene.save(html))
+    if not live:
         return
     try:
         url = scene.serve(port)

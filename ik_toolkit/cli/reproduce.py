@@ -4,38 +4,39 @@ import importlib
 import importlib.util
 import os
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from ..errors import InvalidOption, near_match
-from .arguments import Json
+from .command import argument, command, option, options
+from .options import JsonOutput
 from .output import facts, notice, progress, show, table, write_json
 from .streams import uninterrupted
 
-PaperArg = Annotated[str | None, typer.Argument(metavar="[PAPER]", help="Name of a paper; omit to list them.")]
-Folder = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="DIR", help="Folder of the report; default: ./reproduce-PAPER."),
-]
+
+@options()
+class ReproduceOptions(JsonOutput):
+    """Which paper, and where its report goes."""
+
+    paper: str | None = argument("[PAPER]", "Name of a paper; omit to list them.", default=None)
+    output: Path | None = option("DIR", "Folder of the report; default: ./reproduce-PAPER.", "-o", "--output")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command()(reproduce)
-
-
-def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = False) -> None:
+@command
+def reproduce(asked: ReproduceOptions) -> None:
     """Recompute a paper: a report with tables and pictures, with every published number next to ours.
 
     Writes report.md, report.json and the pictures (PNG, with matplotlib). Nothing in it is typed in but the published
     numbers; times are of this run. Ctrl-C keeps the report so far as report.md.partial and report.json.partial.
+
+    Examples:
+    ik reproduce
+    ik reproduce chinyai -o report
     """
     from ..papers import PAPERS
 
+    paper = asked.paper
     if paper is None:
-        write_json({"papers": {name: row.summary for name, row in PAPERS.items()}}, as_json)
-        if not as_json:
+        write_json({"papers": {name: row.summary for name, row in PAPERS.items()}}, asked.as_json)
+        if not asked.as_json:
             made = table("<name", "paper")
             for name, row in PAPERS.items():
                 made.add_row(name, row.summary)
@@ -44,7 +45,7 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     if paper not in PAPERS:
         raise InvalidOption(f"there is no paper '{paper}'.{near_match(paper, PAPERS)}")
     module, function = PAPERS[paper].target.split(":")
-    folder = output or Path(f"reproduce-{paper}")
+    folder = asked.output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
     folder.mkdir(parents=True, exist_ok=True)  # an output that cannot be written is refused before the work starts
@@ -62,8 +63,8 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
             notice(f"partial: the report so far is in {' and '.join(map(str, files))}")
         raise
     files = report.write(folder)
-    write_json({**report.data, "files": [str(file) for file in files]}, as_json)
-    if not as_json:
+    write_json({**report.data, "files": [str(file) for file in files]}, asked.as_json)
+    if not asked.as_json:
         show(facts({"report": report.title, "written": ", ".join(file.name for file in files), "folder": str(folder)}))
     if importlib.util.find_spec("matplotlib") is None:
         notice("no pictures: they need matplotlib (pip install matplotlib)")

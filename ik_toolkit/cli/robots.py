@@ -4,64 +4,50 @@ import contextlib
 import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import Any
 
 from ..errors import FrameNotFound, InvalidOption
 from ..files import write_table
 from ..text import plain
-from .arguments import (
-    Base,
-    BaseRpy,
-    BaseXyz,
-    Csv,
-    Deg,
-    Group,
-    Json,
-    Lock,
-    PackageDir,
-    RobotArg,
-    SrdfFile,
-    Tip,
-    XacroArg,
-    assignments,
-    joint_vector,
-    load_robot,
-    slides,
-)
+from .command import command, flag, option, options
+from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, slides
 from .output import facts, fixed, heading, notice, number, show, table, turns, unit, write_json
 
-if TYPE_CHECKING:
-    from rich.table import Table
 
-    from ..robot.robot import Robot
+@options()
+class ListOptions(TableOutput):
+    """What is listed."""
 
-Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values, one per joint; default: home.")]
-Everything = Annotated[
-    bool,
-    typer.Option(
-        "--all", help="Also list the legs, hands and humanoids of example-robot-data, whose tips are guessed."
-    ),
-]
-ListTips = Annotated[
-    bool,
-    typer.Option("--list-tips", help="List the possible tip frames, most likely first.", rich_help_panel="Robot"),
-]
+    everything: bool = flag(
+        "--all", "Also list the legs, hands and humanoids of example-robot-data, whose tips are guessed."
+    )
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command()(robots)
-    app.command()(info)
-    app.command()(fk)
+@options("Robot")
+class InfoOptions(OneTip):
+    """The robot and what is said about it."""
+
+    list_tips: bool = flag("--list-tips", "List the possible tip frames, most likely first.")
 
 
-def robots(everything: Everything = False, as_json: Json = False, csv_file: Csv = None) -> None:
-    """List the robots that can be given by name."""
+@options()
+class FkOptions(OneTip):
+    """The robot and where its joints are."""
+
+    q: str | None = option("Q1 Q2 ...", "Joint values, one per joint; default: home.")
+
+
+@command
+def robots(out: ListOptions) -> None:
+    """List the robots that can be given by name.
+
+    Examples:
+    ik robots
+    ik robots --all --json
+    """
     from ..robot.library import list_robots, shipped_robots
 
-    entries = list_robots(everything)
+    entries = list_robots(out.everything)
     shipped = shipped_robots()
     rows = [
         {
@@ -74,12 +60,12 @@ def robots(everything: Everything = False, as_json: Json = False, csv_file: Csv 
         }
         for entry in entries
     ]
-    write_json({"robots": rows}, as_json)
-    if csv_file is not None:
+    write_json({"robots": rows}, out.as_json)
+    if out.csv_file is not None:
         names = ("name", "tips", "description", "paper", "path")
-        write_table(csv_file, [*names], ([_cell(row[key]) for key in names] for row in rows))
-        notice(f"wrote {csv_file}")
-    if as_json:
+        write_table(out.csv_file, [*names], ([_cell(row[key]) for key in names] for row in rows))
+        notice(f"wrote {out.csv_file}")
+    if out.as_json:
         return
     ours = table("<name", "<tips", "description", "paper")
     theirs = table("<name", "<tips", "<file")
@@ -92,7 +78,7 @@ def robots(everything: Everything = False, as_json: Json = False, csv_file: Csv 
     show(heading("Shipped"), ours)
     if theirs.row_count:
         show(heading("From example-robot-data"), theirs)
-        hint = "" if everything else "; --all lists its other robots"
+        hint = "" if out.everything else "; --all lists its other robots"
         notice(f"also: any URDF or xacro file, and robot_descriptions:NAME{hint}")
     else:
         notice("more arms by name (panda, ur5, ...): pip install example-robot-data; or give the path of a URDF file")
@@ -103,44 +89,33 @@ def _cell(value: Any) -> str:
     return " ".join(value) if isinstance(value, tuple | list) else str(value or "")
 
 
-def info(
-    robot: RobotArg,
-    tip: Tip = None,
-    base: Base = None,
-    base_xyz: BaseXyz = None,
-    base_rpy: BaseRpy = None,
-    lock: Lock = None,
-    package_dir: PackageDir = None,
-    xacro_arg: XacroArg = None,
-    srdf: SrdfFile = None,
-    group: Group = None,
-    list_tips: ListTips = False,
-    deg: Deg = False,
-    as_json: Json = False,
-    csv_file: Csv = None,
-) -> None:
-    """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
+@command
+def info(robot: InfoOptions, out: TableOutput) -> None:
+    """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from.
+
+    Examples:
+    ik info hydrolek_7w
+    ik info brokk_hydrolek --list-tips
+    """
     from ..robot.formats.dh import read_dh_table
     from ..robot.library import find
-    from ..robot.load import read
+    from ..robot.load import read_source
     from ..robot.tips import tip_candidates
-    from ..solvers.closed_form import describe as closed_form
+    from ..solvers.closed_form import describe_fit as closed_form
 
-    def load(name: str | None) -> Any:
-        return load_robot(robot, name, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
-
-    entry = find(robot)
-    if list_tips:
-        ends = tip_candidates(read(robot, package_dir or (), assignments(xacro_arg, "--xacro-arg", ":="))[1]["model"])
-        _show_tips(entry, [load(name) for name in ends], as_json, csv_file)
+    entry, deg = find(robot.robot), robot.deg
+    if robot.list_tips:
+        read_args = assignments(robot.xacro_arg, "--xacro-arg", ":=")
+        ends = tip_candidates(read_source(robot.robot, robot.package_dir or (), read_args)[1]["model"])
+        _show_tips(entry, [robot.load(name) for name in ends], out)
         return
     try:
-        loaded = [load(name) for name in ([tip] if tip or group or len(entry.tips) < 2 else entry.tips)]
-        arms = [arm for one in loaded for arm in one.arms]
+        names = [robot.tip] if robot.tip or robot.group or len(entry.tips) < 2 else entry.tips
+        arms = [arm for one in map(robot.load, names) for arm in one.arms]
     except FrameNotFound as several:
         if not several.tips:
             raise
-        _show_tips(entry, [load(name) for name in several.tips], as_json, csv_file)
+        _show_tips(entry, [robot.load(name) for name in several.tips], out)
         return
     dh = read_dh_table(entry.dh_file) if entry.dh_file else None
     rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
@@ -148,9 +123,9 @@ def info(
     payload = {**rows[0], **source, "dh": _dh_dict(dh) if dh else None, "srdf": _srdf_dict(arms[0])}
     if len(rows) > 1:
         payload["arms"] = rows
-    _write_joints(csv_file, rows)
-    write_json(payload, as_json)
-    if as_json:
+    _write_joints(out.csv_file, rows)
+    write_json(payload, out.as_json)
+    if out.as_json:
         return
     show(heading(entry.name))
     show(facts({"robot": entry.description or None, "source": _source(entry.paper, entry.table), "file": entry.path}))
@@ -190,13 +165,13 @@ def _write_joints(file: Path | None, rows: list[dict[str, Any]]) -> None:
         notice(f"wrote {file}")
 
 
-def _show_tips(entry: Any, arms: "list[Robot]", as_json: bool, csv_file: Path | None) -> None:
+def _show_tips(entry: Any, arms: list[Any], out: TableOutput) -> None:
     """One line per end of a robot with several ends, none of them known by name."""
     source = {"name": entry.name, "description": entry.description, "path": entry.path}
     rows = [describe(arm) for arm in arms]
-    _write_joints(csv_file, rows)
-    write_json({**source, "tips": [arm.tip for arm in arms], "arms": rows}, as_json)
-    if as_json:
+    _write_joints(out.csv_file, rows)
+    write_json({**source, "tips": [arm.tip for arm in arms], "arms": rows}, out.as_json)
+    if out.as_json:
         return
     made = table("<tip", ">joints", ">reach [m]", "moved by")
     for arm in arms:
@@ -208,9 +183,9 @@ def _source(paper: str, source_table: str) -> str | None:
     return "; ".join(part for part in (paper, source_table) if part) or None
 
 
-def describe(robot: "Robot") -> dict[str, Any]:
+def describe(robot: Any) -> dict[str, Any]:
     """Robot as plain data, in metres and radians."""
-    from ..solvers.closed_form import describe as closed_form
+    from ..solvers.closed_form import describe_fit as closed_form
 
     joints = zip(
         robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, robot.home, robot.velocity_limits, strict=True
@@ -229,7 +204,7 @@ def describe(robot: "Robot") -> dict[str, Any]:
     }
 
 
-def _srdf_dict(robot: "Robot") -> dict[str, Any] | None:
+def _srdf_dict(robot: Any) -> dict[str, Any] | None:
     """Content of the robot's SRDF as plain data; None without one."""
     said = robot.srdf
     if said.path is None and not said.remarks:
@@ -248,7 +223,7 @@ def _srdf_dict(robot: "Robot") -> dict[str, Any] | None:
     }
 
 
-def _srdf_facts(robot: "Robot") -> dict[str, str | None]:
+def _srdf_facts(robot: Any) -> dict[str, str | None]:
     """The same in words."""
     said = _srdf_dict(robot)
     if said is None:
@@ -265,7 +240,7 @@ def _srdf_facts(robot: "Robot") -> dict[str, str | None]:
     }
 
 
-def _joint_table(robot: "Robot", deg: bool) -> "Table":
+def _joint_table(robot: Any, deg: bool) -> Any:
     made = table(">#", "<joint", "<kind", ">lower", ">upper", ">home", ">max speed", "<unit")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
         columns = (robot.lower, robot.upper, robot.home, robot.velocity_limits)
@@ -278,7 +253,7 @@ def _dh_dict(dh: Any) -> dict[str, Any]:
     return {"convention": dh.convention, "rows": rows, "base": dh.base, "tool": dh.tool}
 
 
-def _dh_table(dh: Any, deg: bool) -> "Table":
+def _dh_table(dh: Any, deg: bool) -> Any:
     angle = unit("revolute", deg)
     made = table("<joint", f">theta [{angle}]", ">d [m]", ">a [m]", f">alpha [{angle}]")
     for row in dh.rows:
@@ -296,26 +271,18 @@ def _added(constant: str) -> str:
     return f"q - {constant[1:]}" if constant.startswith("-") else f"q + {constant}"
 
 
-def fk(
-    robot: RobotArg,
-    q: Q = None,
-    tip: Tip = None,
-    base: Base = None,
-    base_xyz: BaseXyz = None,
-    base_rpy: BaseRpy = None,
-    lock: Lock = None,
-    package_dir: PackageDir = None,
-    xacro_arg: XacroArg = None,
-    srdf: SrdfFile = None,
-    group: Group = None,
-    deg: Deg = False,
-    as_json: Json = False,
-) -> None:
-    """Show where the tip stands for given joint values (pose in the robot's base frame)."""
-    from ..robot.pose import matrix_quat, matrix_rpy
+@command
+def fk(robot: FkOptions, out: JsonOutput) -> None:
+    """Show where the tip stands for given joint values (pose in the robot's base frame).
 
-    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
-    values = arm.home if q is None else joint_vector(arm, q, "--q", deg)
+    Examples:
+    ik fk hydrolek_7w
+    ik fk inspection_7dof --deg --q 20 0.22 20 0 20 0 20
+    """
+    from ..robot.rotation import matrix_quat, matrix_rpy
+
+    arm, deg = robot.load(robot.tip), robot.deg
+    values = arm.home if robot.q is None else joint_vector(arm, robot.q, "--q", deg)
     outside = arm.outside(values)
     if outside:
         notice(f"outside the limits: {', '.join(outside)}")
@@ -332,8 +299,8 @@ def fk(
         "quat_xyzw": quat,
         "T_base_tip": T.homogeneous,
     }
-    write_json(payload, as_json)
-    if as_json:
+    write_json(payload, out.as_json)
+    if out.as_json:
         return
     angles = [math.degrees(x) if deg else x for x in rpy]
     at = [
@@ -344,7 +311,7 @@ def fk(
         facts(
             {
                 "robot": f"{arm.name}, {arm.base} -> {arm.tip}",
-                "q" if q is not None else "q (home)": ", ".join(at),
+                "q" if robot.q is not None else "q (home)": ", ".join(at),
                 "position": f"({_numbers(T.translation, 7)}) m",
                 "roll, pitch, yaw": f"({_numbers(angles, 4 if deg else 6)}) {'deg' if deg else 'rad'}",
                 "quaternion xyzw": f"({_numbers(quat, 7)})",

@@ -2,108 +2,148 @@
 
 import math
 from contextlib import nullcontext
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import typer
 
+from ..errors import InvalidOption
 from ..files import write_table
+from ..text import parameter, vector
 from . import first_use
-from . import solve_options as asked
-from .arguments import (
-    Base,
-    BaseRpy,
-    BaseXyz,
-    Csv,
-    Deg,
-    Group,
-    Json,
-    Limit,
-    Lock,
-    Out,
-    PackageDir,
-    RobotArg,
-    SrdfFile,
-    Tips,
-    XacroArg,
-    load_robot,
-    narrowed,
+from .command import PLOTS, command, flag, option, options, same
+from .options import (
+    CollisionOptions,
+    FileOptions,
+    ObjectOutput,
+    RobotOptions,
+    SceneOutput,
+    TableOutput,
+    ToleranceOptions,
+    assignments,
+    given,
+    joint_vector,
+    solver_named,
 )
-from .by_tip import choose_tips, in_base
 from .output import facts, notice, number, show, table, unit, write_json
-from .pictures import Chart, Html, Live, draw
-
-if TYPE_CHECKING:
-    from ..solvers.result import Result
+from .pictures import draw
+from .target import CountOptions, TargetOptions, in_base, relations
 
 ABREAST = 4  # solutions of several tips side by side that fit into 80 columns
 ACROSS = 6  # joints whose values fit side by side into 80 columns
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command()(solve)
+@options("Solver")
+class SolverOptions:
+    """Which solver, and for how long."""
+
+    solver: str = option(
+        "NAME", "Solver; see ik solvers. auto chooses one for the robot and target.", "-s", "--solver", default="auto"
+    )
+    param: list[str] | None = option("NAME=VALUE", "Set a parameter of the solver; may be repeated.", "-p", "--param")
+    preset: str | None = option("NAME", "Published or tuned parameters, by name.")
+    max_iterations: int | None = option("N", "Maximum iterations per attempt; default: the solver's own.")
+    restarts: int | None = option("N", "Additional attempts from other starts; default: the solver's own.")
+    timeout: float | None = option("S", "Time for the solve [s]; unlike every other option not deterministic.")
+    seed: int = option("N", "Seed of the random restarts.", default=0)
+    limits: bool = flag("--limits/--no-limits", "Enforce joint limits.", default=True)
+
+    def choose(self) -> Any:
+        """The solver's name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
+        from ..solvers.presets import from_preset
+        from ..solvers.registry import GENERAL, find_row, make_rule
+
+        if self.solver == "auto" and not self.param and not self.preset:
+            return self.solver
+        asked = solver_named(self.solver)
+        row = find_row(GENERAL if asked == "auto" else asked)
+        values = {key: parameter(key, text) for key, text in assignments(self.param, "-p").items()}
+        if self.preset is None:
+            return make_rule(row, values) if values else asked
+        return from_preset(row, self.preset, values)
+
+    def read(self) -> dict[str, Any]:
+        """Options of a call, only those given."""
+        return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
 
 
+@options("Start and preferences")
+class WishOptions:
+    """Where to start, and what is wanted of the solution."""
+
+    q0: str | None = option("Q1 Q2 ...", "Start configuration; default: chosen by the solver, or home.")
+    clamp_q0: bool = flag("--clamp-q0/--refuse-q0", "Clamp a start outside the limits, or reject it.", default=True)
+    joint_weights: str | None = option("W1 W2 ...", "How freely each joint moves; 0 holds it.")
+    closest: str | None = option("Q1 Q2 ...", "Return the solution nearest this configuration.")
+    follow: float | None = option(
+        "RAD", "Single attempt that moves no joint further than this from --q0 (prismatic joints: times reach)."
+    )
+    objective: str | None = option(
+        "NAME", "Secondary objective for redundant robots: mid-range, reference (near q0) or manipulability."
+    )
+    every: bool = flag("--all", "List every distinct solution within limits, nearest to q0 (or home) first.")
+    explain: bool = flag(
+        "--explain",
+        "Show how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.",
+        panel="Output",
+    )
+
+    def read(self, arm: Any, deg: bool, many: bool) -> dict[str, Any]:
+        """Options of a call, among them q0, and of many targets closest as a word. Raises InvalidOption."""
+        read = {name: value for name, value in given(self).items() if name in ("objective", "follow")}
+        read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
+        if self.joint_weights is not None:
+            read["joint_weights"] = tuple(vector(self.joint_weights, "--joint-weights", arm.n))
+        if self.closest is not None:
+            nearest = joint_vector(arm, self.closest, "--closest", deg)
+            read |= {"q0": nearest, "closest": True} if many else {"closest": nearest}
+        return read
+
+
+@options("Many targets")
+class ManyOptions:
+    """Many targets instead of one."""
+
+    file: Path | None = option(
+        "FILE",
+        "Many targets from a file, solved on all cores and written to -o; replaces --xyz. CSV with the header "
+        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
+        "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
+        "--targets",
+    )
+    threads: int | None = option("N", "With --targets: threads; default: all cores.")
+    cluster: str | None = option("ADDRESS", "With --targets: use the Dask scheduler at this address.")
+
+
+@options("Output")
+class SolveOutput(ObjectOutput):
+    """What is printed, written and drawn."""
+
+    csv_file: Path | None = same(TableOutput, "csv_file")
+    plot: Path | None = option(
+        "FILE", "Draw the error per iteration to a .png, .pdf or .svg file.", "--plot", writes=PLOTS
+    )
+    html: Path | None = same(SceneOutput, "html")
+    live: bool = same(SceneOutput, "live")
+
+    @property
+    def drawn(self) -> bool:
+        """Whether a picture is asked for."""
+        return self.plot is not None or self.html is not None or self.live
+
+
+@command
 def solve(
-    robot: RobotArg,
-    xyz: asked.Xyz = None,
-    rpy: asked.Rpy = None,
-    quat_xyzw: asked.Quat = None,
-    quat_wxyz: asked.QuatWxyz = None,
-    matrix: asked.Matrix = None,
-    from_q: asked.FromQ = None,
-    targets: asked.Targets = None,
-    relative: asked.Relative = None,
-    solver: asked.SolverName = "auto",
-    param: asked.Params = None,
-    preset: asked.Preset = None,
-    q0: asked.Start = None,
-    tolerance: asked.Tolerance = None,
-    position_tolerance: asked.PositionTolerance = None,
-    orientation_tolerance: asked.OrientationTolerance = None,
-    max_iterations: asked.MaxIterations = None,
-    restarts: asked.Restarts = None,
-    timeout: asked.Timeout = None,
-    seed: asked.Seed = 0,
-    limits: asked.Limits = True,
-    clamp_q0: asked.ClampQ0 = True,
-    direction: asked.Direction = None,
-    tip_axis: asked.TipAxis = None,
-    mask: asked.Mask = None,
-    slack: asked.Slack = None,
-    free_turn: asked.FreeTurn = None,
-    frame: asked.Frame = None,
-    joint_weights: asked.Weights = None,
-    closest: asked.Closest = None,
-    follow: asked.Follow = None,
-    objective: asked.Objective = None,
-    avoid_collisions: asked.AvoidCollisions = False,
-    obstacle: asked.Obstacles = None,
-    margin: asked.Margin = None,
-    every: asked.All = False,
-    explain: asked.Explain = False,
-    file: asked.File = None,
-    threads: asked.Threads = None,
-    chain: asked.Chain = False,
-    cluster: asked.Cluster = None,
-    tip: Tips = None,
-    base: Base = None,
-    base_xyz: BaseXyz = None,
-    base_rpy: BaseRpy = None,
-    lock: Lock = None,
-    limit: Limit = None,
-    package_dir: PackageDir = None,
-    xacro_arg: XacroArg = None,
-    srdf: SrdfFile = None,
-    group: Group = None,
-    deg: Deg = False,
-    as_json: Json = False,
-    output: Out = None,
-    csv_file: Csv = None,
-    plot: Chart = None,
-    html: Html = None,
-    live: Live = False,
+    target: TargetOptions,
+    method: SolverOptions,
+    wish: WishOptions,
+    tolerances: ToleranceOptions,
+    counts: CountOptions,
+    collisions: CollisionOptions,
+    many: ManyOptions,
+    file: FileOptions,
+    robot: RobotOptions,
+    out: SolveOutput,
 ) -> None:
     """Find joint values that bring the tip to a position, or to a pose when --rpy, a quaternion or --matrix is given.
 
@@ -117,60 +157,108 @@ def solve(
     --plot draws the error per iteration; --view and --html show the robot in 3-D, with the solve as an animation.
 
     Exit code 0 when solved, otherwise 1: the status says how it ended, and a message on stderr says what to try.
+
+    Examples:
+    ik solve hydrolek_7w --xyz 1.0 0.1 0.2
+    ik solve hydrolek_7w --xyz 1.0 0.2 0.1 --rpy -1.6 0 -1.2 --json
+    ik solve hydrolek_7w --xyz 1.0 0.1 0.2 -s dls -p damping=0.05 --tolerance 1e-4
+    ik solve planar_2r --xyz 1 1 0 --all --deg
+    ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --direction 0 0 -1
+    ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --obstacle sphere:1,0.5,0.5,0.1
+    ik solve brokk_hydrolek --target left_tip:1.2,.4,1 --target right_tip:1,-.4,1
+    ik solve hydrolek_7w --targets poses.csv -o solutions.csv
     """
-    line = SimpleNamespace(**locals())  # the command line, for what reads parts of it
-    asked.refuse_contradictions(line)
-    target = asked.read_target(line)
-    method = asked.choose_solver(solver, param, preset)
-    tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line), group)
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
-    arm = narrowed(arm, limit, deg, limits)
-    target = target if from_q is None else asked.reached(line, arm)
-    options = asked.read_options(line, arm)
+    _refuse_contradictions(target, wish, many, out)
+    if many.file is None and (file.length_unit is not None or file.euler is not None):
+        raise InvalidOption("--length-unit and --euler go with --targets FILE")
+    deg = robot.deg
+    aim = target.read(deg) if many.file is None and target.from_q is None else None
+    rule = method.choose()
+    tips = robot.choose_tips(aim if target.targets else None, relations(target.relative), target.posed)
+    arm = robot.load(tips, method.limits)
+    aim = aim if target.from_q is None else target.reached(arm, deg)
+    options = given(tolerances) | method.read() | wish.read(arm, deg, many.file is not None)
+    options |= counts.read(deg, target.relative) | collisions.read(arm)
     start = options.pop("q0")
-    if file is not None:
-        from .targets import solve_file
+    if many.file is not None:
+        from .batch import solve_file
 
-        asked_for = {"threads": threads, "cluster": cluster, "deg": deg, "as_json": as_json}
-        solve_file(arm, file, output, method, start, options, **asked_for)
-    elif every:
-        _solve_all(arm, target, method, start, options, line)
+        how = {"threads": many.threads, "cluster": many.cluster, "given": file.convention(deg), "as_json": out.as_json}
+        solve_file(arm, many.file, out.output, rule, start, options, **how)
+    elif wish.every:
+        _solve_all(arm, aim, rule, start, options, out, deg)
     else:
-        _solve_one(arm, target, method, start, options, line)
+        _solve_one(arm, aim, rule, start, options, out, deg, wish.explain)
 
 
-def _solve_one(arm: Any, target: Any, method: Any, start: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
+def _refuse_contradictions(target: TargetOptions, wish: WishOptions, many: ManyOptions, out: SolveOutput) -> None:
+    """Raise InvalidOption for options that do not go together, or a target that is missing."""
+    posed = target.posed or target.direction is not None or target.tip_axis is not None
+    if many.file is None and (many.threads is not None or many.cluster is not None):
+        raise InvalidOption("--threads and --cluster go with --targets FILE")
+    if target.from_q is not None and (target.targets or many.file is not None or posed):
+        raise InvalidOption("--from-q gives the whole target; omit --xyz, --target and the other pose options")
+    if many.file is not None:
+        if target.targets or wish.every or posed:
+            raise InvalidOption(
+                "--targets FILE replaces --xyz and the other pose options, --target and --all; omit them"
+            )
+        if out.drawn:
+            raise InvalidOption(
+                "--plot, --html and --view show a single solve and cannot be combined with --targets FILE"
+            )
+        if wish.closest is not None and wish.q0 is not None:
+            raise InvalidOption("give --closest or --q0, not both: the search starts there")
+    else:
+        target.check()
+        if not target.targets and target.xyz is None and target.matrix is None and target.from_q is None:
+            raise InvalidOption(
+                "Missing option '--xyz' (or '--matrix', '--from-q', '--targets FILE' for many, '--target' for several tips)"
+            )
+    if out.csv_file is not None and not wish.every:
+        raise InvalidOption("--csv writes the solutions of --all; -o writes a single one, and those of --targets")
+    if wish.explain and (wish.every or many.file is not None):
+        raise InvalidOption("--explain explains a single solve and cannot be combined with --all or --targets FILE")
+    if wish.every:
+        if out.plot is not None:
+            raise InvalidOption("--plot draws a single solve and cannot be combined with --all")
+        if wish.closest is not None:
+            raise InvalidOption("--all lists the solutions nearest to --q0 first; give that instead of --closest")
+
+
+def _solve_one(
+    arm: Any, target: Any, rule: Any, start: Any, options: dict[str, Any], out: SolveOutput, deg: bool, explain: bool
+) -> None:
     """Solve, print, draw; exit code 1 when it is not solved."""
     from ..solvers.solve import solve as solve_one
 
-    shown = line.plot is not None or line.html is not None or line.live
     first = {key: value for key, value in options.items() if key != "closest"}
-    with nullcontext() if shown else first_use.instead_of_compiling():
+    with nullcontext() if out.drawn else first_use.instead_of_compiling():
         # At a solved start: compiles or loads, so that the time shown below is the solve's own.
-        solve_one(arm, _at_home(arm, target, options), method, q0=arm.home if line.follow else None, **first)
+        solve_one(arm, _at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
-    result = solve_one(arm, target, method, q0=start, **options)
+    result = solve_one(arm, target, rule, q0=start, **options)
     if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
         raise typer.Exit(first_use.NOT_ANSWERED)
-    explained = result.explain() if line.explain else None
+    explained = result.explain() if explain else None
     explanation = {} if explained is None else {"explanation": explained.to_dict()}
     write_json(
         {"kernel": first_use.kernel(), **result.to_dict(), **_asked(arm, target, options), **explanation},
-        line.as_json,
-        line.output,
+        out.as_json,
+        out.output,
     )
-    if not line.as_json:
-        _show(result, target, options, line.deg)
+    if not out.as_json:
+        _show(result, target, options, deg)
         if explained is not None:
             show(str(explained))
     if result.notice:
         notice(result.notice)
     if not result.success:
         notice(f"not solved, {result.status.name}: {result.message}")
-    if shown:
-        result = solve_one(arm, target, method, q0=start, history=True, **options)
-        _draw(arm, result, result.q, target, options, line)
+    if out.drawn:
+        result = solve_one(arm, target, rule, q0=start, history=True, **options)
+        _draw(arm, result, result.q, target, options, out)
     if not result.success:
         raise typer.Exit(1)
 
@@ -194,30 +282,32 @@ def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
     return {"base": arm.base, "target": plain, **({"relative_to": relative} if relative else {})}
 
 
-def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
+def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], out: SolveOutput) -> None:
     """Requested pictures, with the targets as they are when the robot is at q."""
-    if line.plot is not None or line.html is not None or line.live:
-        draw(arm, what, in_base(target, arm.fk(q), options.get("relative_to")), line.plot, line.html, line.live)
+    if out.drawn:
+        draw(arm, what, in_base(target, arm.fk(q), options.get("relative_to")), out.plot, out.html, out.live)
 
 
-def _solve_all(arm: Any, target: Any, method: Any, start: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
+def _solve_all(
+    arm: Any, target: Any, rule: Any, start: Any, options: dict[str, Any], out: SolveOutput, deg: bool
+) -> None:
     """Print all solutions and draw them; exit code 1 when there is none."""
     from ..solvers.solve_all import solve_all
 
-    found = solve_all(arm, target, method, start, **options)
-    write_json({**found.to_dict(), **_asked(arm, target, options)}, line.as_json, line.output)
-    if line.csv_file is not None:
+    found = solve_all(arm, target, rule, start, **options)
+    write_json({**found.to_dict(), **_asked(arm, target, options)}, out.as_json, out.output)
+    if out.csv_file is not None:
         rows = ([*q.tolist(), float(distance)] for q, distance in zip(found, found.distance, strict=True))
-        write_table(line.csv_file, [*arm.joint_names, "distance"], rows)
-        notice(f"wrote {line.csv_file}")
-    if not line.as_json:
-        show(*_solutions(found, line.deg))
+        write_table(out.csv_file, [*arm.joint_names, "distance"], rows)
+        notice(f"wrote {out.csv_file}")
+    if not out.as_json:
+        show(*_solutions(found, deg))
         complete = "these are all" if found.complete else "there may be more"
         show(facts({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message}))
     if not len(found):
         notice(f"no solution: {found.message}")
         raise typer.Exit(1)
-    _draw(arm, list(found), found[0], target, options, line)
+    _draw(arm, list(found), found[0], target, options, out)
 
 
 def _solutions(found: Any, deg: bool) -> list[Any]:
@@ -240,7 +330,7 @@ def _solutions(found: Any, deg: bool) -> list[Any]:
     return made
 
 
-def _show(result: "Result", target: Any, options: dict[str, Any], deg: bool) -> None:
+def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     robot = result.robot
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")

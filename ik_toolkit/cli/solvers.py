@@ -1,38 +1,44 @@
 """`ik solvers`: the methods there are, and the parameters of one."""
 
 import inspect
-from typing import Annotated, Any
-
-import typer
+import re
+from typing import Any
 
 from ..errors import InvalidOption
 from ..files import write_table
-from .arguments import Csv, Json, solver_named
+from .command import argument, command, options
+from .options import TableOutput, solver_named
 from .output import facts, heading, notice, show, table, write_json
 
-Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show this solver's parameters.")]
+
+@options()
+class SolversOptions(TableOutput):
+    """What is listed."""
+
+    name: str | None = argument("[NAME]", "Show this solver's parameters.", default=None)
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands of this module."""
-    app.command()(solvers)
+@command
+def solvers(asked: SolversOptions) -> None:
+    """List the solvers, or show one: parameters, defaults, options, source.
 
-
-def solvers(name: Name = None, as_json: Json = False, csv_file: Csv = None) -> None:
-    """List the solvers, or show one: parameters, defaults, options, source."""
+    Examples:
+    ik solvers
+    ik solvers lm
+    """
     from ..solvers.registry import find_row, list_rows
 
-    if name is not None:
-        if csv_file is not None:
+    if asked.name is not None:
+        if asked.csv_file is not None:
             raise InvalidOption("--csv writes the list of solvers; leave out the name")
-        _one(find_row(solver_named(name)), as_json)
+        _one(find_row(solver_named(asked.name)), asked.as_json)
         return
     rows = [{key: getattr(row, key) for key in ("name", "summary", "handles", "citation")} for row in list_rows()]
-    write_json({"solvers": rows}, as_json)
-    if csv_file is not None:
-        write_table(csv_file, list(rows[0]), (row.values() for row in rows))
-        notice(f"wrote {csv_file}")
-    if as_json:
+    write_json({"solvers": rows}, asked.as_json)
+    if asked.csv_file is not None:
+        write_table(asked.csv_file, list(rows[0]), (row.values() for row in rows))
+        notice(f"wrote {asked.csv_file}")
+    if asked.as_json:
         return
     made = table("<name", "how", "handles", "source")
     for row in rows:
@@ -65,7 +71,7 @@ def _one(row: Any, as_json: bool) -> None:
     from rich.text import Text
 
     show(heading(row.name), facts({"how": row.summary, "handles": row.handles, "source": row.citation}))
-    show("", Text("\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))), "")
+    show("", Text(re.sub(r"(?<!\n)\n(?: {8} *|(?=\S))", " ", text)), "")
     if parameters:
         made = table("<parameter", ">default")
         for parameter in parameters:

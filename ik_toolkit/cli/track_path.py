@@ -1,17 +1,14 @@
 """The path of `ik track`: as the options give it, or one that every robot can follow; and what to try if it cannot."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from ..errors import InvalidOption, near_match, whole
 from ..text import vector
+from .command import PLOTS, flag, option, options
 from .output import notice, number
-
-if TYPE_CHECKING:
-    from ..motion.reference import Reference
-    from ..servo.path_reach import References, Survey
 
 SHAPES = ("circle", "line", "eight")
 RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
@@ -24,13 +21,113 @@ PLACE = {  # options that say where a path is and how large; a file says all tha
 FAR = 20.0  # times the reach: a path that goes further away is more often in millimetres
 SEEN = 65  # points of a path that are looked at for that
 TIMES = ("duration", "law", "turns")
+DRAWN = ("radius", "length", "axis", "start", "end", *TIMES)
+PLACED = (*DRAWN[:5], "law", "turns")  # options of a path that say more than how long a default one takes
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
+
+
+@options()
+class TrackOptions:
+    """The path, and how it is followed."""
+
+    path: str | None = option(
+        "SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: all joints swing a little."
+    )
+    method: str = option(
+        "NAME", "cv, av, ca, aa, aad, or a solver that can track, as lm and dls can.", "-m", "--method", default="cv"
+    )
+    radius: float | None = option("M", "Radius of the circle, half width of the eight [m]; default: 0.1.")
+    length: float | None = option("M", "Length of the line [m], along --axis; default: 0.2.")
+    axis: str | None = option("X Y Z", "Normal of circle and eight (default z), direction of the line (default x).")
+    start: str | None = option("X Y Z", "Start of the path [m]; default: the tip at home or --q0.")
+    end: str | None = option("X Y Z", "End of the line [m]; default: --length along --axis.")
+    turns: float | None = option("N", "Turns of circle or eight (default 1); rounds of a line, 0: one way.")
+    duration: float | None = option(
+        "S", "Duration of the path [s]; default: 10, or longer if joints are slow or samples few."
+    )
+    rate: float = option("HZ", "Samples per second.", default=100.0)
+    law: str | None = option("NAME", "constant or minimum-jerk speed; default: minimum-jerk for lines.")
+    position_only: bool = flag("--position-only", "Leave the orientation free.")
+    kappa: float | None = option("K", "Gain of cv [1/s]; default: best for the rate.")
+    kp: float | None = option("K", "Gain of ca on the error [1/s^2]; default: best for the rate.")
+    kd: float | None = option("K", "Gain of ca on the error rate [1/s]; default: best for the rate.")
+    param: list[str] | None = option(
+        "NAME=VALUE",
+        "Other options: gamma, share, reading, null_damping, damping.",
+        "-p",
+        "--param",
+        panel="Solver",
+    )
+    q0: str | None = option(
+        "Q1 Q2 ...", "Start configuration; default: home, or solved for.", panel="Start and preferences"
+    )
+    limits: bool = flag(
+        "--limits/--no-limits", "Enforce joint position and speed limits.", default=True, panel="Solver"
+    )
+    acceleration: float | None = option("A", "Acceleration limit of every joint [rad/s^2, m/s^2].")
+    on_limit: str = option(
+        "NAME",
+        "slow: slow the reference down to stay on the path; leave: stay on time and leave the path as little as possible; "
+        "clip: clip each joint on its own, as in the papers.",
+        default="slow",
+    )
+    max_stretch: float = option("X", "With slow: abandon a run after this many times its duration.", default=10.0)
+    settle: float | None = option(
+        "S", "Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest)."
+    )
+    output: Path | None = option(
+        "FILE",
+        "Write the run to a .npz or .csv file, or to .json as a ROS JointTrajectory.",
+        "-o",
+        "--output",
+        writes=[".npz", ".csv", ".json"],
+    )
+    plot: Path | None = option("FILE", "Draw the run to a .png, .pdf or .svg file.", writes=PLOTS)
+
+    @property
+    def shape(self) -> str | None:
+        """The path asked for; where only options of a shape are given, a circle; None where nothing is said of it."""
+        return self.path or ("circle" if any(getattr(self, name) is not None for name in PLACED) else None)
+
+    @property
+    def size(self) -> float:
+        """Length of the line, or radius, as asked or by default [m]."""
+        given, usual = (self.length, LENGTH) if self.shape == "line" else (self.radius, RADIUS)
+        return usual if given is None else given
+
+    def rest(self, seconds: float | None = DURATION) -> dict[str, Any]:
+        """Duration [s], this one where none is given, speed law and turns."""
+        duration = seconds if self.duration is None else self.duration
+        return {"duration": duration, "law": self.law, "turns": self.turns or 0.0}
+
+    def read_axis(self) -> Any:
+        """The axis (3,), or None. Raises InvalidOption."""
+        axis = None if self.axis is None else vector(self.axis, "--axis", 3)
+        if axis is not None and not any(axis):
+            raise InvalidOption("--axis must not be zero")
+        return axis
+
+    def check(self) -> None:
+        """Refuse options that the path does not have, rather than pass over them. Raises InvalidOption."""
+        if self.shape is None:
+            return
+        kind = self.shape if self.shape in SHAPES else "file"
+        fit = PLACE[kind] + (TIMES if kind != "file" else ())
+        what = "a path from a file" if kind == "file" else f"--path {kind}"
+        if self.end is not None and kind == "line":
+            fit, what = tuple(name for name in fit if name not in ("length", "axis")), f"{what} with --end"
+        odd = [f"--{name}" for name in DRAWN if getattr(self, name) is not None and name not in fit]
+        if odd:
+            takes = f"; it takes {', '.join(f'--{name}' for name in fit)}" if fit else ", which says all of it"
+            raise InvalidOption(f"{', '.join(odd)} cannot be used with {what}{takes}")
+        if self.turns == 0.0 and kind != "line":
+            raise InvalidOption(f"--turns must not be 0 with --path {kind}; only a line has none, which is one way")
 
 
 class Asked(NamedTuple):
     """A path to follow: its reference, where the joints start (None: solved for), and how it was chosen, in words or ''."""
 
-    reference: "References"
+    reference: Any
     q0: Any
     words: str
 
@@ -42,39 +139,40 @@ class Asked(NamedTuple):
         return _line(self.reference)
 
 
-def _line(reference: "Reference") -> str:
+def _line(reference: Any) -> str:
     """A reference in a line."""
     return f"{reference.name} in {reference.duration:g} s{', orientation free' if reference.position_only else ''}"
 
 
-def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> Asked:
-    """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets. Raises InvalidOption."""
+def asked_path(arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
+    """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets, tolerance [m] that of a followed run.
+
+    Raises InvalidOption.
+    """
     from ..motion.waypoints import reference_from_file
     from ..servo.path_reach import freed
 
-    if line.path is None and any(_given(line, name) for name in (*PLACE["line"], *PLACE["circle"], "law", "turns")):
-        line.path = "circle"
-    _check_fit(line)
-    if line.path is None and not counts.get("relative_to"):
+    asked.check()
+    if asked.shape is None and not counts.get("relative_to"):
         from ..servo.default_path import joint_motion
 
         motion = joint_motion(
-            arm, q, position_only=line.position_only, duration=line.duration, dt=1.0 / line.rate,
-            position_tolerance=line.position_tolerance,
+            arm, q, position_only=asked.position_only, duration=asked.duration, dt=1.0 / asked.rate,
+            position_tolerance=tolerance,
         )  # fmt: skip
         seconds = next(iter(motion.values())).duration if isinstance(motion, Mapping) else motion.duration
         start = "home" if q is None else "--q0"
-        return Asked(motion, arm.home if q is None else q, f"all joints swing a little from {start}, and back, in {seconds:g} s")
-    if line.path is not None and line.path not in SHAPES:
-        if Path(line.path).suffix.lower() not in (".csv", ".npz"):
-            raise InvalidOption(f"no path '{line.path}'.{near_match(line.path, SHAPES)} Or give a .csv or .npz file.")
-        reference = reference_from_file(line.path)
-        return Asked(freed(reference) if line.position_only and not reference.position_only else reference, q, "")
-    line.path = line.path or "circle"
-    return Asked(_drawn(arm, line, q, counts), arm.home if q is None and line.start is None else q, "")
+        words = f"all joints swing a little from {start}, and back, in {seconds:g} s"
+        return Asked(motion, arm.home if q is None else q, words)
+    if asked.path is not None and asked.path not in SHAPES:
+        if Path(asked.path).suffix.lower() not in (".csv", ".npz"):
+            raise InvalidOption(f"no path '{asked.path}'.{near_match(asked.path, SHAPES)} Or give a .csv or .npz file.")
+        reference = reference_from_file(asked.path)
+        return Asked(freed(reference) if asked.position_only and not reference.position_only else reference, q, "")
+    return Asked(_drawn(arm, asked, q, counts), arm.home if q is None and asked.start is None else q, "")
 
 
-def doubt_metres(arm: Any, reference: "References") -> None:
+def doubt_metres(arm: Any, reference: Any) -> None:
     """Warn, once, that a path far beyond the reach may have been meant in millimetres."""
     import numpy as np
 
@@ -90,138 +188,99 @@ def doubt_metres(arm: Any, reference: "References") -> None:
             return
 
 
-def _check_fit(line: SimpleNamespace) -> None:
-    """Refuse options that the path does not have, rather than pass over them. Raises InvalidOption."""
-    if line.path is None:
-        return
-    kind = line.path if line.path in SHAPES else "file"
-    names = ("radius", "length", "axis", "start", "end", "duration", "law", "turns")
-    given = [name for name in names if _given(line, name)]
-    fit = PLACE[kind] + (TIMES if kind != "file" else ())
-    if line.end is not None and kind == "line":
-        fit = tuple(name for name in fit if name not in ("length", "axis"))
-    odd = [f"--{name}" for name in given if name not in fit]
-    if odd:
-        what = (
-            "a path from a file"
-            if kind == "file"
-            else f"--path {kind}{' with --end' if line.end and kind == 'line' else ''}"
-        )
-        takes = f"; it takes {', '.join(f'--{name}' for name in fit)}" if fit else ", which says all of it"
-        raise InvalidOption(f"{', '.join(odd)} cannot be used with {what}{takes}")
-    if line.turns_ == 0.0 and kind != "line":
-        raise InvalidOption(f"--turns must not be 0 with --path {kind}; only a line has none, which is one way")
-
-
-def _given(line: SimpleNamespace, name: str) -> bool:
-    """Whether an option is given."""
-    return getattr(line, "turns_" if name == "turns" else name) is not None
-
-
-def _axis(line: SimpleNamespace) -> Any:
-    if line.axis is None:
-        return None
-    axis = vector(line.axis, "--axis", 3)
-    if not any(axis):
-        raise InvalidOption("--axis must not be zero")
-    return axis
-
-
-def _drawn(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> "References":
+def _drawn(arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any]) -> Any:
     """The path as it is given: from the tip at --q0 or home, or from --start, with the tip's orientation."""
     from ..servo.default_path import paths
 
-    if line.start is not None or (line.path == "line" and line.end is not None):
+    if asked.start is not None or (asked.shape == "line" and asked.end is not None):
         if arm.by_tip:
             raise InvalidOption("--start and --end are for one tip; choose it with --tip")
-        return _from_to(arm.fk(arm.home if q is None else q).homogeneous, line)
+        return _from_to(arm.fk(arm.home if q is None else q).homogeneous, asked)
     relative = counts.get("relative_to") or {}
     start = arm.home if q is None else q
-    return paths(arm, start, line.path, _size(line), _axis(line), line.position_only, relative, **_rest(line))
+    return paths(
+        arm,
+        start,
+        asked.shape or "circle",
+        asked.size,
+        asked.read_axis(),
+        asked.position_only,
+        relative,
+        **asked.rest(),
+    )
 
 
-def _size(line: SimpleNamespace) -> float:
-    """Length of the line, or radius, as asked or by default [m]."""
-    given, usual = (line.length, LENGTH) if line.path == "line" else (line.radius, RADIUS)
-    return usual if given is None else given
-
-
-def _rest(line: SimpleNamespace) -> dict[str, Any]:
-    return {
-        "duration": DURATION if line.duration is None else line.duration,
-        "law": line.law,
-        "turns": line.turns_ or 0.0,
-    }
-
-
-def _from_to(T: Any, line: SimpleNamespace) -> "Reference":
+def _from_to(T: Any, asked: TrackOptions) -> Any:
     """The path from --start, or to --end, of a tip that stands at T."""
     import numpy as np
 
     from ..motion import shapes
     from ..servo.default_path import draw
 
-    if line.start is not None:
-        T[:3, 3] = vector(line.start, "--start", 3)
-    at: Any = T[:3, 3].copy() if line.position_only else T
-    if line.path != "line" or line.end is None:
-        return draw(line.path, at, _size(line), _axis(line), **_rest(line))
-    end = np.array(vector(line.end, "--end", 3))
+    if asked.start is not None:
+        T[:3, 3] = vector(asked.start, "--start", 3)
+    at: Any = T[:3, 3].copy() if asked.position_only else T
+    if asked.shape != "line" or asked.end is None:
+        return draw(asked.shape or "circle", at, asked.size, asked.read_axis(), **asked.rest())
+    end = np.array(vector(asked.end, "--end", 3))
     T1 = T.copy()
     T1[:3, 3] = end
-    seconds, law = _rest(line)["duration"], line.law or "minimum-jerk"
+    seconds, law = asked.rest()["duration"], asked.law or "minimum-jerk"
     return shapes.line(
         at,
-        end if line.position_only else T1,
+        end if asked.position_only else T1,
         duration=seconds,
         law=law,
-        rounds=whole(line.turns_ or 0.0, "rounds of a line", 0),
+        rounds=whole(asked.turns or 0.0, "rounds of a line", 0),
     )
 
 
 def advice(
-    arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", follows: Callable[..., bool], **options: Any
+    arm: Any, asked: TrackOptions, path: Asked, q: Any, found: Any, run: Callable[..., Any], deg: bool, **options: Any
 ) -> list[str]:
     """Options with which the robot follows a path given in part or in a file, each found by trying it.
 
-    follows(reference, q0): whether a run with the other options of the command succeeds.
+    run(Asked, quiet): the run along a path with the other options of the command.
     """
     from ..servo.path_reach import other_start, trace
 
+    def follows(reference: Any, q0: Any) -> bool:
+        return run(Asked(reference, q0, ""), True).success
+
     def drawn(more: dict[str, Any]) -> Any:
-        return _drawn(arm, SimpleNamespace(**{**vars(line), **more}), q, options)
+        return _drawn(arm, replace(asked, **more), q, options)
 
     if found.whole:
-        share, seconds = found.pace[0], line.duration or DURATION
+        share, seconds = found.pace[0], asked.duration or DURATION
         slower = float(f"{1.1 * share * seconds:.2g}")
-        fits = share > 1.0 and line.path in SHAPES and follows(drawn({"duration": slower}), asked.q0)
+        fits = share > 1.0 and asked.shape in SHAPES and follows(drawn({"duration": slower}), path.q0)
         return [f"--duration {slower:g}"] if fits else []
     one: dict[str, str] = {}  # the largest of several sizes, the first of several axes
-    for words, more in _ways(line, found):
+    for words, more in _ways(asked, found):
         name = words.split()[0]
         if name in one:
             continue
-        path = drawn(more)
-        if trace(arm, path, asked.q0, **options) is not None and follows(path, asked.q0):
+        other = drawn(more)
+        if trace(arm, other, path.q0, **options) is not None and follows(other, path.q0):
             one[name] = words
-    elsewhere = other_start(arm, asked.reference, **options)
-    if elsewhere is not None and follows(asked.reference, elsewhere):
-        shown = (number(float(x), kind, line.deg) for x, kind in zip(elsewhere, arm.joint_kinds, strict=True))
+    elsewhere = other_start(arm, path.reference, **options)
+    if elsewhere is not None and follows(path.reference, elsewhere):
+        shown = (number(float(x), kind, deg) for x, kind in zip(elsewhere, arm.joint_kinds, strict=True))
         one["--q0"] = f"--q0 {' '.join(shown)}"
     return [*one.values()]
 
 
-def _ways(line: SimpleNamespace, found: "Survey") -> Iterator[tuple[str, dict[str, Any]]]:
+def _ways(asked: TrackOptions, found: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     """Other options to try: as words, and as changes of the command line."""
     from ..servo.path_reach import smaller
 
-    if line.path not in SHAPES:
+    if asked.shape not in SHAPES:
         return
-    if not line.position_only:
+    if not asked.position_only:
         yield "--position-only", {"position_only": True}
-    name = "length" if line.path == "line" else "radius"
-    size = _size(line)
-    if line.end is None:
+    name = "length" if asked.shape == "line" else "radius"
+    size = asked.size
+    if asked.end is None:
         for factor in smaller(found):
             shorter = float(f"{factor * size:.3g}")
             yield f"--{name} {shorter:g}", {name: shorter}

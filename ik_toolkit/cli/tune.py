@@ -3,76 +3,48 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import Any
 
 from ..errors import InvalidOption
 from ..files import write_table
-from .arguments import (
-    PLOTS,
-    Base,
-    BaseRpy,
-    BaseXyz,
-    Csv,
-    Deg,
-    How,
-    Json,
-    Lock,
-    PackageDir,
-    RobotArg,
-    Tips,
-    XacroArg,
-    load_robot,
-    one_or_several,
-    writes,
-)
+from .command import PLOTS, argument, command, flag, option, options, same, writable
+from .options import TableOutput, WholeRobot
 from .output import facts, notice, partial, progress, show, write_json
 from .streams import uninterrupted
-
-if TYPE_CHECKING:
-    from ..study.tune import TuneResult
-
-SolverArg = Annotated[
-    str, typer.Argument(metavar="SOLVER", help="Solver with presets, a gain or a damping; see ik solvers.")
-]
-Method = Annotated[str, typer.Option("-m", "--method", metavar="cma|pso", help="CMA-ES or a particle swarm.")]
-Pose = Annotated[bool, typer.Option("--pose", help="Targets are poses; default: positions.")]
-Maps = Annotated[
-    int | None,
-    typer.Option(
-        metavar="K", help="For a solver with maps: K starts, each with its map; 1: as published. Default: its own."
-    ),
-]
-From = Annotated[str | None, typer.Option("--from", metavar="PRESET", help="Preset the search starts from.")]
-Targets = Annotated[int, typer.Option(metavar="N", help="Training targets.")]
-HeldOut = Annotated[
-    int, typer.Option(metavar="N", help="Number of held-out sets of 1000 targets that evaluate the result.")
-]
-Generations = Annotated[int, typer.Option(metavar="N", help="Maximum number of generations.")]
-Population = Annotated[
-    int | None, typer.Option(metavar="N", help="Candidates per generation; default: by problem size.")
-]
-Seconds = Annotated[float | None, typer.Option(metavar="S", help="Stop the search after this time.")]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of the targets.")]
-Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
-MaxIterations = Annotated[int, typer.Option(metavar="N", help="Maximum iterations per solve.")]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--output", metavar="FILE", help="Preset; default: ROBOT-SOLVER.toml.", callback=writes(".toml")
-    ),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue from FILE.npz, which every run writes beside FILE.")]
-Plot = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Draw the convergence to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
-]
+from .workspace import WorkspaceOptions
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command()(tune)
+@options()
+class TunedRobot(WholeRobot):
+    """The robot that is tuned for."""
+
+    srdf: None = None
+    group: None = None
+
+
+@options()
+class TuneOptions:
+    """What is searched, how, and what is written."""
+
+    solver: str = argument("SOLVER", "Solver with presets, a gain or a damping; see ik solvers.")
+    method: str = option("cma|pso", "CMA-ES or a particle swarm.", "-m", "--method", default="cma")
+    pose: bool = same(WorkspaceOptions, "pose")
+    maps: int | None = option(
+        "K", "For a solver with maps: K starts, each with its map; 1: as published. Default: its own."
+    )
+    from_: str | None = option("PRESET", "Preset the search starts from.", "--from")
+    targets: int = option("N", "Training targets.", default=2000)
+    held_out: int = option("N", "Number of held-out sets of 1000 targets that evaluate the result.", default=10)
+    generations: int = option("N", "Maximum number of generations.", default=200)
+    population: int | None = option("N", "Candidates per generation; default: by problem size.")
+    seconds: float | None = option("S", "Stop the search after this time.")
+    seed: int = option("N", "Seed of the search and of the targets.", default=0, panel="Solver")
+    tolerance: float = same(WorkspaceOptions, "tolerance")
+    max_iterations: int = option("N", "Maximum iterations per solve.", default=1000, panel="Solver")
+    how: str = same(WorkspaceOptions, "how")
+    output: Path | None = option("FILE", "Preset; default: ROBOT-SOLVER.toml.", "-o", "--output", writes=[".toml"])
+    resume: bool = flag("--resume", "Continue from FILE.npz, which every run writes beside FILE.")
+    plot: Path | None = option("FILE", "Draw the convergence to a .png, .pdf or .svg file.", writes=PLOTS)
 
 
 def _telling(bar: Callable) -> Callable:
@@ -87,82 +59,49 @@ def _telling(bar: Callable) -> Callable:
     return step
 
 
-def tune(
-    robot: RobotArg,
-    solver: SolverArg,
-    method: Method = "cma",
-    pose: Pose = False,
-    maps: Maps = None,
-    from_: From = None,
-    targets: Targets = 2000,
-    held_out: HeldOut = 10,
-    generations: Generations = 200,
-    population: Population = None,
-    seconds: Seconds = None,
-    seed: Seed = 0,
-    tolerance: Tolerance = 1e-3,
-    max_iterations: MaxIterations = 1000,
-    how: How = "joints",
-    tip: Tips = None,
-    base: Base = None,
-    base_xyz: BaseXyz = None,
-    base_rpy: BaseRpy = None,
-    lock: Lock = None,
-    package_dir: PackageDir = None,
-    xacro_arg: XacroArg = None,
-    deg: Deg = False,
-    as_json: Json = False,
-    csv_file: Csv = None,
-    output: Out = None,
-    resume: Resume = False,
-    plot: Plot = None,
-) -> None:
+@command
+def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
     """Tune a solver's gains and starts for a robot, and evaluate them on held-out targets.
 
     The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume continues from there.
+
+    Examples:
+    ik tune hydrolek_7w pid --seconds 60 -o mine.toml
+    ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --solver pid --preset mine.toml
     """
-    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+    arm = robot.load(robot.tips)
 
     from ..solvers.presets import from_preset
     from ..solvers.registry import find_row
     from ..study.tune import tune as search
 
-    initial = None if from_ is None else from_preset(find_row(solver), from_)
-    preset = output or Path(f"{Path(robot).stem}-{solver}.toml")
-    writes(".toml")(preset)
+    initial = None if asked.from_ is None else from_preset(find_row(asked.solver), asked.from_)
+    preset = asked.output or Path(f"{Path(robot.robot).stem}-{asked.solver}.toml")
     record = preset.with_suffix(".npz")
-    writes(".npz")(record)
-    with _record(record, resume), progress("searching", generations) as bar:
+    for file in (preset, record):
+        writable(file.suffix)(file)
+    unchanged = "method maps targets held_out generations population seconds seed tolerance max_iterations how".split()
+    with _record(record, asked.resume), progress("searching", asked.generations) as bar:
         result = search(
             arm,
-            solver,
-            position_only=not pose,
-            method=method,
-            maps=maps,
+            asked.solver,
+            position_only=not asked.pose,
             initial=initial,
-            targets=targets,
-            held_out=held_out,
-            generations=generations,
-            population=population,
-            seconds=seconds,
-            seed=seed,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            how=how,
             checkpoint=record,
             progress=_telling(bar),
+            **{name: getattr(asked, name) for name in unchanged},
         )
     if result.interrupted:
         preset = partial(preset)
     with uninterrupted():
         result.save(preset)
-        _write_csv(csv_file, result)
-    if plot is not None and not result.interrupted:
-        from ..show.plot import plot as draw
+        _write_csv(out.csv_file, result)
+    if asked.plot is not None and not result.interrupted:
+        from ..show.plot import plot
 
-        draw(result, file=plot)
-    write_json({**result.to_dict(), "preset": str(preset)}, as_json)
-    if not as_json:
+        plot(result, file=asked.plot)
+    write_json({**result.to_dict(), "preset": str(preset)}, out.as_json)
+    if not out.as_json:
         _show(result, preset)
     if result.interrupted:
         notice(
@@ -171,7 +110,7 @@ def tune(
         raise KeyboardInterrupt
 
 
-def _write_csv(file: Path | None, result: "TuneResult") -> None:
+def _write_csv(file: Path | None, result: Any) -> None:
     """The scores as CSV, where asked for: a row for each rule, the tuned one also on the training targets."""
     if file is None:
         return
@@ -205,7 +144,7 @@ def _record(file: Path, resume: bool) -> Iterator[None]:
             set_aside.rename(file)
 
 
-def _show(result: "TuneResult", preset: Path) -> None:
+def _show(result: Any, preset: Path) -> None:
     show(
         facts(
             {

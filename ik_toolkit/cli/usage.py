@@ -16,17 +16,6 @@ WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)")
 WIDEST = 100  # columns; longer lines are hard to read
 COLUMN = 30  # where the explanations begin
 LAST = ("Robot", "Output", "Other")  # groups at the end; the others come before them, as declared
-GROUPS = {  # of the options that several commands share
-    "Target": "--xyz --rpy --quat-xyzw --quat-wxyz --matrix --from-q --target --relative --direction --tip-axis",
-    "What counts": "--mask --slack --free-turn --frame",
-    "Tolerances": "--tolerance --position-tolerance --orientation-tolerance",
-    "Solver": "--solver --param --preset --max-iterations --restarts --timeout --seed --limits",
-    "Start and preferences": "--q0 --clamp-q0 --joint-weights --closest --follow --objective --all",
-    "Collisions": "--avoid-collisions --obstacle --margin",
-    "Many targets": "--threads --cluster",
-    "Other": "--help --version --debug --install-completion --show-completion",
-}
-GROUP = {name: group for group, names in GROUPS.items() for name in names.split()}
 
 
 def help_text(command: Any, ctx: Any) -> str:
@@ -46,8 +35,7 @@ def help_text(command: Any, ctx: Any) -> str:
     for one in arguments:
         groups.setdefault("Arguments", []).append((placeholder(one), one.help or ""))
     for one in options:
-        shared = next((GROUP[name] for name in one.opts if name in GROUP), "Options")
-        group = getattr(one, "rich_help_panel", None) or shared
+        group = getattr(one, "rich_help_panel", None) or "Other"
         groups.setdefault(group, []).append((_names(one), _explained(one)))
     order = sorted(groups, key=lambda name: LAST.index(name) if name in LAST else -1)
     for name in order:

@@ -1,165 +1,139 @@
-"""`ik view`: a robot, a configuration or a solve in 3-D, in the browser or as one HTML file."""
+"""`ik view` and `ik panel`: a robot, a configuration or a solve in 3-D, and a robot to move by hand, in the browser."""
 
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from ..errors import InvalidOption
-from . import by_tip
-from .arguments import (
-    Base,
-    BaseRpy,
-    BaseXyz,
-    Deg,
-    Group,
-    Lock,
-    PackageDir,
-    RobotArg,
-    SrdfFile,
-    Tips,
-    XacroArg,
-    joint_vector,
-    load_robot,
-    writes,
-)
+from .command import command, flag, option, options, same
+from .options import RobotOptions, SceneOutput, WholeRobot, joint_vector
 from .output import notice
-from .pictures import Html, present, wait, written
-from .solve_options import Matrix, Relative, Targets, is_posed, make_target
+from .pictures import present, wait, written
+from .target import TargetOptions, in_base, relations
 
-Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values to show; default: home.")]
-Xyz = Annotated[str | None, typer.Option(metavar="X Y Z", help="Solve for this position [m] and show the iterations.")]
-Rpy = Annotated[str | None, typer.Option(metavar="R P Y", help="With --xyz: roll, pitch, yaw [rad].")]
-Quat = Annotated[str | None, typer.Option(metavar="X Y Z W", help="With --xyz: quaternion.")]
-QuatWxyz = Annotated[str | None, typer.Option(metavar="W X Y Z", help="With --xyz: quaternion, the real part first.")]
-SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="Solver for --xyz; see ik solvers.")]
-Ghosts = Annotated[bool, typer.Option("--all", help="Show every solution found as a ghost.")]
-Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where the solve starts; default: home.")]
-MotionFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--motion",
-        metavar="FILE",
-        help="Show a motion from a file: of ik path a path (.csv, .npz, .json) or a trajectory (.csv, .json), "
+
+@options()
+class ViewOptions:
+    """What is shown."""
+
+    q: str | None = option("Q1 Q2 ...", "Joint values to show; default: home.")
+    motion: Path | None = option(
+        "FILE",
+        "Show a motion from a file: of ik path a path (.csv, .npz, .json) or a trajectory (.csv, .json), "
         "of ik track a run (.csv, .npz, .json).",
-    ),
-]
-Follow = Annotated[
-    bool, typer.Option("--follow", help="Show a target to drag, which the robot follows (extra 'panel').")
-]
-Page = Annotated[
-    Path | None,
-    typer.Option(
-        "--page",
-        metavar="FILE",
-        help="Write a live page: the robot with its solvers and a target to drag in one .html file, which needs neither "
+    )
+    page: Path | None = option(
+        "FILE",
+        "Write a live page: the robot with its solvers and a target to drag in one .html file, which needs neither "
         "Python nor a network.",
-        callback=writes(".html", ".htm"),
-    ),
-]
-Port = Annotated[int, typer.Option(metavar="N", help="Port on 127.0.0.1; default: a free one.")]
-Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
+        writes=[".html", ".htm"],
+    )
+    port: int = option("N", "Port on 127.0.0.1; default: a free one.", default=0)
+    browse: bool = flag("--open/--no-open", "Open the address in a browser.", default=True)
+    html: Path | None = same(SceneOutput, "html")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command of this module."""
-    app.command()(view)
+@options("Target")
+class ViewTarget(TargetOptions):
+    """What is solved for."""
+
+    xyz: str | None = option("X Y Z", "Solve for this position [m] and show the iterations.")
+    rpy: str | None = option("R P Y", "With --xyz: roll, pitch, yaw [rad].")
+    quat_xyzw: str | None = option("X Y Z W", "With --xyz: quaternion.")
+    quat_wxyz: str | None = option("W X Y Z", "With --xyz: quaternion, the real part first.")
+    from_q: None = None
+    direction: None = None
+    tip_axis: None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether there is a target."""
+        return self.xyz is not None or self.matrix is not None or bool(self.targets)
 
 
-def view(
-    robot: RobotArg,
-    q: Q = None,
-    xyz: Xyz = None,
-    rpy: Rpy = None,
-    quat_xyzw: Quat = None,
-    quat_wxyz: QuatWxyz = None,
-    matrix: Matrix = None,
-    targets: Targets = None,
-    relative: Relative = None,
-    solver: SolverName = "auto",
-    every: Ghosts = False,
-    q0: Start = None,
-    motion: MotionFile = None,
-    follow: Follow = False,
-    html: Html = None,
-    page: Page = None,
-    port: Port = 0,
-    browse: Open = True,
-    tip: Tips = None,
-    base: Base = None,
-    base_xyz: BaseXyz = None,
-    base_rpy: BaseRpy = None,
-    lock: Lock = None,
-    package_dir: PackageDir = None,
-    xacro_arg: XacroArg = None,
-    srdf: SrdfFile = None,
-    group: Group = None,
-    deg: Deg = False,
-) -> None:
+@options("Start and preferences")
+class ViewSolve:
+    """How it is solved."""
+
+    solver: str = option("NAME", "Solver for --xyz; see ik solvers.", "-s", "--solver", default="auto", panel="Solver")
+    every: bool = flag("--all", "Show every solution found as a ghost.")
+    q0: str | None = option("Q1 Q2 ...", "Where the solve starts; default: home.")
+    follow: bool = flag("--follow", "Show a target to drag, which the robot follows (extra 'panel').")
+
+
+@command
+def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRobot) -> None:
     """Show a robot in 3-D: at home, at --q, along --motion, or solving for --xyz or --target (with a time slider).
 
     Serves on 127.0.0.1 until Ctrl-C, or writes one HTML file that needs no network. A robot with several tips is shown
     whole when --tip is left out. With --follow the page has a target to drag, and the arm goes after it with the steps of
     the tracker, at the edge of its reach to the closest pose; with --page that page is a file, and its solvers run in the
     browser. Exit code 1 when the solve asked for did not succeed (it is shown all the same).
+
+    Examples:
+    ik view hydrolek_7w
+    ik view hydrolek_7w --xyz 1.0 0.1 0.2 --html solve.html
+    ik view hydrolek_7w --follow
+    ik view hydrolek_7w --page hydrolek.html
     """
-    line = SimpleNamespace(**locals())
-    solving = xyz is not None or matrix is not None or bool(targets)
-    _refuse_contradictions(line, solving)
-    shown = {"--html": html, "--q": q, "--motion": motion, "--xyz and --target": solving}
-    if follow:
-        read = {"--page": page, "--base": base, "--lock": lock, "--package-dir": package_dir, "--xacro-arg": xacro_arg}
-        _alone("--follow", read | {"--srdf": srdf, "--group": group} | shown)
-        _follow(robot, tip, port, browse)
+    _refuse_contradictions(shown, target, how)
+    others = {"--html": shown.html, "--q": shown.q, "--motion": shown.motion, "--xyz and --target": target.given}
+    if how.follow:
+        names = ("base", "lock", "package_dir", "xacro_arg", "srdf", "group")
+        read = {f"--{name.replace('_', '-')}": getattr(robot, name) for name in names}
+        _alone("--follow", {"--page": shown.page} | read | others)
+        from ..show.panel.panel import Follower, Panel
+
+        served = Panel(robot.robot, robot.tip, port=shown.port, desk=Follower)
+        wait(f"the robot is at {served.url}", served.url, shown.browse)
+        served.close()
         return
-    if page is not None:
-        _alone("--page", shown)
+    if shown.page is not None:
+        _alone("--page", others)
 
     from ..show.scene import view as make
 
-    target: Any = None
-    if solving:
-        target = by_tip.targets(targets, deg) if targets else make_target(line)
-    tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, is_posed(line), group)
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
-    if page is not None:
-        written(make(arm).page(page))
+    aim: Any = target.read(robot.deg) if target.given else None
+    related = relations(target.relative)
+    arm = robot.load(robot.choose_tips(aim if target.targets else None, related, target.posed))
+    if shown.page is not None:
+        written(make(arm).page(shown.page))
         return
     what, solved = arm.home, True
-    if motion is not None:
-        from ..show.animation import from_file
+    if shown.motion is not None:
+        from ..show.animation import motion_from_file
 
-        what = from_file(arm, motion)
-    elif q is not None:
-        what = joint_vector(arm, q, "--q", deg)
-    elif solving:
-        start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
-        related = by_tip.relations(relative)
-        what, solved = _solve(arm, target, solver, start, every, {"relative_to": related} if related else {})
+        what = motion_from_file(arm, shown.motion)
+    elif shown.q is not None:
+        what = joint_vector(arm, shown.q, "--q", robot.deg)
+    elif target.given:
+        start = joint_vector(arm, how.q0, "--q0", robot.deg)
+        what, solved = _solve(arm, aim, how.solver, start, how.every, {"relative_to": related} if related else {})
         at = what[0] if isinstance(what, list) else what.q
-        target = by_tip.in_base(target, arm.fk(at), related)
-    present(make(arm, what, target=target), html, port, browse)
+        aim = in_base(aim, arm.fk(at), related)
+    present(make(arm, what, target=aim), shown.html, shown.html is None, shown.port, shown.browse)
     if not solved:
         raise typer.Exit(1)
 
 
-def _refuse_contradictions(line: SimpleNamespace, solving: bool) -> None:
-    """Raise InvalidOption for options of `ik view` that do not go together."""
-    if line.q is not None and (solving or line.every):
+def _refuse_contradictions(shown: ViewOptions, target: ViewTarget, how: ViewSolve) -> None:
+    """Raise InvalidOption for options that do not go together."""
+    if shown.q is not None and (target.given or how.every):
         raise InvalidOption("--q shows a configuration, --xyz and --target solve for one: give one of them")
-    if line.motion is not None and (solving or line.every or line.q is not None):
+    if shown.motion is not None and (target.given or how.every or shown.q is not None):
         raise InvalidOption("--motion shows the motion of a file; omit --q, --xyz and --target")
-    if is_posed(line) and line.xyz is None and line.matrix is None:
+    if target.oriented and target.xyz is None and target.matrix is None:
         raise InvalidOption("--rpy and the quaternions belong to --xyz")
-    if not solving and (line.every or line.q0 is not None):
+    if not target.given and (how.every or how.q0 is not None):
         raise InvalidOption("--q0 and --all belong to --xyz or --target")
-    if is_posed(line) and line.targets:
-        raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
-    if line.relative and not line.targets:
-        raise InvalidOption("--relative is for several tips, with a --target for each")
-    if not 0 <= line.port < 65536:
-        raise InvalidOption(f"--port must be between 0 and 65535, not {line.port}")
+    target.check()
+    _check_port(shown.port)
+
+
+def _check_port(port: int) -> None:
+    if not 0 <= port < 65536:
+        raise InvalidOption(f"--port must be between 0 and 65535, not {port}")
 
 
 def _alone(option: str, others: dict[str, Any]) -> None:
@@ -167,16 +141,6 @@ def _alone(option: str, others: dict[str, Any]) -> None:
     given = [name for name, value in others.items() if value]
     if given:
         raise InvalidOption(f"{option} goes without {' and '.join(given)}")
-
-
-def _follow(robot: str, tips: Any, port: int, browse: bool) -> None:
-    """Serve a page with a target to drag until Ctrl-C."""
-    from ..show.panel.follower import Follower
-    from ..show.panel.panel import Panel
-
-    served = Panel(robot, tips, port=port, desk=Follower)
-    wait(f"the robot is at {served.url}", served.url, browse)
-    served.close()
 
 
 def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options: dict[str, Any]) -> tuple[Any, bool]:
@@ -192,3 +156,38 @@ def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options:
     result = solve_one(arm, target, solver, q0=start, history=True, **options)
     notice(f"{result.status.name}: {result.message}")
     return result, result.success
+
+
+@options()
+class PanelOptions:
+    """The robot and where the panel is served."""
+
+    robot: str = same(RobotOptions, "robot", default="hydrolek_7w")
+    tip: list[str] | None = same(RobotOptions, "tip")
+    host: str = option("ADDRESS", "Address to listen on; default: this machine only.", default="127.0.0.1")
+    port: int = option("N", "Port; default: a free one.", default=0)
+    browse: bool = same(ViewOptions, "browse")
+
+
+@command
+def panel(asked: PanelOptions) -> None:
+    """Move joints, drag targets, compare solvers and solutions in a browser, until Ctrl-C.
+
+    Listens on this machine only unless --host says otherwise. The printed address contains an access token: nobody without it
+    is let in. Every browser tab has its own robot. A robot with several tips has a target to drag for each.
+
+    Examples:
+    ik panel hydrolek_7w
+    """
+    _check_port(asked.port)
+    from ..show.access import is_loopback
+    from ..show.panel.panel import Panel
+
+    served = Panel(asked.robot, asked.tip, host=asked.host, port=asked.port)
+    if not is_loopback(asked.host):
+        notice(
+            f"warning: the panel listens at {asked.host}, unencrypted: anyone who knows the address below can use it,"
+            " and anyone who can read the network traffic learns it"
+        )
+    wait(f"the panel is at {served.url}", served.url, asked.browse)
+    served.close()

@@ -1,14 +1,14 @@
-"""Arrays inside the kernel: a pointer and a shape, cut from one block of memory a call.
+"""Views: arrays inside kernels that are a pointer and a shape, cut from one block of memory a call.
 
-numba's arrays carry seven to eleven numbers each, and count references; a record of two dozen of them is then most of what is
-compiled, wherever it is passed. A `View` is a pointer and a shape. It owns nothing, so it may not outlive the array it was made
-of: the functions that Python calls keep the arrays, and what they call gets views. A view is contiguous, and is read and
-written by whole numbers that are not negative; A[i] of a table is a row, A[i:k] are rows. Uncompiled it is the array itself.
+An array of numba has seven to eleven numbers and counts references, so a record of two dozen of them would be most of the code
+wherever it is passed. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the
+arrays, and pass views on. A view is contiguous. Its indices are whole numbers that are not negative; A[i] of a table is a row,
+A[i:k] are rows. Without compilation a view is the array itself.
 """
 
 # pyright: reportOptionalCall=false
 
-# numba itself gives an intrinsic its first argument, which type checkers cannot know.
+# The type checker must ignore that numba itself passes the first argument of an intrinsic.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import math
@@ -27,12 +27,12 @@ from numba.np.arrayobj import populate_array
 
 from .jit import BUILD, INLINE, inline
 
-LINE = 8  # arrays begin at a multiple of this many 8-byte numbers: a cache line, and the widest register
-WORD = ir.IntType(64)
+LINE = 8  # 8-byte numbers of a cache line, which is also the widest register; arrays begin at a multiple of it
+WORD = ir.IntType(64)  # LLVM's type of lengths and indices
 
 
 class View(types.Type):
-    """Numbers of a type in one to four dimensions, the last one without gaps."""
+    """numba's type of a view: numbers of a type in one to four dimensions, without gaps."""
 
     def __init__(self, dtype: Any, ndim: int) -> None:
         self.dtype, self.ndim = dtype, ndim
@@ -47,7 +47,7 @@ class _ViewModel(models.StructModel):
 
 
 def parts_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, list]:
-    """Pointer and lengths of a view or an array."""
+    """Return the pointer and the lengths of a view or an array."""
     if isinstance(kind, View):
         return builder.extract_value(value, 0), cgutils.unpack_tuple(builder, builder.extract_value(value, 1))
     array = context.make_array(kind)(context, builder, value)
@@ -55,14 +55,14 @@ def parts_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, li
 
 
 def _made(context: Any, builder: Any, kind: Any, data: Any, dims: Sequence) -> Any:
-    """View of numbers at a pointer."""
+    """Make a view of the numbers at a pointer."""
     shape = cgutils.pack_array(builder, dims)
     empty = ir.Constant(context.get_value_type(kind), ir.Undefined)
     return builder.insert_value(builder.insert_value(empty, data, 0), shape, 1)
 
 
 def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
-    """Number of elements before those of an index, which may be shorter than the shape."""
+    """Return how many elements stand before those of an index, which may be shorter than the shape."""
     place = index[0]
     for k in range(1, len(dims)):
         place = builder.mul(place, dims[k])
@@ -73,7 +73,7 @@ def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
 
 # ------------------------------------------------------------------------------------------------------ A[i], A[i, k], A[i:k]
 def _index(kind: View, index: Any) -> tuple[Any, Any]:
-    """Type of an index as it is lowered, and of its element; None where it cannot index a view."""
+    """Return the type of an index as it is lowered, and that of its element; both None if it cannot index a view."""
     if isinstance(index, types.SliceType):
         return types.slice2_type, kind
     if isinstance(index, types.Integer):
@@ -102,7 +102,7 @@ class _Set(AbstractTemplate):
 
 
 def _element(context: Any, builder: Any, kind: Any, value: Any, how: Any, index: Any) -> tuple[Any, list]:
-    """Pointer to what an index says, and the lengths that are left."""
+    """Return the pointer to the element or row that an index means, and the lengths of that."""
     data, dims = parts_of(context, builder, kind, value)
     index = cgutils.unpack_tuple(builder, index) if isinstance(how, types.BaseTuple) else [index]
     return builder.gep(data, [_place(builder, dims, index)], inbounds=True), dims[len(index) :]
@@ -129,7 +129,8 @@ def _set(context, builder, sig, args):
 def _rows(context, builder, sig, args):
     kind, (value, index) = sig.args[0], args
     data, dims = parts_of(context, builder, kind, value)
-    part = context.make_helper(builder, types.slice2_type, index)  # without an end, that is the largest number there is
+    # A slice without an end has the largest number there is.
+    part = context.make_helper(builder, types.slice2_type, index)
     stop = builder.select(builder.icmp_signed("<", part.stop, dims[0]), part.stop, dims[0])
     pointer = builder.gep(data, [_place(builder, dims, [part.start])], inbounds=True)
     return _made(context, builder, kind, pointer, [builder.sub(stop, part.start), *dims[1:]])
@@ -150,7 +151,7 @@ def _shape(context, builder, kind, value):
 
 # ------------------------------------------------------------------------------------------------------------ making views
 def view(A):
-    """View of an array (contiguous)."""
+    """Return a view of a contiguous array."""
     return A
 
 
@@ -170,7 +171,7 @@ def _as_view(typing, A):
 
 
 def keep(A):
-    """Keep an array made here alive until this line: a view does not count as a reference, and its memory would be freed."""
+    """Keep an array alive until this line; a view of it does not count as a reference, so its memory would be freed."""
 
 
 @overload(keep, jit_options=INLINE)
@@ -184,7 +185,7 @@ def _used(typing, A):
 
 
 def flat(A):
-    """All numbers of a view, in one dimension."""
+    """Return all numbers of a view in one dimension."""
     return A.reshape(-1)
 
 
@@ -203,7 +204,7 @@ def _as_flat(typing, A):
 
 
 def fold(A, kind, n, m):
-    """The first n m numbers of type `kind` in a view (K,), as a table (n, m)."""
+    """Return the first n m numbers, of type `kind`, of a view (K,) as a table (n, m)."""
     return A.view(kind)[: n * m].reshape(n, m)
 
 
@@ -225,19 +226,19 @@ def _as_table(typing, A, kind, n, m):
 # ---------------------------------------------------------------------------------------------------------------- scratch
 @inline
 def space(n, m, L, N):
-    """Length of a block that has room for a search: n coordinates, m errors, L joints on the paths, N known configurations.
+    """Return the length of a block with room for a search.
 
-    (n + m + LINE)^2 is more than the matrices and vectors over n and m, 16 m more than what is kept of the tips; the rest is
-    what lies between arrays. `cut` refuses to pass the end.
+    It has n coordinates, m errors, L joints on all chains and N known configurations. (n + m + LINE)^2 is more than the matrices
+    and vectors over n and m take, 16 m more than what is kept of the tips; the rest is for gaps between arrays.
     """
     return (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
 
 
 def cut(block, kind, shapes):
-    """Arrays of these shapes (whole numbers or tuples), one after the other, from what is left of `block`: views of a view.
+    """Cut arrays of given shapes (whole numbers or tuples) from what is left of a block, as views if the block is one.
 
-    block (K,) float64: its first number says how much is taken, 0 at the start; kind: type of the numbers. What the arrays
-    hold is whatever was there. Raises MemoryError when the block is too short.
+    block (K,) is of float64; its first number says how much is taken and is 0 at the start. The arrays hold numbers of type
+    `kind`, which are whatever was in memory. Raises MemoryError if the block is too short.
     """
     made = []
     for shape in shapes:
@@ -256,7 +257,7 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(cut, jit_options=BUILD)  # arrays that share the block: their references are counted
+@overload(cut, jit_options=BUILD)  # arrays that share a block count references to it
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 
@@ -298,8 +299,8 @@ def _pieces(typing, block, kind, shapes):
 
 # --------------------------------------------------------------------------------------------------------- numbers in a row
 @intrinsic
-def numbers(typing, A, start, count):
-    """The `count` numbers of A (K,) from place `start` on; `count` is known when this is compiled."""
+def counted_part(typing, A, start, count):
+    """Return a tuple of `count` numbers of A (K,) from index `start` on; `count` is a constant at compile time."""
     if not isinstance(count, types.IntegerLiteral):
         return None
 
@@ -313,7 +314,7 @@ def numbers(typing, A, start, count):
 
 @intrinsic
 def put_numbers(typing, A, start, record):
-    """Write a record of numbers to A (K,) from place `start` on."""
+    """Write the numbers of a record to A (K,) from index `start` on."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data, _ = parts_of(context, builder, sig.args[0], args[0])

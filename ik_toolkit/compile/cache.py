@@ -1,9 +1,9 @@
-"""Compiled kernels on disk: never stale, never half a file, and never an error when the disk is full or damaged.
+"""A cache of compiled kernels on disk that is never stale or half written, and no error if the disk is full or damaged.
 
-numba's own cache watches the file of the cached function only, keeps all kernels of a function in one index that two
-processes may overwrite for each other, and passes on whatever a damaged file makes of unpickling. Here each kernel is one
-file, named by its key; it holds its key and a checksum, and what does not match is compiled again. Loading a file runs what is in
-it, so only files that nobody else can have written are loaded.
+numba's own cache watches only the file of the cached function, keeps all kernels of a function in one index that two processes
+may overwrite for each other, and fails as unpickling of a damaged file does. Here each kernel is one file that is named by its
+key and holds its key and a checksum; a file that does not match is compiled again. Loading a file runs code in it, so only files
+that no other user can have written are loaded.
 """
 
 import functools
@@ -28,33 +28,34 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-STAMPED = (
-    Path(__file__).parent,
-    Path(__file__).parent.parent / "kernel",
-)  # folders that every kernel depends on, as a whole
-HEAD = b"ik_toolkit kernel 1\n"  # of every file; then 32 bytes of SHA-256 over the rest
+# Folders whose Python files every kernel depends on.
+STAMPED = Path(__file__).parent, Path(__file__).parent.parent / "kernel"
+HEAD = b"ik_toolkit kernel 1\n"  # beginning of every file, before 32 bytes of SHA-256 over the rest
 PREFIX, SUFFIX = "ik-", ".nbc"
 LOG = logging.getLogger("ik_toolkit.cache")
 COMPILING = logging.getLogger("ik_toolkit.compile")
 
 
 class MemoryCache(NullCache):
-    """Keeps nothing: a kernel is compiled in every process. Logs when that happens."""
+    """A cache that keeps nothing, for a kernel that must be compiled in every process, which it logs."""
 
     def __init__(self, what: str, why: str) -> None:
-        """Log what is compiled, and why it cannot be kept."""
+        """Take the name of what is compiled, and why it cannot be kept, for the log."""
         self.what, self.why = what, why
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        """Nothing is there; numba compiles next."""
+        """Log that the kernel is compiled, and return None, upon which numba compiles it."""
         COMPILING.info("compiling %s (%s)", self.what, f"in every process: {self.why}")
 
 
 class DiskCache(FunctionCache):
-    """Keeps the kernels of one function, a file each, in the folder numba chooses for it."""
+    """A cache of the kernels of one function, with a file for each, in the folder that numba chooses."""
 
     def __init__(self, function: Any, what: str, stamp: str) -> None:
-        """`stamp` joins the key: a hash of all sources. Raises RuntimeError where numba finds no folder to write."""
+        """Take a function, its name for the log, and a hash of all its sources, which becomes a part of the key.
+
+        Raises RuntimeError if numba finds no folder to write to.
+        """
         super().__init__(function)
         self.what, self.stamp = what, stamp
 
@@ -62,14 +63,14 @@ class DiskCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self.stamp, numba.__version__, llvmlite.__version__)
 
     def path(self, key: tuple) -> Path:
-        """File of a key; the second part of its name identifies the kernel sources it was made from."""
+        """Return the file of a key; the second part of its name is a hash of the kernel sources it was made from."""
         name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(*STAMPED)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Compiled code for a signature; None (then numba compiles) when no intact file exists.
+        """Return the compiled code for a signature, or None, upon which numba compiles it, if there is no intact file.
 
-        numba's cache also loads all that compiling needs (`refresh`, 0.3 s of a first answer); its compiler does the same later.
+        numba's own cache also calls `refresh` here, which takes 0.3 s to load all that compiling needs; the compiler does so, too.
         """
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
@@ -84,34 +85,34 @@ class DiskCache(FunctionCache):
                 return self._impl.rebuild(target_context, payload)
         except FileNotFoundError:
             pass
-        except Exception as error:  # whatever is wrong with a cache, compiling is a way out
+        except Exception as error:  # whatever is wrong with the file, the kernel can be compiled
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
         where = {"folder": Path(self._cache_path)}
         COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, up to half a minute", extra=where)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep compiled code; where that cannot be written, the process continues with the code it has."""
+        """Write compiled code to its file; if that is impossible, warn and go on."""
         if not self._impl.check_cachable(data) or open_to_others(Path(self._cache_path)):
             return
         key = self._index_key(sig, data.codegen)
         try:
             self._impl.locator.ensure_cache_path()
-            write(self.path(key), dumps((key, self._impl.reduce(data))))
+            write_whole(self.path(key), dumps((key, self._impl.reduce(data))))
         except OSError as error:
             not_kept(str(self._cache_path), error.strerror or str(error))
 
 
-@functools.cache  # once a process and reason
+@functools.cache  # the warning comes once in a process for each folder and reason
 def not_kept(folder: str, why: str) -> None:
-    """Warn that the folder cannot hold kernels."""
+    """Warn that no kernels can be kept in a folder."""
     LOG.warning(
         "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
     )
 
 
 def folder() -> Path | None:
-    """Where the kernels of this package are kept; None where nothing can be kept."""
+    """Return the folder where the kernels of this package are kept, or None if none can be kept."""
     try:
         place = Path(DiskCache(stamp_of, "", "").cache_path)
     except (RuntimeError, OSError):
@@ -120,7 +121,7 @@ def folder() -> Path | None:
 
 
 def open_to_others(path: Path) -> str:
-    """Why others than this user and root may have written a file, or files in a folder; '' when they cannot."""
+    """Return why users other than this one and root may have written a file, or files in a folder; '' if they cannot."""
     try:
         return _open_to_others(os.stat(path))
     except OSError:
@@ -130,9 +131,8 @@ def open_to_others(path: Path) -> str:
 def _open_to_others(found: os.stat_result) -> str:
     if found.st_uid not in (os.geteuid(), 0):
         return "it belongs to another user"
-    kept = (
-        stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
-    )  # as in /tmp: others add files, but replace none
+    # In a folder with the sticky bit, such as /tmp, other users may add files but not replace any.
+    kept = stat.S_ISDIR(found.st_mode) and found.st_mode & stat.S_ISVTX
     if found.st_mode & stat.S_IWOTH and not kept:
         return "every user may write to it"
     if found.st_mode & stat.S_IWGRP and not kept and not _is_own_group(found.st_gid):
@@ -141,7 +141,7 @@ def _open_to_others(found: os.stat_result) -> str:
 
 
 def _is_own_group(group: int) -> bool:
-    """Whether a group is that of this user alone, as many systems make one for each user. That of root may be shared."""
+    """Return whether a group is this user's alone, as many systems make one for each user; that of root may be shared."""
     try:
         user, own = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
     except KeyError:
@@ -151,7 +151,7 @@ def _is_own_group(group: int) -> bool:
 
 
 def content(path: Path) -> bytes:
-    """What `write` wrote; ValueError when the file is not whole, or others may have written it."""
+    """Return what `write` wrote to a file. Raises ValueError if the file is damaged, or other users may have written it."""
     with path.open("rb") as file:
         if why := _open_to_others(os.fstat(file.fileno())):
             raise ValueError(why)
@@ -163,7 +163,7 @@ def content(path: Path) -> bytes:
 
 
 def damaged(function: Any) -> tuple[Path | None, list[Path]]:
-    """Top folder of the kernels on disk, seen from a cached function, and the files in it that are not whole."""
+    """Return the top folder of the kernels on disk, given a cached function, and the damaged files in it."""
     cache = getattr(function, "_cache", None)
     if not isinstance(cache, DiskCache):
         return None, []
@@ -179,12 +179,12 @@ def _whole(path: Path) -> bool:
         return False
 
 
-def write(path: Path, body: bytes) -> None:
-    """Write a file whole or not at all, and remove those of other kernel sources."""
+def write_whole(path: Path, body: bytes) -> None:
+    """Write a file whole or not at all, and remove files that were made from older kernel sources."""
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:
         part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
-        part.chmod(0o644)  # also where new files may be written by a group
+        part.chmod(0o644)  # nobody but the user may write to the file, even if new files are open to a group
         os.replace(part, path)
     except BaseException:
         part.unlink(missing_ok=True)
@@ -192,7 +192,7 @@ def write(path: Path, body: bytes) -> None:
     _remove_old(path.parent)
 
 
-@functools.cache  # once a process
+@functools.cache  # old files are removed once in a process
 def _remove_old(folder: Path) -> None:
     for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         if f".{stamp_of(*STAMPED)[:12]}." not in path.name:
@@ -200,7 +200,7 @@ def _remove_old(folder: Path) -> None:
 
 
 def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
-    """Cache of a function into which `parts` (classes, functions) are compiled."""
+    """Make the cache of a function, into which `parts` (classes and functions) are compiled."""
     what = " ".join([*(part.__name__ for part in parts[:1]), f"{function.__module__}.{function.__name__}"])
     for part in parts:
         if part.__module__ in ("__main__", "__mp_main__") or "<locals>" in part.__qualname__:
@@ -209,13 +209,13 @@ def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
     try:
         sources = {source for thing in (function, *parts) for source in _sources(thing)}
         return DiskCache(function, what, stamp_of(*STAMPED, *sorted(sources)))
-    except (RuntimeError, OSError) as error:  # no folder to write; no file to watch
+    except (RuntimeError, OSError) as error:  # there is no folder to write to, or no source file to watch
         return MemoryCache(what, str(error))
 
 
 # ------------------------------------------------------------------------------------------------------------ the stamp
 def stamp_of(*sources: Path) -> str:
-    """Hash of files, and of all Python files in folders."""
+    """Return a hash of files, and of all Python files in folders."""
     return _hash("".join(map(_stamp, sources)).encode())
 
 
@@ -230,7 +230,7 @@ def _hash(data: bytes) -> str:
 
 
 def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
-    """Files of a class or function, and of the compiled functions and records it uses, as far as they are outside STAMPED."""
+    """Yield the files outside STAMPED of a class or function, and of the compiled functions and records that it uses."""
     seen = set() if seen is None else seen
     thing = getattr(thing, "py_func", thing)
     path = Path(inspect.getsourcefile(thing) or __file__)
@@ -240,11 +240,11 @@ def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
     yield path
     for function in filter(inspect.isfunction, vars(thing).values() if isinstance(thing, type) else (thing,)):
         if function.__code__.co_filename != str(path):
-            continue  # what a NamedTuple generates has no file
+            continue  # methods that NamedTuple generates have no file
         found = inspect.getclosurevars(function)
         values = [*found.globals.values(), *found.nonlocals.values()]
         modules = [value for value in values if isinstance(value, types.ModuleType)]
-        values += [vars(module).get(name) for module in modules for name in found.unbound]  # module.function(...)
+        values += [vars(module).get(name) for module in modules for name in found.unbound]  # for calls of module.name()
         for value in values:
             if isinstance(value, Dispatcher) or (isinstance(value, type) and hasattr(value, "_fields")):
                 yield from _sources(value, seen)

@@ -1,6 +1,6 @@
-"""How the kernels are compiled: one set of numba options, classes whose methods compile, and a cache on disk (see cache.py)."""
+"""How kernels are compiled: the options of numba, records whose methods compile, and a cache on disk (see cache.py)."""
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import gc
@@ -15,8 +15,8 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-# Releases of numba whose private interfaces pipeline.py and typing_cache.py were tried with; scripts/try_numba.py tries another.
-# In one that was not tried they raise at best, and at worst LLVM ends the process, so any other compiles in its usual, slower way.
+# Releases of numba with which pipeline.py and typing_cache.py work; any other release compiles in numba's own, slower way.
+# They use private interfaces of numba, and in another release LLVM might end the process; scripts/try_numba.py tries one.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 PARTS: dict[str, Any] = {}
@@ -28,28 +28,29 @@ if OWN_WAY:
     PARTS, CALLED = {"pipeline_class": PartPipeline}, {"pipeline_class": CalledPipeline}
     KERNEL = {"pipeline_class": KernelPipeline}
 
-# No nnan/ninf: a NaN has to fail every test instead of being assumed away.
+# The flags nnan and ninf are left out, because a NaN must fail every test and must not be assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-jit = njit(**OPTIONS)  # also callable from Python; compiled into its callers, never cached separately
-# What follows is for the kernel alone (see pipeline.py); a call from Python would crash. Only what makes arrays counts references
-# (`build`); all the rest borrows them, so a record of arrays costs nothing to pass, and must not return an array, or a record
-# of arrays, to a function that counts.
-# What makes arrays is compiled by plain numba: as a part, its references are counted in full, 5 microseconds a call.
+# `jit` is for functions that Python calls, too; they are compiled into their callers and never cached alone.
+jit = njit(**OPTIONS)
+# The options that follow are for functions that only kernels call (see pipeline.py); a call from Python would crash.
+# Functions that make arrays count references, as plain numba does; compiled as parts they would take 5 us longer a call.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+# All other functions borrow references; they must not return an array, or a record of arrays, to a function that counts them.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
-# numba passes the request to inline on to everything that is called, unless it is refused.
+# numba passes a request to inline on to all functions that are called, so a part that is not inlined refuses it.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
-inner = njit(**{**BARE, **CALLED})  # one copy, called: for code that is rarely run, or large and used in several places
-inline = njit(**INLINE)  # into every caller; also for code that takes or returns records, which are expensive to pass
-build = njit(**BUILD)
-spliced = njit(inline="always", **BARE)  # for a large part called once: no second copy is optimised
-shared = register_jitable(**INLINE)  # inline in the kernel, and from Python as it is written
+# One copy that is called, for code that is rarely run, or large and used in several places.
+inner = njit(**{**BARE, **CALLED})
+inline = njit(**INLINE)  # a copy in every caller, for small code and for code that takes or returns large records
+build = njit(**BUILD)  # a copy in every caller, for code that makes arrays
+spliced = njit(inline="always", **BARE)  # for a large part with one caller, so that no second copy is optimised
+shared = register_jitable(**INLINE)  # inlined in kernels, and run by Python as it is written
 
 
 def dual(function: Callable) -> Any:
-    """Compile as `jit` for calls from Python, and for kernels as a part, without code that Python calls. Makes no arrays."""
+    """Decorator: compile a function that makes no arrays twice, as `jit` for Python and as a part for kernels."""
     dispatcher = jit(function)
-    if hasattr(dispatcher, "get_overload"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
+    if hasattr(dispatcher, "get_overload"):  # NUMBA_DISABLE_JIT=1 leaves the Python function as it is
         part = njit(**BARE)(function)
         dispatcher.get_call_template, dispatcher.get_overload = part.get_call_template, part.get_overload
     return dispatcher
@@ -59,17 +60,19 @@ def dual(function: Callable) -> Any:
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
 }  # fmt: skip
-METHODS: dict[str, dict[type, Callable]] = {}  # name -> class -> function
-FIELDS: set[str] = set()
+METHODS: dict[str, dict[type, Callable]] = {}  # functions by name of the method and class of the record
+FIELDS: set[str] = set()  # names of all fields of records
 
 
 def compiled(cls: type) -> type:
     """Class decorator: let kernels call the methods of a NamedTuple class, each inlined where it is called.
 
-    A method is chosen by the class of the record it is called on, at compile time: this is how the one search loop gets its
-    rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) they are the plain methods they look like. Methods of one
-    name have the same names of arguments in all classes; numba looks up methods before fields, so no field may have the name
-    of a method, of whatever class. Class methods, and methods no kernel calls, stay Python.
+    The method is chosen at compile time by the class of the record it is called on; this is how the one search loop gets its rule
+    and its problem. Without compilation (NUMBA_DISABLE_JIT=1) it is a normal method. Methods of one name must have the same names
+    of arguments in all classes. As numba looks up methods before fields, no field may have the name of any method.
+
+    Raises:
+        TypeError: A field and a method share a name.
     """
     FIELDS.update(cls._fields)  # type: ignore[attr-defined]
     for name, method in vars(cls).items():
@@ -83,12 +86,12 @@ def compiled(cls: type) -> type:
 
 
 def _let_numba_know(name: str, example: Callable) -> None:
-    """Register a method name with numba; its classes are looked up when a call is compiled."""
+    """Register the name of a method with numba; its function is looked up when a call is compiled."""
 
     def resolve(self: Any, *_: Any) -> Callable | None:
         return METHODS[name].get(getattr(self, "instance_class", None))  # type: ignore[arg-type]
 
-    resolve.__signature__ = inspect.signature(example)  # type: ignore[attr-defined]  numba compares the names of arguments
+    resolve.__signature__ = inspect.signature(example)  # type: ignore[attr-defined]  # numba compares the names of arguments
     if name in OPERATORS:
         overload(OPERATORS[name], jit_options=INLINE)(resolve)
     else:
@@ -97,19 +100,20 @@ def _let_numba_know(name: str, example: Callable) -> None:
 
 # ----------------------------------------------------------------------------------------------------------- the boundary
 def cached(function: Callable, *parts: Any) -> Any:
-    """Compile with a cache on disk that an edit of any source makes void: kernel files, the function's, those of `parts`.
+    """Decorator: compile a function that Python calls, with a cache on disk.
 
-    parts: classes and functions compiled into it that cannot be found by its global names (a rule).
+    The cache is void after an edit of any kernel file, of the function's file, or of the files of `parts`: classes and functions
+    that are compiled into it but that its global names do not lead to, such as a rule.
     """
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **KERNEL)(function)
-    if hasattr(dispatcher, "_cache"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
+    if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT=1 leaves the Python function as it is
         dispatcher._cache = make_cache(function, parts)
         dispatcher._compile_for_args = without_collector(dispatcher._compile_for_args)
     return dispatcher
 
 
 def without_collector(compile_for: Callable) -> Callable:
-    """Compile with the garbage collector paused: searching millions of objects, most of them kept, takes a tenth of the time."""
+    """Wrap a function that compiles so that the garbage collector pauses, which saves a tenth of the time."""
 
     @functools.wraps(compile_for)
     def call(*arguments: Any, **keywords: Any) -> Any:

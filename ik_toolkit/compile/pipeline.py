@@ -1,6 +1,6 @@
-"""How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run separately.
+"""A faster way to compile parts of a kernel, which are never called from outside it and need no machine code of their own.
 
-This uses undocumented interfaces of numba, so jit.py imports it only for the releases with which it was tried.
+It uses undocumented interfaces of numba, so jit.py imports it only for releases with which it was tried.
 """
 
 from functools import partial
@@ -14,30 +14,29 @@ from numba.core.compiler import Compiler, Flags
 
 from .typing_cache import Passes, remembering, size_of
 
-# LLVM's first level of optimising: the third makes kernels no faster (scripts/benchmarks/against.py) and code that takes thrice the
-# time to turn into machine code: of a tracker's 45 s of compiling, 16, and 5 to 7 at the first.
+# LLVM's level of optimisation; the third takes three times as long and makes kernels no faster (scripts/benchmarks/against.py).
 LEVEL = 1
 
 
 class PartLibrary(JITCodeLibrary):
-    """Code of a part, simplified, but without machine code, and without optimising again what it calls.
+    """Code of a part, simplified but not turned into machine code, and without the functions it calls.
 
-    All of a kernel is optimised once, when everything is in it. Simplifying each function beforehand pays off: it is short then.
+    A kernel is optimised once, when all parts are in it. To simplify each function before saves time, because it is short then.
     """
 
     def add_ir_module(self, ir_module: Any) -> None:
-        """Take the code as it is: the kernel is verified, with all its parts."""
+        """Add code without verifying it, because the kernel is verified with all its parts."""
         self._raise_if_finalized()
         made = parse_assembly(normalize_ir_text(str(ir_module)))
         made.name = ir_module.name
         self._optimize_functions(made)
         if any(not function.is_declaration for function in self._final_module.functions):
             self._final_module.link_in(made)
-        else:  # the first, and mostly the only one
+        else:  # the first module is taken as it is; mostly it is the only one
             self._final_module = made
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        """Simplify what the module defines; numba makes new passes for each function, and for those only declared, too."""
+        """Simplify the functions that a module defines, with one set of passes; numba would make one for each function."""
         ll_module.data_layout = self._codegen._data_layout
         passes, builder = self._codegen._function_pass_manager(opt=LEVEL)
         for function in ll_module.functions:
@@ -45,7 +44,7 @@ class PartLibrary(JITCodeLibrary):
                 passes.run(function, builder)
 
     def finalize(self) -> None:
-        """Keep to its own code: what it calls is linked once, into the kernel (numba links it into every caller again)."""
+        """Finish without linking what the part calls: the kernel links it once, where numba would link it into every caller."""
         self._raise_if_finalized()
         for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
@@ -55,7 +54,7 @@ class PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """With all that it calls: for a library of numba's own, which links what it calls directly."""
+        """Return the code with all that it calls, for a library of numba's own, which links only what it calls directly."""
         module = self._final_module.clone()
         link(module, self._linking_libraries)
         return module
@@ -71,14 +70,14 @@ class KernelLibrary(JITCodeLibrary):
         super().finalize()
 
     def _optimize_final_module(self) -> None:
-        """Once cheaply, which inlines, so that more counting of references can be left out (numba's first step); then well."""
+        """Optimise cheaply to inline functions, so that numba can leave out more counting of references; then optimise well."""
         first = self._codegen._module_pass_manager(loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap")
         for passes, builder in (first, self._codegen._module_pass_manager(opt=LEVEL)):
             passes.run(self._final_module, builder)
 
 
 def link(module: Any, libraries: list) -> None:
-    """Link libraries and all that they call into a module: each after its callers, or LLVM would find it unused and drop it."""
+    """Link libraries and all that they call into a module, each after its callers, as LLVM drops what nothing calls yet."""
     order: dict[Any, None] = {}
 
     def visit(library: Any) -> None:
@@ -95,7 +94,7 @@ def link(module: Any, libraries: list) -> None:
 
 
 class CalledLibrary(PartLibrary):
-    """The same of a part that stays one copy: LLVM would inline what is called at one place, however long and seldom."""
+    """Code of a part that stays one copy; LLVM would inline a function with one caller, however long it is."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         for function in ll_module.functions:
@@ -104,22 +103,22 @@ class CalledLibrary(PartLibrary):
         super()._optimize_functions(ll_module)
 
 
-# Options of a part that the functions it calls set for themselves; numba derives the second from the first.
+# Options that every part sets for itself, whatever its caller has; numba derives the second from the first.
 OWN = {"forceinline", "dbg_optnone"}
 
 
 class Quick(Flags):
-    """Options of a compilation, compared by those that were set.
+    """Options of a compilation that are compared fast, by those that were set.
 
-    numba looks its overloads up by them for every operator of every function; Flags compares all fifty, by name. Whether the
-    caller itself is inlined is left out: it would make two copies of each method that parts of both kinds call.
+    numba compares options to find an overload for every operator of every function, and `Flags` compares all fifty. The options
+    OWN are not compared, as there would be two copies of each method that inlined and called parts use.
     """
 
     def values(self) -> dict:
         return self._values
 
     def __hash__(self) -> int:
-        return hash(Quick)  # next to the types of a call, which tell calls apart
+        return hash(Quick)  # all options share one hash, because numba looks up the types of a call first
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, Quick) and self._shared() == other._shared()
@@ -128,8 +127,7 @@ class Quick(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# Passes that have nothing to do in a part: `with`, comprehensions, functions made in functions, exceptions, numba's own inlining,
-# expressions of arrays. Each visits the whole function, and so does the work that follows a pass.
+# Passes that a part does not need: for `with`, comprehensions, closures, exceptions, inlining by numba, expressions of arrays.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",
@@ -138,13 +136,13 @@ UNNEEDED = {
 
 
 class PartPipeline(Compiler):
-    """numba's pipeline into a PartLibrary."""
+    """numba's pipeline, which compiles into a PartLibrary."""
 
     library = PartLibrary
-    passes: ClassVar[list] = []  # the same for every part, made once
+    passes: ClassVar[list] = []  # numba's passes for a part, made once
 
     def define_pipelines(self) -> list:
-        """numba's, without the passes that find nothing in a kernel."""
+        """Return numba's passes without those that a part does not need."""
         if not PartPipeline.passes:
             (manager,) = super().define_pipelines()
             quick = Passes("part")
@@ -154,7 +152,7 @@ class PartPipeline(Compiler):
         return PartPipeline.passes
 
     def compile_extra(self, func: Any) -> Any:
-        """Compile a function; what would call it from Python is empty."""
+        """Compile a function without the code by which Python would call it."""
         state = self.state
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = Quick(state.flags)
@@ -170,13 +168,13 @@ class PartPipeline(Compiler):
 
 
 class CalledPipeline(PartPipeline):
-    """The same into a CalledLibrary."""
+    """The pipeline of a part that is called, which compiles into a CalledLibrary."""
 
     library = CalledLibrary
 
 
 class KernelPipeline(Compiler):
-    """numba's pipeline into a KernelLibrary."""
+    """numba's pipeline, which compiles into a KernelLibrary."""
 
     def compile_extra(self, func: Any) -> Any:
         self.state.library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)

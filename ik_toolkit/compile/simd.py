@@ -1,10 +1,10 @@
-"""A value of eight float64 for compiled kernels: its arithmetic is SIMD, and code written for numbers accepts it.
+"""SIMD vectors of eight float64 for compiled functions, which code written for numbers accepts.
 
-`full`, `load` and `store` make and move such values, comparisons give masks for `choose` and `bits`; operators, `abs`,
-`math.sqrt` and `np.rint` work as on numbers. Only inside compiled functions.
+Operators, `abs`, `math.sqrt` and `np.rint` work as on numbers. `full`, `load` and `store` make and move vectors; comparisons give
+masks for `choose` and `bits`.
 """
 
-# numba itself gives an intrinsic its first argument, which type checkers cannot know.
+# The type checker must ignore that numba itself passes the first argument of an intrinsic.
 # pyright: reportCallIssue=false, reportOptionalCall=false
 import math
 import operator
@@ -20,9 +20,8 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from .array_view import parts_of
 
-WIDTH = (
-    8  # two registers of AVX2, one of AVX-512: with four the chain of dependent operations is as long for half the work
-)
+# Length of a vector: two registers of AVX2 or one of AVX-512. Four would take almost as long, as operations wait for each other.
+WIDTH = 8
 _DATA = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
 
@@ -59,7 +58,7 @@ def _splat(builder: Any, number: Any) -> Any:
 
 
 def _binary(op: Callable, emit: Callable, result: types.Type) -> None:
-    """Define `op` for vectors, and for a vector and a number."""
+    """Define an operator for two vectors, and for a vector and a number."""
 
     @infer_global(op)
     class Template(AbstractTemplate):
@@ -118,7 +117,7 @@ _logic(operator.or_, "or_")
 
 
 def _function(plain: Callable, name: str) -> None:
-    """Let `plain` take a vector, as the LLVM intrinsic `name`."""
+    """Let the function `plain` take a vector, for which it becomes the LLVM intrinsic `name`."""
 
     @intrinsic
     def call(typing, x):
@@ -144,8 +143,8 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> A
 
 
 @intrinsic
-def load(typing, array, start):
-    """Vector of array[start : start + WIDTH]."""
+def lane_load(typing, array, start):
+    """Return the vector of array[start : start + WIDTH]."""
 
     def generate(context, builder, sig, args):
         return builder.load(_pointer(context, builder, sig.args[0], *args), align=8)
@@ -166,19 +165,19 @@ def store(typing, array, start, value):
 
 @intrinsic
 def full(typing, number):
-    """Vector of one number."""
+    """Return a vector of copies of one number."""
     return vector(types.float64), lambda context, builder, sig, args: _splat(builder, args[0])
 
 
 @intrinsic
-def choose(typing, condition, yes, no):
-    """`yes` where the mask is true, else `no`."""
+def lane_select(typing, condition, yes, no):
+    """Return a vector that has the numbers of `yes` where the mask is true, and those of `no` elsewhere."""
     return vector(mask, vector, vector), lambda context, builder, sig, args: builder.select(*args)
 
 
 @intrinsic
 def bits(typing, condition):
-    """Mask as a whole number, one bit a lane."""
+    """Return a mask as a whole number with one bit for each lane."""
 
     def generate(context, builder, sig, args):
         return builder.zext(builder.bitcast(args[0], ir.IntType(WIDTH)), ir.IntType(64))

@@ -1,6 +1,6 @@
-"""Work that numba repeats for every call of a part: cached, or left out, while a kernel is compiled.
+"""Caches for work that numba repeats for every call of a part while it compiles a kernel.
 
-None of this changes the result: the same functions are found for the same types, and the same code comes out.
+They do not change the result: the same functions are found for the same types, and the same code is made.
 """
 
 import sys
@@ -15,16 +15,16 @@ from numba.core.compiler_machinery import PassManager, _pass_registry
 from numba.core.postproc import PostProcessor
 from numba.core.transforms import canonicalize_cfg
 
-everything = PostProcessor.run
-# numba's timers, one for each part being compiled, which it notifies of every call of LLVM, some 20,000 a kernel.
+everything = PostProcessor.run  # numba's own method, which `in_order` replaces while a kernel is compiled
+# numba's timers, one for each part that is compiled; it notifies them of every call of LLVM, some 20,000 for a kernel.
 listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
 class Passes(PassManager):
-    """Passes over a part, without what numba does around each: events, clocks, and checks of what the pass has made."""
+    """Passes over a part, without the events, timers and checks with which numba surrounds each."""
 
     def run(self, state: Any) -> None:
-        """Run all passes; the blocks are put in order after one that moved them."""
+        """Run all passes, and sort the blocks of the code after one that moved them."""
         for kind, _ in self.passes:
             known = _pass_registry.get(kind)
             step = known.pass_inst
@@ -37,7 +37,7 @@ class Passes(PassManager):
 
 
 def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-    """In place of PostProcessor.run: how long variables live matters where references are counted, or a generator waits."""
+    """Replace PostProcessor.run, whose search for how long variables live only reference counts and generators need."""
     if emit_dels or self.func_ir.is_generator:
         everything(self, emit_dels, extend_lifetimes)
     else:
@@ -46,14 +46,14 @@ def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False)
 
 @cache
 def size_of(target: Any, kind: Any) -> int:
-    """Bytes of a type of LLVM: numba writes a module with a variable of that type and has it parsed."""
+    """Return the size of an LLVM type [bytes]; numba would write a module with such a variable and parse it each time."""
     return kind.get_abi_size(target)
 
 
 def remembered(function: Callable) -> Callable:
-    """The same function, with its results cached by the identity of its arguments.
+    """Cache the results of a function by the identity of its arguments.
 
-    numba has one object for equal types, so objects are compared: a record of records takes long to compare.
+    numba has one object for equal types, so it is enough to compare objects; to compare types of nested records takes long.
     """
     known: dict[tuple, tuple] = {}
 
@@ -61,7 +61,8 @@ def remembered(function: Callable) -> Callable:
         key = tuple(map(id, arguments))
         found = known.get(key)
         if found is None:
-            found = function(*arguments), arguments  # kept, so that no other object gets the same address
+            # The arguments are kept, so that no other object gets the same identity.
+            found = function(*arguments), arguments
             if found[0] is not None:
                 known[key] = found
         return found[0]
@@ -71,12 +72,12 @@ def remembered(function: Callable) -> Callable:
 
 @contextmanager
 def remembering(typing: Any) -> Iterator[None]:
-    """Look up what is called with which types, and each field and method of a record, once for a whole kernel.
+    """Cache, while a kernel is compiled, which overload a call with given types means, and the fields and methods of records.
 
-    typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. What is remembered ends
-    with the kernel: functions may be defined anew before the next.
+    typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. The cache ends with the
+    kernel, because functions may be defined again before the next one.
     """
-    if "resolve_function_type" in vars(typing):  # a kernel that calls a kernel
+    if "resolve_function_type" in vars(typing):  # a kernel that another kernel calls uses the same cache
         yield
         return
     told, resolve, find = listeners[:], typing.resolve_function_type, typing.find_matching_getattr_template
@@ -86,7 +87,8 @@ def remembering(typing: Any) -> Iterator[None]:
     def resolve_function_type(function: Any, kinds: Any, names: Any) -> Any:
         if names or not isinstance(function, types.Callable):
             return resolve(function, kinds, names)
-        if isinstance(function, types.Dispatcher):  # one copy for all numbers; what is inlined meets them again in LLVM
+        # One copy serves all constants; LLVM sees them again once it is inlined.
+        if isinstance(function, types.Dispatcher):
             kinds = map(types.unliteral, kinds)
         return call(function, *kinds)
 

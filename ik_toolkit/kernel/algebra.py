@@ -1,10 +1,10 @@
-"""Vectors, rotations and frames in the kernel: records of numbers, or of lanes of eight numbers (`vector`).
+"""Vectors, rotations and frames as records of numbers.
 
-The formulas are written once: a component is a float in the search for one target and a vector of eight floats in `lanes`.
-After inlining nothing of these records is left in the machine code.
+The formulas are written once and serve twice: a component is a float in the search for one target, and a SIMD vector of eight
+floats (`vector`) in the batch search. After inlining nothing of these records is left in the machine code.
 """
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import Any, NamedTuple
@@ -13,14 +13,14 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.jit import INLINE, compiled, inline
-from ..compile.simd import WIDTH, full, load, store, vector
+from ..compile.simd import WIDTH, full, lane_load, store, vector
 
-Number = Any  # a float, or a vector of eight
+Number = Any  # a float, or a SIMD vector of eight floats
 
 
 @compiled
 class V3(NamedTuple):
-    """Three components. (On plain tuples + means concatenation, which is not needed here.)"""
+    """A vector of three components; + and - work by component, unlike those of a plain tuple."""
 
     x: Number
     y: Number
@@ -36,7 +36,7 @@ class V3(NamedTuple):
         return V3(-self.x, -self.y, -self.z)
 
     def __mul__(self, other):
-        """By a number, on the right."""
+        """Return the vector times a number, which stands on the right."""
         return V3(self.x * other, self.y * other, self.z * other)
 
     def dot(self, other):
@@ -55,7 +55,7 @@ class V3(NamedTuple):
 
 @compiled
 class M3(NamedTuple):
-    """A 3x3 matrix by its columns; of a rotation these are the axes."""
+    """A 3x3 matrix, stored by its columns; those of a rotation are the axes of a frame."""
 
     x: V3
     y: V3
@@ -65,7 +65,7 @@ class M3(NamedTuple):
         return self.x * v.x + self.y * v.y + self.z * v.z
 
     def across(self, v):
-        """The transpose times v."""
+        """Return the transpose of the matrix times v."""
         return V3(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
 
@@ -88,7 +88,7 @@ class Sym3(NamedTuple):
         )
 
     def plus(self, a, b):
-        """With a b' added, where a is along b."""
+        """Return the matrix plus the outer product a b', which is symmetric because a is parallel to b."""
         return Sym3(
             self.xx + a.x * b.x, self.xy + a.y * b.x, self.xz + a.z * b.x,
             self.yy + a.y * b.y, self.yz + a.z * b.y, self.zz + a.z * b.z,
@@ -99,10 +99,10 @@ class Sym3(NamedTuple):
         return a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
 
     def factors(self):
-        """L D L', for solving. An inverse by cofactors would be less accurate.
+        """Factor the matrix into L D L', for solving.
 
-        Where the matrix is almost only damping, as the rotations of joints that all turn about one axis, the entries of an
-        inverse are 1 over the damping and what they are multiplied with cancels, down to rounding.
+        An inverse by cofactors would be less accurate where the matrix is almost singular but for the damping, as when all joints
+        turn about one axis: its entries are as large as 1 / damping, and their products cancel down to rounding.
         """
         i0 = 1.0 / self.xx
         l10, l20 = self.xy * i0, self.xz * i0
@@ -114,7 +114,7 @@ class Sym3(NamedTuple):
 
 @compiled
 class Factors(NamedTuple):
-    """L (below its diagonal of ones) and the inverses of the pivots D of a symmetric 3x3 matrix L D L'."""
+    """Factors of a symmetric 3x3 matrix L D L': the entries of L below its diagonal of ones, and the inverses of D."""
 
     l10: Number
     l20: Number
@@ -122,22 +122,22 @@ class Factors(NamedTuple):
     pivots: V3
 
     def forward(self, v):
-        """L^-1 v."""
+        """Return L^-1 v, the first step of solving L D L' x = v."""
         y = v.y - self.l10 * v.x
         return V3(v.x, y, v.z - self.l20 * v.x - self.l21 * y)
 
     def scaled(self, v):
-        """D^-1 v."""
+        """Return D^-1 v, the second step of solving L D L' x = v."""
         return V3(self.pivots.x * v.x, self.pivots.y * v.y, self.pivots.z * v.z)
 
     def back(self, v):
-        """L'^-1 v."""
+        """Return L'^-1 v, the last step of solving L D L' x = v."""
         y = v.y - self.l21 * v.z
         return V3(v.x - self.l10 * y - self.l20 * v.z, y, v.z)
 
 
 class Pose(NamedTuple):
-    """Orientation and point of a frame."""
+    """A frame: its axes and its origin."""
 
     axes: M3
     point: V3
@@ -145,19 +145,19 @@ class Pose(NamedTuple):
 
 @compiled
 class Blocks(NamedTuple):
-    """The symmetric 6x6 matrix [[P, Q'], [Q, S]] of a damped step; linear part first."""
+    """The symmetric 6x6 matrix [[P, Q'], [Q, S]] of a damped step, with the linear errors first."""
 
     P: Sym3
     Q: M3
     S: Sym3
 
     def with_column(self, a, b, u, v):
-        """With [a; b] [u; v]' added, where [a; b] is along [u; v]."""
+        """Return the matrix plus the outer product [a; b] [u; v]', which is symmetric because the two are parallel."""
         Q = self.Q
         return Blocks(self.P.plus(a, u), M3(Q.x + b * u.x, Q.y + b * u.y, Q.z + b * u.z), self.S.plus(b, v))
 
     def solve(self, a, b):
-        """y, z with Blocks [y; z] = [a; b], by the complement of S."""
+        """Solve the system for the right side [a; b] by the Schur complement of S; return both halves of the solution."""
         P = self.P
         inner = self.S.factors()
         x, y, z = inner.forward(self.Q.x), inner.forward(self.Q.y), inner.forward(self.Q.z)
@@ -174,16 +174,16 @@ class Blocks(NamedTuple):
 
 @inline
 def diagonal(d):
-    """Blocks of d times the identity."""
+    """Return d times the identity as Blocks."""
     o = alike(d, 0.0)
     none = V3(o, o, o)
     return Blocks(Sym3(d, o, o, d, o, d), M3(none, none, none), Sym3(d, o, o, d, o, d))
 
 
 # ----------------------------------------------------------------------------------------------------------- in memory
-# An array (m,) holds m numbers, an array (m, 8) holds m vectors of eight lanes.
+# These functions read and write both kinds of component: an array (m,) holds m floats, an array (m, 8) holds m SIMD vectors.
 def at(A, i):
-    """Number or lanes at place i."""
+    """Return component i of an array."""
     return A[i]
 
 
@@ -191,11 +191,11 @@ def at(A, i):
 def _at(A, i):
     if A.ndim == 1:
         return lambda A, i: A[i]
-    return lambda A, i: load(A, i * WIDTH)
+    return lambda A, i: lane_load(A, i * WIDTH)
 
 
 def put(A, i, value):
-    """Write a number or lanes to place i."""
+    """Write component i of an array."""
     A[i] = value
 
 
@@ -211,7 +211,7 @@ def _put(A, i, value):
 
 
 def alike(x, number):
-    """`number` as what x is: a number or eight lanes of it."""
+    """Return `number` in the form of x: as a float, or as a SIMD vector of eight copies."""
     return number
 
 
@@ -222,13 +222,13 @@ def _alike(x, number):
 
 @inline
 def at3(A, i):
-    """Vector from place i on."""
+    """Read a V3 from components i, i + 1 and i + 2 of an array."""
     return V3(at(A, i), at(A, i + 1), at(A, i + 2))
 
 
 @inline
 def put3(A, i, v):
-    """Write a vector from place i on."""
+    """Write a V3 to components i, i + 1 and i + 2 of an array."""
     put(A, i, v.x)
     put(A, i + 1, v.y)
     put(A, i + 2, v.z)
@@ -236,7 +236,7 @@ def put3(A, i, v):
 
 @inline
 def rotation_at(A, i):
-    """Matrix from nine places, by rows."""
+    """Read an M3 from nine components of an array that hold it by rows, from component i on."""
     return M3(
         V3(at(A, i), at(A, i + 3), at(A, i + 6)),
         V3(at(A, i + 1), at(A, i + 4), at(A, i + 7)),
@@ -246,7 +246,7 @@ def rotation_at(A, i):
 
 @inline
 def put_axes(A, i, m):
-    """Write a matrix to nine places, by rows."""
+    """Write an M3 by rows to nine components of an array, from component i on."""
     put3(A, i, V3(m.x.x, m.y.x, m.z.x))
     put3(A, i + 3, V3(m.x.y, m.y.y, m.z.y))
     put3(A, i + 6, V3(m.x.z, m.y.z, m.z.z))
@@ -254,12 +254,13 @@ def put_axes(A, i, m):
 
 @inline
 def sincos(x):
-    """Sine and cosine together and branch-free, so that a loop over the joints vectorises; error below 1e-14 for |x| < 1e9.
+    """Return the sine and cosine of x [rad], with an error below 1e-14 for |x| < 1e9.
 
-    x: a number or lanes.
+    They are computed together and without branches, so that a loop over the joints vectorises.
     """
     k = np.rint(x * 0.31830988618379067154)
-    r = x - k * 3.1415926218032836914  # 25 bits of pi, then the rest of it
+    # Pi in two parts, of which the first has 25 bits, so that its product with k is exact.
+    r = x - k * 3.1415926218032836914
     r = r - k * 3.178650954705639e-08
     h = 0.5 * k
     sign = 1.0 - 4.0 * abs(h - np.rint(h))
@@ -279,13 +280,14 @@ def sincos(x):
 
 @inline
 def rotation_left(now, goal):
-    """sin(angle) times the axis of the rotation that brings M3 `now` to `goal`, and 1 + cos(angle)."""
+    """Return sin(angle) times the axis of the rotation that brings M3 `now` to `goal`, and 1 + cos(angle)."""
     sine = (now.x.cross(goal.x) + now.y.cross(goal.y) + now.z.cross(goal.z)) * 0.5
     return sine, 0.5 * (1.0 + now.x.dot(goal.x) + now.y.dot(goal.y) + now.z.dot(goal.z))
 
 
 @inline
 def chord(angle):
-    """|2 sin(angle/2)|^2, from the angle a tolerance allows; no rotation exceeds half a turn."""
+    """Return |2 sin(angle/2)|^2 for the angle [rad] that a tolerance allows."""
+    # A length of 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
     length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
     return length * length

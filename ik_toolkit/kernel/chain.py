@@ -1,6 +1,6 @@
-"""The flat arrays a kernel runs on, and how a chain's geometry is packed into them.
+"""The flat arrays that a kernel runs on, and how the geometry of a robot is packed into them.
 
-Several tips have one chain each, all reading one shared vector of coordinates.
+Several tips have one chain each; all chains read one shared vector of coordinates.
 """
 
 import math
@@ -17,15 +17,18 @@ from .records import POINTS, TASK, Array, Ends
 from .starts import FEATURES, PAD, ROTATION_WEIGHT, SEEDS
 
 __all__ = ["ROW", "Chain", "pack"]
-WINDING = 5 * TAU
-TURNING = 1e4  # rad; the limits of a joint with a wider range are nominal
-LONGEST_UNIT = 1e4  # m; the unit of lengths is longer only for offsets that are
-LEAST_REACH = 1e-10  # m; offsets below are what a CAD program left of 0, and a target is rounded as coarsely
+WINDING = 5 * TAU  # rad, an endless joint is brought back by full turns beyond this; any start and step are well inside
+TURNING = 1e4  # rad, a joint with a wider range counts as endless when random starts are drawn
+LONGEST_UNIT = 1e4  # m, the kernel's unit of length is longer than this only if the links are
+LEAST_REACH = 1e-10  # m, a shorter reach is the rounding of a CAD program and not a length, so that 1 m is used instead
 
 
 @cached
-def forward(rows, ends, Q, unit, T, J) -> None:
-    """Tip poses T (N, 4, 4) [m] in base axes and Jacobians J (N, 6, n) at Q (N, n); J may be (0, 6, n) to skip them."""
+def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
+    """Fill T (N, 4, 4) with tip poses [m, base axes] and J with Jacobians at Q (N, n).
+
+    J is (N, 6, n), or (0, 6, n) to skip the Jacobians.
+    """
     n = Q.shape[1]
     box = Ends(ends, n)
     base, tool = rotation_at(ends, 0), rotation_at(ends, 12)
@@ -55,18 +58,18 @@ def forward(rows, ends, Q, unit, T, J) -> None:
                 J[t, 3, i], J[t, 4, i], J[t, 5, i] = v.x, v.y, v.z
 
 
-def run(rows, ends, Q, unit, jacobian=False):
-    """T (N, 4, 4) and, when asked, J (N, 6, n) at Q (N, n) by `forward`."""
+def poses_at(rows, ends, Q, unit, jacobian=False):
+    """Return tip poses T (N, 4, 4) at Q (N, n) and, if asked for, Jacobians J (N, 6, n), computed by `forward`."""
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
-    forward(rows, ends, Q, unit, T, J)
+    forward_kinematics(rows, ends, Q, unit, T, J)
     return T, J
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """What `run` returns, by array arithmetic over all of Q (N, n) at once: starts no compiler.
+    """Return what `run` returns, by numpy operations over all of Q (N, n), so that loading a robot needs no compiler.
 
-    It serves where a robot is loaded; `run`, which the tests hold to the same numbers, is some ten times as fast.
+    `run`, which the tests hold to the same numbers, is some ten times as fast.
     """
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
@@ -104,39 +107,36 @@ def evaluate(rows, ends, Q, unit, jacobian=False):
 
 
 class Chain(NamedTuple):
-    """One serial path base -> tip, ready for the kernels.
+    """One serial chain from base to tip as the kernels need it, with L joints and n coordinates."""
 
-    rows (L, 10): see kinematics.py. ends: base (12), tip (12), then n values each of lower, upper, turns (1: may wrap by full
-    turns inside its limits, 2: endless), unit (1, or `scale` for a prismatic coordinate), sampling low, sampling span, home;
-    then scale and reach bounds. seeds (256, n) and features (13, 272) are the table of start configurations. lower, upper
-    (n,) in rad or m.
-    """
-
-    rows: np.ndarray
-    ends: np.ndarray
-    seeds: np.ndarray
-    features: np.ndarray
-    unit: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    turns: np.ndarray
-    scale: float
-    reach: float
-    plain: bool  # row i moves coordinate i alone: no followers
+    rows: np.ndarray  # (L, 10) geometry, see kinematics.py
+    ends: np.ndarray  # base, tip, limits and reach, see `records.Ends`
+    seeds: np.ndarray  # (256, n) configurations to start from
+    features: np.ndarray  # (13, 272) what is compared with a target to choose among them, see `table`
+    unit: np.ndarray  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
+    lower: np.ndarray  # (n,) limits [rad or m]
+    upper: np.ndarray  # (n,) limits [rad or m]
+    turns: np.ndarray  # (n,) 1 if a coordinate may wrap by full turns, else 0
+    scale: float  # kernel unit of length [m]
+    reach: float  # longest distance of the tip [m]
+    plain: bool  # whether row i moves coordinate i alone, without followers
 
     @property
     def n(self) -> int:
-        """Number of coordinates."""
+        """Return the number of coordinates."""
         return len(self.lower)
 
     def forward(self, Q: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """T_base_tip (N, 4, 4) and, when asked, Jacobians (N, 6, n; base axes, linear rows first) at Q (N, n)."""
+        """Return poses T_base_tip (N, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6, n).
+
+        The Jacobians are in base axes, with the linear rows first.
+        """
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
-        return run(self.rows, self.ends, Q, self.unit, jacobian)
+        return poses_at(self.rows, self.ends, Q, self.unit, jacobian)
 
 
 def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Longest possible distance from each joint's point to the one before (infinite for an unlimited slide)."""
+    """Return the longest possible distance (L,) of each joint from the one before; it is infinite for an unlimited slide."""
     lengths = np.zeros(len(rows))
     for i, row in enumerate(rows):
         k = int(row[8])
@@ -146,8 +146,13 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
     return lengths
 
 
-def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where to draw starts (kernel units): inside the limits, one turn or one reach where there are none (or practically none)."""
+def start_range(
+    lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the range [kernel units] from which starts are drawn: the limits, or one turn or reach where there are none.
+
+    The limits of a turning joint count as none if they are wider than TURNING.
+    """
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
     high = np.where(np.isfinite(upper), upper, low + 2 * half)
@@ -156,9 +161,10 @@ def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndar
     return low, np.where(wide, low + TAU, high)
 
 
-def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = run) -> np.ndarray:
-    """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (seeds.nearest).
+def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
+    """Return features (13, N + PAD) of the configurations seeds (N, n): what `starts.nearest` compares with a target.
 
+    They are the tip's position, the last joint's rotation and the squared distance of the tip, scaled for a squared distance.
     kinematics: `run`, or `evaluate` where nothing may be compiled yet.
     """
     count, n = seeds.shape
@@ -174,7 +180,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
-    """The last six numbers of `ends` (see `records.Ends.bound`) for coordinates within lower, upper (n,); kernel units."""
+    """Return the six bounds on the reach (see `records.Ends.bound`) for coordinates within lower, upper (n,) [kernel units]."""
     lengths = segments(rows, lower, upper)
     tool = float(np.linalg.norm(tip[9:]))
     shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])
@@ -183,7 +189,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Radius the path cannot fold into: the longest rigid piece minus all the others at their longest."""
+        """Return the radius that a chain cannot fold into: its longest rigid piece minus all the others at their longest."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -196,7 +202,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
 
 
 def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
-    """Copy of `ends` whose reach bounds hold when limits do not count: slides then reach any distance."""
+    """Return a copy of `ends` whose reach bounds hold where limits are ignored, so that slides reach any distance."""
     endless = np.full(n, np.inf)
     free = ends.copy()
     free[POINTS + 7 * n + 1 : POINTS + 7 * n + 7] = reach_bounds(rows, ends[12:24], -endless, endless)
@@ -204,7 +210,7 @@ def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
 
 
 def without_wrap(ends: np.ndarray, n: int) -> np.ndarray:
-    """Copy of `ends` in which bounded joints stop at their limits, whatever their range; endless ones keep turning."""
+    """Return a copy of `ends` in which joints with limits never wrap, whatever their range; endless joints still do."""
     ends = ends.copy()
     turns = ends[..., POINTS + 2 * n : POINTS + 3 * n]
     turns[turns == 1.0] = 0.0
@@ -219,9 +225,20 @@ def pack(
     upper: np.ndarray,
     home: np.ndarray,
 ) -> Chain:
-    """Make the kernel's arrays from rows, base and tip (12: rotation by rows, point; metres), limits and home (rad or m).
+    """Make the kernel's arrays of a chain.
 
-    Coordinates that turn and drive nothing else may wrap when their range covers a full turn.
+    Coordinates that turn and drive no other joint may wrap if their range covers a full turn.
+
+    Args:
+        rows: (L, 10) geometry [m], see kinematics.py.
+        base: (12,) rotation by rows, then point [m], of the first joint's frame in the base.
+        tip: (12,) rotation by rows, then point [m], of the tip in the last joint's frame.
+        lower: (n,) limits [rad or m].
+        upper: (n,) limits [rad or m].
+        home: (n,) where a search without q0 starts [rad or m].
+
+    Returns:
+        The chain, with lengths in kernel units.
     """
     rows, base, tip = rows.copy(), base.copy(), tip.copy()
     n = len(lower)
@@ -229,11 +246,11 @@ def pack(
     slides = np.array([not rows[owner == k, 9].any() for k in range(n)])
     mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
     followers = np.bincount(owner, minlength=n)
-    # A full turn of a coordinate is one of its joint when they are the same; a lone follower may turn half as far.
+    # A full turn of a coordinate is a full turn of its joint only if the joint follows it with ratio 1.
     own = followers == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
     turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
-    # Reach: offsets along the path plus finite strokes; one metre where that gives no bound, or nothing but rounding.
+    # The reach is the sum of all offsets and finite strokes, or one metre where that is no bound or nothing but rounding.
     lengths = segments(rows, lower, upper)
     finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
     reach = float(finite[1:].sum() + np.linalg.norm(tip[9:]))
@@ -241,12 +258,12 @@ def pack(
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
     if not LEAST_REACH < reach < np.inf:
         reach = 1.0
-    # Beside a unit as long as a stroke of 1000 km, which some files write for "far", a tolerance of 1e-6 m would be rounding.
+    # Some files give a slide a stroke of 1000 km to say "far"; in a unit that long a tolerance of 1e-6 m would be rounding.
     bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
     scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
     rows[:, [2, 3, 7]] /= scale
     for i, k in enumerate(owner):
-        if not slides[k] and not rows[i, 9]:  # a slide that follows a turning leader: its ratio is a length
+        if not slides[k] and not rows[i, 9]:  # the ratio of a slide that follows a turning joint is a length
             rows[i, 6] /= scale
     base[9:] /= scale
     tip[9:] /= scale
@@ -254,19 +271,19 @@ def pack(
     low_k, high_k = lower / unit, upper / unit
     # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(low_k, high_k, slides, turns)
+    low, high = start_range(low_k, high_k, slides, turns)
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
-    # An uncommon seed: a target drawn with default_rng(1) must not be found in the table by accident.
+    # The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
     features = table(rows, ends, seeds, evaluate)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach, bool(own.all()))
 
 
 @cached
-def levers(rows, ends, Q, unit, D) -> None:
-    """Distances D (N, L) [m] of the tip from the axis of each joint on the path at Q (N, n)."""
+def joint_levers(rows, ends, Q, unit, D) -> None:
+    """Fill D (N, L) with the distances [m] of the tip from the axis of each joint at Q (N, n) [rad or m]."""
     n = Q.shape[1]
     size, angles = room(rows.shape[0])
     q, joints, trig = np.empty(n), np.empty(size), np.zeros(angles)
@@ -280,59 +297,64 @@ def levers(rows, ends, Q, unit, D) -> None:
             D[t, i] = math.sqrt(arm.square()) * Ends(ends, n).scale()
 
 
-ROWS = 2048  # of the table of starts; each tip picks its own joints from it
+ROWS = 2048  # size of the table of starts for several tips, of which each picks its own joints
 
 
 class TreeChain(NamedTuple):
-    """Chains of F tips over n shared coordinates, ready for the kernel.
+    """The chains of F tips over n shared coordinates as the kernels need them."""
 
-    rows (L, 10) of all chains, one after the other; ends (F, ...) as in Chain, with the shared coordinates, then the number of
-    rows of the tip and `moves` (n), 1 where a coordinate moves it; seeds (N, n) and features (F, 13, N + PAD) are the table of
-    starts: each tip picks its own joints from it, the first the shared ones too. unit, lower, upper (n,); scale: length of one
-    kernel unit [m].
-    """
-
-    rows: Array
-    ends: Array
+    rows: Array  # (L, 10) geometry of all chains, one after the other
+    ends: Array  # (F, ...) `records.Ends` of each tip; then its number of rows, and (n) 1 where a coordinate moves it
+    # (N, n) configurations to start from; each tip picks its own joints from them, the first also the shared ones.
     seeds: Array
-    features: Array
-    unit: Array
-    lower: Array
-    upper: Array
-    scale: float
+    features: Array  # (F, 13, N + PAD) what is compared with a target to choose among them, see `table`
+    unit: Array  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
+    lower: Array  # (n,) limits [rad or m]
+    upper: Array  # (n,) limits [rad or m]
+    scale: float  # kernel unit of length [m]
 
-    plain = False  # columns are scattered: no chain has all the coordinates
+    plain = False  # no chain has all the coordinates, so columns of the Jacobians are scattered
 
     @property
     def turns(self) -> Array:
-        """As in Chain: 0 where a coordinate never wraps."""
+        """Return (n,): 0 if a coordinate never wraps, 1 if it wraps inside its limits, 2 if it is endless."""
         n = len(self.lower)
         return self.ends[0, POINTS + 2 * n : POINTS + 3 * n]
 
     @property
     def parts(self) -> list[Array]:
-        """Rows of each chain."""
-        return split(self.rows, self.ends, len(self.lower))
+        """Return the rows of each chain."""
+        return split_rows(self.rows, self.ends, len(self.lower))
 
     def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
-        """T_base_tip (N, F, 4, 4) and, when asked, stacked Jacobians (N, 6 F, n; base axes, linear first) at Q (N, n)."""
+        """Return poses T_base_tip (N, F, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6 F, n).
+
+        The Jacobians are in base axes, six rows for each tip, with the linear rows first.
+        """
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
         parts = zip(self.parts, self.ends, strict=True)
-        poses, stack = zip(*(run(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
+        poses, stack = zip(*(poses_at(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
         return np.stack(poses, axis=1), np.concatenate(stack, axis=1)
 
 
-def split(rows: Array, ends: Array, n: int) -> list[Array]:
-    """Rows of each chain of a tree over n coordinates."""
+def split_rows(rows: Array, ends: Array, n: int) -> list[Array]:
+    """Return the rows of each chain of a tree over n coordinates."""
     return np.split(rows, np.cumsum(ends[:, -n - 1].astype(int))[:-1])
 
 
-def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> TreeChain:
-    """Join chains; places[f][i] is the shared coordinate of coordinate i of chain f. lower, upper, home (n,) [rad or m]."""
+def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> Chain | TreeChain:
+    """Join one chain for each tip, all in one kernel unit of length.
+
+    places[f][i] is the index, among the shared coordinates, of coordinate i of chain f; lower, upper, home (n,) [rad or m].
+    """
     n, F = len(lower), len(chains)
+    if F == 1:
+        ends = chains[0].ends.copy()
+        ends[POINTS + 6 * n : POINTS + 7 * n] = home / chains[0].unit
+        return chains[0]._replace(ends=ends)
     scale = max(chain.scale for chain in chains)
     parts = []
-    for chain, place in zip(chains, places, strict=True):  # back to metres (scales are powers of two, so exactly)
+    for chain, place in zip(chains, places, strict=True):  # back to metres, exactly because scales are powers of two
         rows, own = chain.rows.copy(), chain.rows[:, 8].astype(int)
         turning = [rows[own == k, 9].any() for k in range(chain.n)]
         rows[:, [2, 3, 7]] *= chain.scale
@@ -348,7 +370,7 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
     for chain, place in zip(chains, places, strict=True):
         turns[place] &= chain.turns > 0.0
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(lower / unit, upper / unit, slides, turns)
+    low, high = start_range(lower / unit, upper / unit, slides, turns)
     inside = [
         np.where(endless, -WINDING, lower / unit),
         np.where(endless, WINDING, upper / unit),

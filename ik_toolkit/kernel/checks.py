@@ -1,27 +1,43 @@
-"""Decisions about a target outside the iteration: whether it is a pose, and whether it is in reach."""
+"""Decisions made outside the iteration: whether a target is a pose and in reach, and why an attempt makes no progress."""
 
 import math
+from typing import NamedTuple
 
 from ..compile.jit import cached, inner
 from .algebra import V3, at3, put3, rotation_at
 from .counted_error import allowance
 from .records import WHAT
 
+# The status codes that kernels return; `solvers.status.Status` explains them to the user.
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
-BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start must be examined outside the kernel
-TOO_FAR = 11  # 10 is COLLISION, found outside the kernel
-ORTHONORMAL = 1e-6  # how far products of the axes of a pose may be off 0 and 1
-LAST_ROW = 1e-9  # how far its last row may be off 0 0 0 1
-REACH_SLACK = 1e-9  # [kernel units] more than any rounding of the bound: "unreachable" is a proof
-WIDE = 2.0  # rad of remaining rotation above which it gives no bound on the last joint's place: a chord is never longer
-UNSEEN = 1e-16  # cos^2 of the angle between error and what the joints can do, below which that is rounding
-BLOCKED = 1e-4  # share of the squared gradient left to free joints, below which the attempt counts as held by limits
-FAR = 1e100  # coordinates [m] beyond this are refused: their squares would overflow
+# The target or the start is invalid: Python examines it and raises, so users never see these.
+BAD_TARGET, BAD_START = 8, 9
+TOO_FAR = 11  # the code 10 is COLLISION, which is found outside the kernel
+ORTHONORMAL = 1e-6  # a pose may have axes whose products differ from 0 and 1 by less
+LAST_ROW = 1e-9  # a pose may have a last row that differs from 0 0 0 1 by less
+FAR = 1e100  # a pose with coordinates [m] beyond this is refused, because their squares would overflow
+
+
+class Proofs(NamedTuple):
+    """Bounds beyond which a target counts as out of reach, or an attempt as held."""
+
+    # Kernel units, more than any rounding of the reach bound, so that "unreachable" is a proof.
+    reach_slack: float = 1e-9
+    # rad, a rotation tolerance from which on the last joint's place is unbounded, as no chord exceeds 2.
+    wide: float = 2.0
+    unseen: float = 1e-16  # least cos^2 of the angle between the error and what the joints can do that is not rounding
+    blocked: float = 1e-4  # limits hold an attempt if the free joints have less than this share of the squared gradient
+
+
+PROOF = Proofs()
 
 
 @inner
 def ring(p, reach, hole, ends, slack):
-    """Length by which a point lies outside the reach, or inside the hole, of an arm whose foot a lift may move."""
+    """Return the length by which a point lies outside the reach, or inside the hole around the foot, of an arm.
+
+    The foot may be carried by a vertical slide (a lift).
+    """
     across = p.x * p.x + p.y * p.y
     low, high = ends.bound(4), ends.bound(5)
     near = p.z - min(max(p.z, low), high)
@@ -31,17 +47,17 @@ def ring(p, reach, hole, ends, slack):
 
 @inner
 def beyond(goal, ends, task, tol_p, tol_r):
-    """Length by which the target lies outside the reach bound (0 = not proven unreachable), in kernel units.
+    """Return the length [kernel units] by which a target is proven out of reach, 0 if nothing is proven.
 
-    A tip whose errors are inside what the task and the tolerances allow is no further than that from the target's point. The
-    last joint's point is fixed by the pose, up to the part of the tool across a free turn: the arm without its tool must reach it.
+    A tip inside the tolerances is no further from the target's point than they allow. The pose also fixes the place of the last
+    joint (but for the part of the tool normal to a free axis), and the arm without its tool must reach that.
     """
-    point, slack = at3(goal, 9), allowance(task, 0, tol_p) + REACH_SLACK
+    point, slack = at3(goal, 9), allowance(task, 0, tol_p) + PROOF.reach_slack
     if not slack < math.inf:
         return 0.0
     worst = max(0.0, ring(point, ends.bound(0), ends.bound(1), ends, slack))
     angle = allowance(task, 3, tol_r)
-    if angle < WIDE:
+    if angle < PROOF.wide:
         tool, side = at3(ends.flat, 21), 0.0
         if task[WHAT.free] > 0.0:
             axis = at3(task, WHAT.ax)
@@ -56,7 +72,7 @@ def beyond(goal, ends, task, tol_p, tol_r):
 
 @inner
 def edge(goal, ends, excess):
-    """Move the goal's point by `excess` towards (or, inside the hole, away from) the first joint."""
+    """Move the goal's point by `excess` to the edge of the reach: towards the first joint, or away from it inside the hole."""
     p = at3(goal, 9)
     centre = V3(0.0, 0.0, min(max(p.z, ends.bound(4)), ends.bound(5)))
     out = p - centre
@@ -66,7 +82,7 @@ def edge(goal, ends, excess):
 
 @inner
 def rigid(T, within):
-    """Whether T (4, 4) is finite, its rotation orthonormal to `within` and right-handed, its last row 0 0 0 1 (NaN fails)."""
+    """Return whether T (4, 4) is a pose: finite, orthonormal to within the given bound, right-handed, last row 0 0 0 1."""
     total = 0.0
     last = abs(T[3, 3] - 1.0)
     for r in range(3):
@@ -83,13 +99,16 @@ def rigid(T, within):
 
 @cached
 def is_rigid(T):
-    """`rigid` for calls from Python."""
+    """Return whether T (4, 4) is a pose, for calls from Python."""
     return rigid(T, ORTHONORMAL)
 
 
 @inner
 def standstill(p, look, near, boxed):
-    """Why an attempt makes no progress, after p.jacobian: blocked by limits, singular (no joint sees the error), or stalled."""
+    """Return why an attempt makes no progress: LIMIT_BLOCKED, SINGULAR (no joint changes the error) or STALLED.
+
+    p.desk.J must be that of the given evaluation; near: `Ends` with the limits of a step.
+    """
     q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0
     for i in range(q.shape[0]):
@@ -99,6 +118,6 @@ def standstill(p, look, near, boxed):
         whole += g * g
         if not (boxed and ((q[i] <= near.lower(i) and g < 0.0) or (q[i] >= near.upper(i) and g > 0.0))):
             free += g * g
-    if whole <= UNSEEN * look.ee * size:
+    if whole <= PROOF.unseen * look.ee * size:
         return SINGULAR
-    return LIMIT_BLOCKED if free < BLOCKED * whole else STALLED
+    return LIMIT_BLOCKED if free < PROOF.blocked * whole else STALLED

@@ -1,34 +1,88 @@
-"""How fast pairs of parts can come closer: bounds for a whole motion, and half-planes for one step.
-
-V (E, 6): velocity of each moving joint per unit of its coordinate, of the point at the root's origin (3) and the turn (3).
-coordinates (E,): joint of q behind each, from the root outwards. by_a, by_b (P, E): whether it moves only the first part of a
-pair, or only the second.
-"""
+"""Bounds on how fast pairs of shapes can approach each other: for a whole motion, and as half-planes for one step."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
 
-FINEST = 1.0 / 64.0  # of a piece: what cannot be proven in parts of this size needs a new measurement
+# Smallest part of a piece in which a motion is proven free; beyond it the distance must be measured again.
+FINEST = 1.0 / 64.0
+
+
+class Bodies(NamedTuple):
+    """The shapes of a scene (S), its pairs of shapes (P) and the moving joints (E), at one configuration, in the root's axes."""
+
+    # (E, 6) velocity per unit of each joint: of the point that is at the root's origin (3), and angular velocity (3)
+    V: np.ndarray
+    coordinates: np.ndarray  # (E,) index in q of each joint, from the root outwards
+    middle: np.ndarray  # (S, 3) centres [m] of the spheres around the shapes
+    radius: np.ndarray  # (S,) radii [m] of the spheres
+    a: np.ndarray  # (P,) first shape of each pair
+    b: np.ndarray  # (P,) second shape of each pair
+    by_a: np.ndarray  # (P, E) whether a joint moves only the first shape of a pair
+    by_b: np.ndarray  # (P, E) whether a joint moves only the second shape of a pair
+
+
+class Facing(NamedTuple):
+    """Pairs whose nearest points are known, one row a pair."""
+
+    ks: np.ndarray  # (K,) indices of the pairs
+    points: np.ndarray  # (K, 2, 3) nearest points [m], root axes
+    gap: np.ndarray  # (K,) distance [m] that the pair may still lose
+
+
+class Approach(NamedTuple):
+    """Rules for how fast a pair may approach."""
+
+    slope: float  # [1/s] highest speed of approach over the gap
+    step: float  # [s] length of a control step, in which a pair may lose at most half of its gap
+    share: float  # a joint takes part in the braking of a pair above this share of the pair's largest entry
+    flat: float  # [m/rad or 1] a pair with no entry above this is left out: no joint can move it
+
+
+class HalfPlanes(NamedTuple):
+    """Room for the half-planes A x <= b that limit the joint rates x, the one that leaves least room first."""
+
+    A: np.ndarray  # (R, n) speed of approach per unit of each joint rate
+    b: np.ndarray  # (R,) highest speed of approach [m/s]
+    order: np.ndarray  # (R,) row of `Facing` that each half-plane is for
+
+
+class Separation(NamedTuple):
+    """Pairs whose distance and direction are known where a motion is looked at from, one row a pair."""
+
+    ks: np.ndarray  # (K,) indices of the pairs
+    normals: np.ndarray  # (K, 3) unit vectors from the first to the second shape, zero where a shape is not convex
+    distances: np.ndarray  # (K,) distances of the pairs [m]
+
+
+class BrakingPath(NamedTuple):
+    """A motion in pieces of equal duration, as `servo.viability.brake` writes it."""
+
+    Q: np.ndarray  # (N + 1, n) joint values
+    R: np.ndarray  # (N + 1, n) joint rates
+    L: np.ndarray  # (N + 1, n) lengths that the joints have travelled
+    gamma: float  # 1 where the rate is constant over a piece, less where it changes evenly
+    h: float  # [s] duration of a piece
 
 
 @dual
 def travelled(start, change, f):
-    """How far a joint has gone a fraction f into a piece: its speed grows evenly from `start` by `change` [per piece]."""
+    """Return how far a joint has gone a fraction f into a piece: its speed grows evenly from `start` by `change` [per piece]."""
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
-    if 0.0 < turn < f:  # it reverses on the way
+    if 0.0 < turn < f:  # the joint's motion reverses on the way
         far = 0.5 * start * turn
         return abs(far) + abs(there - far)
     return abs(there)
 
 
 @dual
-def speeds(Q, R, k, j, gamma, h):
-    """Speed of joint j at the start of piece k and its growth [per piece], as the methods assume (see `interpolate`)."""
+def speed_and_growth(Q, R, k, j, gamma, h):
+    """Return the speed of joint j at the start of piece k and its growth [both per piece]; arrays as of `BrakingPath`."""
     move = Q[k + 1, j] - Q[k, j]
     start = move if gamma == 1.0 else h * R[k, j]
     return start, 2.0 * (move - start)
@@ -36,14 +90,14 @@ def speeds(Q, R, k, j, gamma, h):
 
 @dual
 def position(Q, R, L, k, j, gamma, h, f):
-    """Value of joint j a fraction f into piece k, and how far it has gone by then."""
-    start, change = speeds(Q, R, k, j, gamma, h)
+    """Return the value of joint j a fraction f into piece k, and how far it has gone by then; arrays as of `BrakingPath`."""
+    start, change = speed_and_growth(Q, R, k, j, gamma, h)
     return Q[k, j] + start * f + 0.5 * change * f * f, L[k, j] + travelled(start, change, f)
 
 
 @cached
 def along(Q, R, L, gamma, h, u, q, length) -> None:
-    """Joint values q (n,) u pieces along a path of `brake`, and how far (n,) each joint has gone by then."""
+    """Fill q (n,) and length (n,): the joint values u pieces into a `BrakingPath`, and how far each joint has gone by then."""
     k = min(int(u), Q.shape[0] - 2)
     for j in range(q.shape[0]):
         q[j], length[j] = position(Q, R, L, k, j, gamma, h, u - k)
@@ -51,18 +105,24 @@ def along(Q, R, L, gamma, h, u, q, length) -> None:
 
 @inline
 def speed_at(V, e, point):
-    """Velocity of a point when joint e moves."""
+    """Return the velocity of a point (root axes) per unit of joint e."""
     return at3(V[e], 0) + at3(V[e], 3).cross(point)
 
 
 @cached
-def levers(V, coordinates, middle, radius, a, b, by_a, by_b, way, out, spread) -> None:
-    """How much closer each pair can come per unit of each moving joint, out (P, E), while joint i goes up to way (n,).
+def levers(parts, way, out, spread) -> None:
+    """Bound how much closer each pair can come while each joint moves at most `way` [rad or m].
 
-    middle (S, 3), radius (S,): spheres around the shapes; a, b (P,): shapes of the pairs. spread (P,): the sum over all of
-    the way. A joint's lever is the distance of its axis from the far end of the sphere now, and grows by as much as the
-    joints after it can move the shape.
+    The lever of a joint is the distance of its axis from the far end of a shape's sphere, and grows by as much as the joints
+    after it can move the shape.
+
+    Args:
+        parts: `Bodies` where the motion starts.
+        way: (n,) largest move of each joint.
+        out: (P, E) receives how much closer each pair can come per unit of each moving joint.
+        spread: (P,) receives how much closer each pair can come in all [m].
     """
+    V, coordinates, middle, radius, a, b, by_a, by_b = parts
     E = V.shape[0]
     own = np.empty((middle.shape[0], E))
     turn = np.empty(E)
@@ -87,14 +147,27 @@ def levers(V, coordinates, middle, radius, a, b, by_a, by_b, way, out, spread) -
 
 
 @cached
-def rows(V, coordinates, by_a, by_b, ks, points, gap, rate, deceleration, slope, step, share, flat, A, b, order) -> int:
-    """Half-planes A x <= b (R, n), (R,) for the joint rates x that let pairs ks (K,) still brake; returns how many.
+def rows(parts, facing, rate, deceleration, rules, planes) -> int:
+    """Write the half-planes for joint rates under which pairs can still brake before they touch.
 
-    points (K, 2, 3): nearest points of each pair; gap (K,): distance [m] it may still lose; rate (n,): now; deceleration (n,)
-    of the joints. A pair comes closer by at most slope [1/s] times its gap, by half of it in a step [s], and so that all
-    joints with a share in it can end it within the gap. The rows that leave the least room come first; order (R,) says of which of
-    ks they are. A pair with no entry above flat is left out.
+    A pair may approach at `rules.slope` times its gap, may lose half of its gap in a step, and all joints with a share in the
+    approach must be able to end it within the gap.
+
+    Args:
+        parts: `Bodies` at the current configuration.
+        facing: The pairs, as `Facing`.
+        rate: (n,) current joint rates [rad/s or m/s].
+        deceleration: (n,) braking deceleration of the joints [rad/s^2 or m/s^2].
+        rules: `Approach`.
+        planes: `HalfPlanes`, filled from the first row on.
+
+    Returns:
+        How many half-planes were written.
     """
+    V, coordinates, by_a, by_b = parts.V, parts.coordinates, parts.by_a, parts.by_b
+    ks, points, gap = facing
+    slope, step, share, flat = rules
+    A, b, order = planes
     K, n = ks.shape[0], A.shape[1]
     all_rows, bounds, room = np.zeros((K, n)), np.empty(K), np.empty(K)
     for r in range(K):
@@ -134,8 +207,11 @@ def rows(V, coordinates, by_a, by_b, ks, points, gap, rate, deceleration, slope,
 
 
 @dual
-def bend(turn, lever, moved, length):
-    """How far a part may be from where its velocities now would take it, after the joints went `length` (second order)."""
+def second_order_motion(turn, lever, moved, length):
+    """Bound [m] how far a part can be from where its present velocities would take it.
+
+    It is a bound of second order in `length` (E,), the ways of the joints; `moved` (E,) says which of them move the part.
+    """
     total, before = 0.0, 0.0
     for e in range(length.shape[0]):
         if moved[e]:
@@ -145,16 +221,24 @@ def bend(turn, lever, moved, length):
 
 
 @cached
-def free_until(
-    V, coordinates, middle, radius, a, b, by_a, by_b, ks, normals, distances, levers, Q, R, L, gamma, h, start, out
-) -> None:
-    """How far each of the pairs ks (K,) is certainly free along a path of `brake`, out (K,) in pieces, seen from `start` pieces.
+def free_until(parts, pairs, levers, path, start, out) -> None:
+    """Find how far each pair is certainly free of contact along a path.
 
-    distances (K,) [m] they have, and normals (K, 3), from first to second, at the start; V, middle (S, 3) as in `levers`, there,
-    too; levers (P, E) for all of the path. Nothing convex reaches through the plane between two parts before their points have
-    come that much closer along its normal: by the velocities at the start times the moves of the joints, and by the bend of
-    their ways. A zero normal stands for parts that are not convex: then only the length of the paths counts.
+    Nothing convex reaches through the plane between two shapes before their points have come that much closer along its normal:
+    by the velocities at the start times the moves of the joints, and by the bend of their ways. For shapes that are not convex
+    (zero normal) only the length of the ways counts.
+
+    Args:
+        parts: `Bodies` where the path is at `start`.
+        pairs: `Separation` of K pairs there.
+        levers: (P, E) from the function `levers`, for the whole path.
+        path: `BrakingPath`.
+        start: Where the path is looked at from [pieces].
+        out: (K,) receives where each pair's proof ends [pieces].
     """
+    V, coordinates, middle, radius, a, b, by_a, by_b = parts
+    ks, normals, distances = pairs
+    Q, R, L, gamma, h = path
     E, last = V.shape[0], Q.shape[0] - 1
     first = min(int(start), last - 1)
     rate, turn, swing = np.empty(E), np.empty(E), np.empty((2, 3 * E))
@@ -178,7 +262,7 @@ def free_until(
             spread = moved_a * radius[a[p]] + moved_b * radius[b[p]]
             size[e] = abs(rate[e]) + spread * math.sqrt(swung.square())
         k, f0, share, done = first, start - first, 1.0, start
-        before = 0.0  # how much closer at the place reached so far
+        before = 0.0  # how much closer [m] the pair is at the place reached so far
         while done < last and share >= FINEST:
             f = min(1.0, f0 + share)
             way, curve, closing = 0.0, 0.0, 0.0
@@ -191,9 +275,11 @@ def free_until(
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
                 # Between two places the motion leaves the straight line by up to an eighth of the speed's change.
-                curve += 0.125 * abs(speeds(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
+                curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
-            bent = bend(turn, levers[p], by_a[p], length) + bend(turn, levers[p], by_b[p], length)
+            bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(
+                turn, levers[p], by_b[p], length
+            )
             if way < distances[r] or (not flat and max(closing, before) + curve + bent < distances[r]):
                 before, done = closing, k + f
                 k, f0 = (k + 1, 0.0) if f == 1.0 else (k, f)

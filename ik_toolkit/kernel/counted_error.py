@@ -1,36 +1,53 @@
-"""Which part of the pose error counts: all of it, the position, none, or a part: `shape` and its derivative `count_column`.
+"""Which part of a tip's pose error counts: `shape` computes the errors that count, `count_column` their derivative.
 
-The error of a tip is e = target - tip and the rotation vector r of the rotation that is left, R_target = exp(r) R_tip. Where
-only a part counts it becomes, in this order,
+The error of a tip is e = target - tip and the rotation vector r of the rotation that is left, R_target = exp(r) R_tip. All of it
+may count, the position alone, nothing, or a part. A part is made in this order:
 
-    a free turn     r is the least rotation that brings the tip's axis a onto the target's axis b
-    a frame         e and r in the axes E of the base, the tip or the target
-    slack s         e_i -> sign(e_i) max(|e_i| - s_i, 0)
-    weights w       e_i -> w_i e_i
+    a free turn     r becomes the least rotation that brings the tip's axis a onto the target's axis b
+    a frame         e and r are expressed in the axes of the base, the tip or the target
+    slack s         e_i becomes sign(e_i) max(|e_i| - s_i, 0)
+    weights w       e_i becomes w_i e_i
 
-Errors inside their slack do not see the joints, so their rows of the Jacobian are zero: the least squares of what is left
-outside. They and their derivative are continuous there, and near the answer the rows do not change any more.
+An error inside its slack is zero, and so is its row of the Jacobian; the least squares of the other errors are continuous where
+one enters its slack, and near the answer the set of rows does not change any more.
 """
 
 import math
+from typing import NamedTuple
 
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, at3, put3, rotation_at
 from .kinematics import angle_ratio, rotation_angle
 from .records import WHAT
 
-POSE, POSITION, FREE, PART = range(4)
-AXIS = "axis"  # (AXIS, axis) is a kind of target, not of task: a pose of which the turn about a tip axis is free
-BASE, TIP, TARGET = range(3)
-# What `shape` keeps for `count_column`, by place. A column (u, v) counts as L (u + v x arm), A v; the target's, where it moves
-# with another tip, as L (u + v x ARM_GOAL), B v; three rows each of L, A and B, and the errors themselves.
-L, A, B, ARM, ARM_GOAL, ERROR, KEPT = 0, 9, 18, 27, 30, 33, 39
-STRAIGHT = 1e-9  # sine of the angle below which two directions count as parallel: their cross product is rounding
+POSE, POSITION, FREE, PART = range(4)  # what counts of a tip's error: all of it, its position, nothing, or a part of it
+AXIS = "axis"  # a target (AXIS, axis) is a pose whose turn about an axis of the tip is free
+BASE, TIP, TARGET = range(3)  # frames in which weights and slacks may be given
+
+
+class KeptIndices(NamedTuple):
+    """Indices of what `shape` leaves in an array (KEPT,) for the derivative.
+
+    A column (u, v) of the tip counts as L (u + v x arm), A v. A column of the target, where it moves with another tip, counts as
+    L (u + v x arm_goal), B v.
+    """
+
+    L: int = 0  # index of the matrix L (9), by rows
+    A: int = 9  # index of the matrix A (9), by rows
+    B: int = 18  # index of the matrix B (9), by rows
+    arm: int = 27  # index of the vector arm (3)
+    arm_goal: int = 30  # index of the vector arm_goal (3)
+    error: int = 33  # index of the six errors that count
+
+
+IN = KeptIndices()
+KEPT = 39  # length of the array that `shape` fills
+STRAIGHT = 1e-9  # two directions are parallel if the sine of their angle is below this: their cross product is rounding
 
 
 @inner
 def allowance(task, first, tolerance):
-    """Largest norm of the three errors from `first` on that is inside the tolerance; inf when one of them does not count."""
+    """Return the largest norm that three errors (from index `first` on) may have inside a tolerance; inf if one does not count."""
     least, room = math.inf, 0.0
     for i in range(first, first + 3):
         least = min(least, task[WHAT.w0 + i])
@@ -40,19 +57,19 @@ def allowance(task, first, tolerance):
 
 @inner
 def log_curvature(rr):
-    """c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r with rr = |r|^2 (its inverse right Jacobian)."""
+    """Return c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r that turns at w, with rr = |r|^2."""
     if rr < 1e-4:
-        return 1.0 / 12.0 + rr / 720.0  # the next term is rr^2 / 30240
+        return 1.0 / 12.0 + rr / 720.0  # the series of the formula below, whose next term is rr^2 / 30240
     half = 0.5 * math.sqrt(rr)
     return (1.0 - half * math.cos(half) / math.sin(half)) / rr
 
 
 @inner
 def shape(task, ends, goal, now, linear, angular, kept):
-    """Errors that count, of a pose error (angular: 2 sin(angle/2) times the axis); `kept` (KEPT,) is for `count_column`.
+    """Return the errors (linear, angular) that count of a pose error, and fill kept (KEPT,) for `count_column`.
 
-    now: axes of the last joint. When the tip turns by v the rotation vector r falls by G v, when the target does it grows by
-    G' v; r itself turns with its axes where they move.
+    The given angular error is 2 sin(angle/2) times the axis; now: axes of the last joint. When the tip turns by v, the rotation
+    vector r falls by G v; when the target turns by v, r grows by G' v.
     """
     none = V3(0.0, 0.0, 0.0)
     if int(task[WHAT.kind]) == FREE:
@@ -62,7 +79,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
     target = rotation_at(goal, 0)
     frame, turns = int(task[WHAT.frame]), task[WHAT.free] > 0.0
     a, b, k, f, slope = none, none, none, 0.0, 0.0
-    if turns:  # r = f a x b; f = angle / sine, and its slope by the cosine
+    if turns:  # r = f a x b, where f = angle / sine, and `slope` is the derivative of f by the cosine
         axis = at3(task, WHAT.ax)
         a, b = now.times(axis), target.times(axis)
         k = a.cross(b)
@@ -71,7 +88,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if sine > STRAIGHT:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
-        elif cosine < 0.0:  # half a turn about any axis across; 0.7: the longer of two
+        elif cosine < 0.0:  # half a turn, for which any axis normal to a will do
             r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
             r = r * (math.pi / math.sqrt(r.square()))
     else:
@@ -83,7 +100,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != BASE:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # G' times the axis: a row of G
+        if turns:  # a row of G is the axis times G
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -93,45 +110,45 @@ def shape(task, ends, goal, now, linear, angular, kept):
             own = own + across
         e, w, s = axis.dot(linear), task[WHAT.w0 + i], task[WHAT.s0 + i]
         e = e - min(max(e, -s), s)
-        kept[ERROR + i] = w * e
-        put3(kept, L + 3 * i, axis * (w if e != 0.0 or s == 0.0 else 0.0))
+        kept[IN.error + i] = w * e
+        put3(kept, IN.L + 3 * i, axis * (w if e != 0.0 or s == 0.0 else 0.0))
         e, w, s = axis.dot(r), task[WHAT.w3 + i], task[WHAT.s3 + i]
         e = e - min(max(e, -s), s)
-        kept[ERROR + 3 + i] = w * e
+        kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
-        put3(kept, A + 3 * i, own * w)
-        others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5  # and G times it
-        put3(kept, B + 3 * i, (others - across if frame == TARGET else others) * w)
-    put3(kept, ARM, linear if frame == TIP else none)
-    put3(kept, ARM_GOAL, -linear if frame == TARGET else none)
-    return at3(kept, ERROR), at3(kept, ERROR + 3)
+        put3(kept, IN.A + 3 * i, own * w)
+        others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5  # a row of G' is the axis times G'
+        put3(kept, IN.B + 3 * i, (others - across if frame == TARGET else others) * w)
+    put3(kept, IN.arm, linear if frame == TIP else none)
+    put3(kept, IN.arm_goal, -linear if frame == TARGET else none)
+    return at3(kept, IN.error), at3(kept, IN.error + 3)
 
 
 @inline
 def rows_at(kept, i):
-    """Three rows, as the columns of the transpose."""
+    """Read a matrix of three rows from index i on, and return its transpose (its rows as columns)."""
     return M3(at3(kept, i), at3(kept, i + 3), at3(kept, i + 6))
 
 
 @inner
 def count_column(kept, linear, angular):
-    """Column of what counts, of a column of the tip, where `shape` was called last."""
-    linear = linear + angular.cross(at3(kept, ARM))
-    return rows_at(kept, L).across(linear), rows_at(kept, A).across(angular)
+    """Convert a Jacobian column of the tip to the errors that count, at the configuration for which `shape` filled `kept`."""
+    linear = linear + angular.cross(at3(kept, IN.arm))
+    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.A).across(angular)
 
 
 @inner
 def count_goal_column(kept, linear, angular):
-    """The same of a target that moves: how the error grows."""
-    linear = linear + angular.cross(at3(kept, ARM_GOAL))
-    return rows_at(kept, L).across(linear), rows_at(kept, B).across(angular)
+    """Convert a motion of the target to the growth of the errors that count, where `shape` filled `kept`."""
+    linear = linear + angular.cross(at3(kept, IN.arm_goal))
+    return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.B).across(angular)
 
 
 @inner
 def turn_axis(task, kept, out):
-    """Normal (3,) of the mirror that lays the rotation about a free axis last, where it is 0; zeros where none is free.
+    """Write to out (3,) the normal n of the mirror after which the third rotation error is always 0; zeros if no turn is free.
 
-    The three errors of a rotation whose turn is free have one dependence, c' r = 0; H = 1 - 2 n n' brings c to the z axis.
+    The three rotation errors of a tip with a free turn depend on each other by c' r = 0; the mirror 1 - 2 n n' brings c to z.
     """
     for k in range(3):
         out[k] = 0.0
@@ -141,7 +158,7 @@ def turn_axis(task, kept, out):
         or min(task[WHAT.w3], task[WHAT.w4], task[WHAT.w5]) == 0.0
     ):
         return
-    m = rows_at(kept, A)
+    m = rows_at(kept, IN.A)
     x, y, z = V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z)
     a, b, c = x.cross(y), y.cross(z), z.cross(x)
     if b.square() > a.square():
@@ -159,19 +176,22 @@ def turn_axis(task, kept, out):
 # ----------------------------------------------------------------------------------------------------------------- measure
 @inline
 def vector_ratio(kind, rr):
-    """Angle over length of a rotation error of squared length rr: in part it is a rotation vector, else 2 sin(angle/2)."""
+    """Return the factor between a rotation error of squared length rr and its rotation vector.
+
+    Where only a part of the error counts (PART), the rotation error already is a rotation vector, and the factor is 1.
+    """
     return 1.0 if kind == PART else angle_ratio(rr)
 
 
 @inline
 def angle_left(kind, rr):
-    """Angle [rad] of a squared rotation error."""
+    """Return the angle [rad] of a rotation error of squared length rr."""
     return math.sqrt(rr) if kind == PART else rotation_angle(rr)
 
 
 @inline
 def counts(task):
-    """Whether position and rotation count (1.0 or 0.0), for the choice of starts."""
+    """Return 1.0 or 0.0 for whether the position counts, and the same for the rotation, to choose starts by."""
     position, rotation = 0.0, 0.0
     for i in range(3):
         if task[WHAT.w0 + i] > 0.0 and task[WHAT.s0 + i] < math.inf:

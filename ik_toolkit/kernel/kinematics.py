@@ -1,8 +1,8 @@
 """Forward kinematics, Jacobian columns and pose error of one chain, in one pass over flat arrays.
 
 A chain is a table of rows, one per joint on the path, each `Rx(b) . T(tx, ty, slide*x + d0) . Rz(turn*x + a0)`. The
-rotation between two joint axes is split Rz.Rx.Rz and both Rz go into the neighbouring joints' angles: exact for any axes
-(the common normal of Denavit-Hartenberg is undefined for parallel ones) and 30 multiply-adds instead of 48.
+rotation between two joint axes is split into Rz.Rx.Rz, and both Rz go into the neighbouring joints' angles. This is exact for
+any axes (the common normal of Denavit-Hartenberg is undefined for parallel ones) and takes 30 multiply-adds instead of 48.
 
 Inside the kernel lengths, prismatic joints included, are divided by a power of two near the robot's reach (so that the
 scaling is exact), and everything is expressed in the frame of the first joint; `aim` brings a target there.
@@ -13,18 +13,16 @@ import math
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotation_left, sincos
 
-# Columns of a row: cos b, sin b, tx, ty, turn, a0, slide, d0, coordinate, 1 turns / 0 slides.
-# Row 0 has no Rx: its cosine is 1, and never read by `fk`.
+# A row has the numbers cos b, sin b, tx, ty, turn, a0, slide, d0, index of the coordinate, and 1 for a turning joint, else 0.
 ROW = 10
-RATIO = (
-    1e-12  # a ratio of a joint to its coordinate this close to 1 is 1: rounding of a unit axis, not a mimic multiplier
-)
+# A joint whose ratio to its coordinate differs from 1 by less is no mimic joint: the difference is rounding of a unit axis.
+RATIO = 1e-12
 TAU = 2.0 * math.pi
 
 
 @inner
 def own_coordinates(rows, n):
-    """Whether row i is coordinate i with ratio 1, for all n coordinates (no mimic)."""
+    """Return whether every row i moves coordinate i alone with ratio 1, so that there is no mimic joint."""
     own = rows.shape[0] == n
     for i in range(rows.shape[0]):
         own = own and int(rows[i, 8]) == i and abs(rows[i, 4] + rows[i, 6] - 1.0) <= RATIO
@@ -33,13 +31,13 @@ def own_coordinates(rows, n):
 
 @inline
 def room(L):
-    """Length of the arrays `joints` and `trig` of a chain of L rows; angles are padded so that whole registers are used."""
+    """Return the lengths of the arrays `joints` and `trig` for L rows; `trig` is padded to whole SIMD registers."""
     return 6 * L, 3 * ((L + 3) // 4 * 4)
 
 
 @inline
 def turn_all(rows, q, trig):
-    """Angles, sines and cosines of all joints: `trig` holds the three in turn. Two loops, so that the second vectorises."""
+    """Fill `trig` with the angles of all joints, then their sines, then their cosines; the second loop is vectorised."""
     size = trig.shape[0] // 3
     for i in range(rows.shape[0]):
         put(trig, i, at(q, int(rows[i, 8])) * rows[i, 4] + rows[i, 5])
@@ -51,7 +49,7 @@ def turn_all(rows, q, trig):
 
 @inline
 def fk(rows, q, joints, trig):
-    """Pose of the last joint at q; joints[6 i : 6 i + 6] receives axis and point of joint i."""
+    """Return the pose of the last joint at q; joints[6 i : 6 i + 6] receives the axis and a point of joint i."""
     turn_all(rows, q, trig)
     size = trig.shape[0] // 3
     s, c = at(trig, size), at(trig, 2 * size)
@@ -60,23 +58,23 @@ def fk(rows, q, joints, trig):
     p = V3(zero, zero, at(q, int(rows[0, 8])) * rows[0, 6] + rows[0, 7])
     put3(joints, 0, z)
     put3(joints, 3, p)
-    for i in range(1, rows.shape[0]):
+    for i in range(1, rows.shape[0]):  # row 0 has no turn by b
         cb, sb = rows[i, 0], rows[i, 1]
-        v = y * cb + z * sb  # Rx
+        v = y * cb + z * sb  # y and z turn by the angle b about x
         z = z * cb - y * sb
         d = at(q, int(rows[i, 8])) * rows[i, 6] + rows[i, 7]
-        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # T
+        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # the point moves along the new axes
         put3(joints, 6 * i, z)
         put3(joints, 6 * i + 3, p)
         s, c = at(trig, size + i), at(trig, 2 * size + i)
-        y = v * c - x * s  # Rz
+        y = v * c - x * s  # x and y turn by the joint's angle about z
         x = x * c + v * s
     return Pose(M3(x, y, z), p)
 
 
 @inline
 def column(rows, joints, i, tip):
-    """Linear and angular velocity of the point `tip` when joint i moves."""
+    """Return the linear and angular velocity of the point `tip` per unit of joint i."""
     axis = at3(joints, 6 * i)
     if rows[i, 9] > 0.0:
         return axis.cross(tip - at3(joints, 6 * i + 3)), axis
@@ -85,12 +83,12 @@ def column(rows, joints, i, tip):
 
 @inner
 def aim(ends, T, goal):
-    """Target T_base_tip (4, 4) [m] -> rotation of the last joint (9) and tip point (3) in the first joint's frame."""
+    """Convert a target T (4, 4) [m, base axes] to the rotation of the last joint (9) and the tip (3) in the first joint's frame."""
     base = rotation_at(ends.flat, 0)
     point = V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())
     put3(goal, 9, base.across(point - at3(ends.flat, 9)))
     x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
-    for k in range(3):  # base' T tip', by columns
+    for k in range(3):  # the rotation is base' T tip', computed column by column
         row = at3(ends.flat, 12 + 3 * k)
         v = base.across(x * row.x + y * row.y + z * row.z)
         goal[k], goal[3 + k], goal[6 + k] = v.x, v.y, v.z
@@ -98,8 +96,8 @@ def aim(ends, T, goal):
 
 @inner
 def half_turn_axis(now, goal, sine):
-    """Axis of a rotation by (nearly) pi, from the symmetric part: there the antisymmetric part vanishes."""
-    # R = 2 a a' - 1 at pi, so a a' = (R + 1) / 2: any of its columns is along a, the largest is the safest.
+    """Return the axis of a rotation by almost pi, from the symmetric part of its matrix, as the antisymmetric part vanishes."""
+    # At pi the matrix is R = 2 a a' - 1, so each column of (R + 1) / 2 = a a' is along a; the largest is the most accurate.
     x = V3(goal.x.x, goal.y.x, goal.z.x)
     y = V3(goal.x.y, goal.y.y, goal.z.y)
     z = V3(goal.x.z, goal.y.z, goal.z.z)
@@ -120,11 +118,11 @@ def half_turn_axis(now, goal, sine):
 
 @inline
 def rotation_error(now, goal):
-    """2 sin(angle/2) times the axis of the rotation that brings M3 `now` to `goal`."""
+    """Return 2 sin(angle/2) times the axis of the rotation that brings M3 `now` to `goal`."""
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near half a turn the length is better taken from the cosine, and finally the axis too.
+    # Near half a turn the sine loses its digits: the length then comes from the cosine, and at last the axis from the matrix.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)
@@ -134,13 +132,13 @@ def rotation_error(now, goal):
 
 @inline
 def pose_error(goal, axes, tip):
-    """Errors (linear, angular as of `rotation_error`) of the last joint's axes and the point `tip` at a goal of `aim`."""
+    """Return the errors (linear, and angular as `rotation_error` has it) of a tip from a goal that `aim` wrote."""
     return at3(goal, 9) - tip, rotation_error(axes, rotation_at(goal, 0))
 
 
 @inner
 def angle_ratio(rr):
-    """angle / (2 sin(angle/2)) for rr = |2 sin(angle/2)|^2: turns the error's rotation part into a rotation vector."""
+    """Return the factor angle / (2 sin(angle/2)) from rr = |2 sin(angle/2)|^2; it makes a rotation error a rotation vector."""
     h = 0.5 * math.sqrt(rr)
     if h < 1e-4:
         return 1.0 + rr / 24.0
@@ -149,28 +147,28 @@ def angle_ratio(rr):
 
 @inner
 def rotation_angle(rr):
-    """Angle [rad] in 0..pi for rr = |2 sin(angle/2)|^2."""
+    """Return the angle [rad] between 0 and pi for which rr = |2 sin(angle/2)|^2."""
     return 2.0 * math.asin(min(0.5 * math.sqrt(rr), 1.0))
 
 
 @inner
 def jacobian_rate(rows, joints, J, first, tip, x, y, out):
-    """Return in out (6,) the product (dJ/dt along joint velocity x) y at the tip point.
+    """Write to out (6,) the product (dJ/dt) y of the tip's Jacobian when the joints move at velocity x.
 
     joints and the six columns of J from `first` on are as `fk` and `fill` leave them.
     """
     zero = V3(0.0, 0.0, 0.0)
-    v = zero  # tip velocity
+    v = zero  # velocity of the tip
     for i in range(J.shape[0]):
         v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
-    turn, speed = zero, zero  # angular velocity before the joint, velocity of the joint's point
+    turn, speed = zero, zero  # angular velocity of the link before the joint, and velocity of the joint's point
     linear, angular = zero, zero
     for i in range(rows.shape[0]):
         k = int(rows[i, 8])
         axis, point = at3(joints, 6 * i), at3(joints, 6 * i + 3)
         if i > 0:
             speed = speed + turn.cross(point - at3(joints, 6 * i - 3))
-        change = turn.cross(axis)  # of the axis
+        change = turn.cross(axis)  # rate of change of the joint's axis
         ratio = rows[i, 4] + rows[i, 6]
         f, g = ratio * y[k], ratio * x[k]
         if rows[i, 9] > 0.0:

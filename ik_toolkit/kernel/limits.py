@@ -1,4 +1,4 @@
-"""Joint limits and full turns: what holds a joint, how a step ends, which turn of an endless joint is returned."""
+"""Joint limits and full turns: which joints are held, where a step ends, and which turn of an endless joint is returned."""
 
 import math
 
@@ -7,13 +7,14 @@ import numpy as np
 from ..compile.jit import inline, inner
 from .kinematics import TAU
 
-LARGEST = 1e9  # coordinates above which a start is refused: an angle of that size has seven digits after the point
-LIGHTEST = 1e-12  # smaller joint weights count as this one in a distance: a held joint does not move anyway
+# A start with a coordinate above this is refused, because such an angle has only seven digits after the point.
+LARGEST = 1e9
+LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division by the weight 0 of a held joint
 
 
 @inline
 def middle(lower, upper):
-    """Angle next to which full turns bring a joint: the middle of its limits, or half a turn inside a limit alone."""
+    """Return the angle near which full turns bring a joint: the middle of its limits, or half a turn inside a single limit."""
     if lower == -np.inf:
         return upper - 0.5 * TAU
     return 0.5 * (lower + upper) if upper < np.inf else lower + 0.5 * TAU
@@ -21,7 +22,7 @@ def middle(lower, upper):
 
 @inner
 def legal(q0, ends, limits):
-    """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
+    """Return whether a start (n,) [rad or m] is finite and, if `limits` count, inside them."""
     for i in range(q0.shape[0]):
         a = q0[i] / ends.unit(i)
         if not abs(a) < LARGEST or (limits and ends.turns(i) < 1.5 and not ends.lower(i) <= a <= ends.upper(i)):
@@ -31,14 +32,14 @@ def legal(q0, ends, limits):
 
 @inner
 def neighbourhood(q0, rows, follow, slide, limits, ends, near):
-    """Confine `near` to the limits inside which no joint is further than `follow` [rad] or `slide` [m] from q0."""
+    """Narrow the limits of `near` so that no joint moves further than `follow` [rad] or `slide` [m] from q0."""
     for i in range(q0.shape[0]):
         turning = False
         for r in range(rows.shape[0]):
             turning = turning or (int(rows[r, 8]) == i and rows[r, 9] > 0.0)
         a = q0[i] / ends.unit(i)
         width = follow if turning else slide / ends.unit(i)
-        # A few units in the last place less, so that the difference holds when a caller computes it.
+        # The width is lowered by a few units in the last place, so that the distance a caller computes is not larger by rounding.
         width -= 1e-15 * (abs(a) + width)
         free = ends.turns(i) > 1.5 or not limits
         low = a - width if free else max(a - width, ends.lower(i))
@@ -47,7 +48,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
 
 @inner
 def held_back(p, look, near, ends, limits):
-    """Joint that the neighbourhood of the start (not a limit) hinders most from lowering the error, or -1."""
+    """Return the joint that `follow`, and not a limit, hinders most from lowering the error, or -1."""
     q = p.desk.q
     worst, most = -1, 0.0
     for i in range(q.shape[0]):
@@ -62,7 +63,7 @@ def held_back(p, look, near, ends, limits):
 
 @inline
 def hold(q, dq, w, ends):
-    """Set w = 0 for joints that are at a limit and pushed outwards; True when a new one was found."""
+    """Set the weight w of joints to 0 that are at a limit and pushed outwards; return whether a new one was found."""
     hit = False
     for i in range(q.shape[0]):
         if w[i] > 0.0 and ((q[i] <= ends.lower(i) and dq[i] < 0.0) or (q[i] >= ends.upper(i) and dq[i] > 0.0)):
@@ -73,9 +74,9 @@ def hold(q, dq, w, ends):
 
 @inline
 def integrate(q, dq, limits, ends):
-    """Add dq to q, inside the limits (joints that can turn fully take the turn inside them).
+    """Add dq to q inside the limits, where joints that can turn fully are brought back by full turns.
 
-    A held joint stays where it is, so an endless one is held at any turn. Returns the largest move and coordinate.
+    A joint whose dq is 0 keeps its value exactly. Returns the largest move of a joint and the largest coordinate.
     """
     moved = 0.0
     far = 0.0
@@ -85,16 +86,16 @@ def integrate(q, dq, limits, ends):
         if limits and (a < lower or a > upper) and dq[i] != 0.0:
             if ends.turns(i) > 0.0:
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
-            a = min(max(a, lower), upper)  # also after a turn: rounding may leave it just outside
+            a = min(max(a, lower), upper)  # a full turn may end just outside by rounding
         moved = max(moved, abs(a - q[i]))
-        far = far if abs(a) <= far or far != far else abs(a)  # a NaN of any joint is kept
+        far = far if abs(a) <= far or far != far else abs(a)  # the result is NaN if any coordinate is
         q[i] = a
     return moved, far
 
 
 @inner
 def turn(wanted, q, ends, i):
-    """Full turns by which to move joint i so that it comes nearest `wanted` away, inside its limits unless it is endless."""
+    """Return the number of full turns of joint i that comes nearest the move `wanted` [rad] and respects its limits."""
     k = np.rint(wanted / TAU)
     if ends.turns(i) < 1.5:
         k = min(max(k, math.ceil((ends.lower(i) - q) / TAU)), math.floor((ends.upper(i) - q) / TAU))
@@ -103,7 +104,7 @@ def turn(wanted, q, ends, i):
 
 @inner
 def other_end(q, start, ends):
-    """Bounded joint that ended more than half a turn from where it started, or -1."""
+    """Return a joint with limits that ended more than half a turn from where it started, or -1."""
     for i in range(q.shape[0]):
         if 0.0 < ends.turns(i) < 1.5 and abs(q[i] - start[i]) > math.pi:
             return i
@@ -112,14 +113,14 @@ def other_end(q, start, ends):
 
 @inline
 def face(q, wanted, ends):
-    """Of the same answer several turns away, make q the one within limits that is nearest `wanted` (n,); True when q changed."""
+    """Move q by full turns of its joints to where it is nearest `wanted` (n,) within limits; return whether q changed."""
     turned = False
     for i in range(q.shape[0]):
         if ends.turns(i) > 0.0:
             k = turn(wanted[i] - q[i], q[i], ends, i)
             if k != 0.0:
                 q[i] += k * TAU
-                if ends.turns(i) < 1.5:  # rounding may leave it outside
+                if ends.turns(i) < 1.5:  # a full turn may end just outside by rounding
                     q[i] = min(max(q[i], ends.lower(i)), ends.upper(i))
                 turned = True
     return turned
@@ -127,7 +128,7 @@ def face(q, wanted, ends):
 
 @inner
 def distance(q, other, weights, ends):
-    """Squared distance of two configurations (n,), each joint on the nearest turn; joints with small weights count more."""
+    """Return the squared distance of two configurations (n,), each joint on its nearest turn and divided by its weight."""
     total = 0.0
     for i in range(q.shape[0]):
         a = q[i] - other[i]

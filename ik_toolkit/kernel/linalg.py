@@ -1,20 +1,23 @@
-"""Small dense solves that allocate nothing: the damped step, Cholesky, LU and a Jacobi pseudo-inverse."""
+"""Small dense linear algebra without memory allocation: damped least squares, Cholesky, LU, and Jacobi pseudo-inverse."""
 
 import math
 
 from ..compile.jit import inline, inner
 from .algebra import V3, diagonal
 
-TINY = 1e-300  # smallest pivot: its root and the inverse of the root are still finite
-SWEEPS = 40  # of Jacobi rotations; convergence is quadratic, six columns need about ten
-ORTHOGONAL = 1e-15  # cosine of the angle between two columns or rows, below which it is rounding
-NOISE = 1e-15  # length of a column over the longest, below which it is rounding and has no direction: it would turn for ever
-FLAT = 1e-10  # a pivot this much below the largest entry: the inverse of the matrix is not reliable
+TINY = 1e-300  # smallest pivot of a factorisation: its root and the inverse of the root are still finite
+SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
+ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
+NOISE = 1e-15  # a column shorter than this share of the longest is rounding: without a direction it would turn for ever
+FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
 
 
 @inline
 def damped(J, w, dq, linear, angular, damping):
-    """dq = W J' (J W J' + damping)^-1 e for six errors, with joint weights w (0 holds a joint), by two 3x3 blocks."""
+    """Write the damped step dq = W J' (J W J' + damping)^-1 e of six errors, solved by two 3x3 blocks.
+
+    J (n, 6) has one joint a row; w (n,) are joint weights, of which 0 holds a joint.
+    """
     blocks = diagonal(damping)
     for i in range(J.shape[0]):
         if w[i] > 0.0:
@@ -27,7 +30,7 @@ def damped(J, w, dq, linear, angular, damping):
 
 @inner
 def cholesky(A, m, least):
-    """Factor the leading m x m lower half of A in place; pivots below `least` are lifted to it (0 leaves a zero there)."""
+    """Replace the lower half of the leading m x m part of A by its Cholesky factor; pivots below `least` are raised to it."""
     for j in range(m):
         s = A[j, j]
         for k in range(j):
@@ -44,7 +47,7 @@ def cholesky(A, m, least):
 
 @inner
 def cholesky_solve(A, m, y):
-    """Replace y (m,) by the solution of the system whose factor `cholesky` left in A."""
+    """Replace the right side y (m,) by the solution of the system whose Cholesky factor is in A."""
     for j in range(m):
         s = y[j]
         for k in range(j):
@@ -59,9 +62,9 @@ def cholesky_solve(A, m, y):
 
 @inner
 def damped_stack(J, moves, w, dq, e, damping, A, y):
-    """The same for m errors stacked by tips, six each: J (n, m), moves (F, n) says which blocks of J are not zero.
+    """Write the damped step dq = W J' (J W J' + damping)^-1 e of m errors, six for each of F tips.
 
-    A (m, m) and y (m,) are scratch.
+    J (n, m) has one joint a row; moves (F, n) says which blocks of it are not zero. A (m, m) and y (m,) are scratch.
     """
     n, m = J.shape
     F = m // 6
@@ -91,7 +94,7 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
 
 @inline
 def jacobi(a, b, g):
-    """Cosine and sine of the rotation that makes two columns (or rows) orthogonal: a, b their squares, g their product."""
+    """Return the cosine and sine of the rotation that makes two columns orthogonal, given their squares a, b and product g."""
     d = b - a
     t = (2.0 * g if d >= 0.0 else -2.0 * g) / (abs(d) + math.sqrt(d * d + 4.0 * g * g))
     cosine = 1.0 / math.sqrt(1.0 + t * t)
@@ -100,9 +103,9 @@ def jacobi(a, b, g):
 
 @inline
 def make_orthogonal(A, V, m):
-    """Replace A (n, m) by A V with orthogonal columns, and V (m, m) by that rotation: one-sided Jacobi (Hestenes).
+    """Replace A (n, m) by A V with orthogonal columns, and V (m, m) by that rotation, by Hestenes' one-sided Jacobi method.
 
-    m: a constant is faster.
+    It is faster if m is a constant at compile time.
     """
     n, longest = A.shape[0], 0.0
     for r in range(m):
@@ -140,9 +143,9 @@ def make_orthogonal(A, V, m):
 
 @inner
 def make_rows_orthogonal(A, B, square, first, r, n):
-    """The same with r rows of A, of which n places count, from row `first` on; those of B turn with them.
+    """Turn r rows of A, from row `first` on, so that they are orthogonal, and the same rows of B with them.
 
-    square (rows,) receives the squared lengths of the rows of A.
+    Only the first n numbers of a row of A count. square (rows,) receives the squared lengths of the rows of A.
     """
     longest = 0.0
     for k in range(first, first + r):
@@ -179,9 +182,9 @@ def make_rows_orthogonal(A, B, square, first, r, n):
 
 @inline
 def pseudo_inverse_step(J, e, rcond, V, dq, m):
-    """dq = pinv(J') e: singular values below rcond * the largest count as zero.
+    """Write the step dq = pinv(J') e for the error e (m,); singular values below rcond times the largest count as zero.
 
-    J (n, m), one joint a row, is overwritten by U S; V (m, m) is scratch, e (m,) the error. m: a constant is faster.
+    J (n, m), with one joint a row, is overwritten; V (m, m) is scratch. It is faster if m is a constant at compile time.
     """
     n = J.shape[0]
     make_orthogonal(J, V, m)
@@ -207,7 +210,7 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
 
 @inner
 def lu_solve(A, b, m):
-    """Solve the leading m x m system in place by partial pivoting; False when a pivot is below FLAT times the largest entry."""
+    """Solve the leading m x m system A x = b in place, with partial pivoting; return False if A is singular (see FLAT)."""
     top = 0.0
     for i in range(m):
         for j in range(m):

@@ -1,6 +1,6 @@
-"""Moving a solution within the set of solutions: lower a secondary objective in the null space, stay on the target.
+"""Improve a solution by a secondary objective: move it through the null space of the task, so that it stays on the target.
 
-Written against the calls of a problem, so for one tip and for several.
+It uses the methods that problems of one tip and of several have in common (see problem.py).
 """
 
 import math
@@ -16,21 +16,29 @@ from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 from .search import problem_on
 
-MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
-COUNTED = 1e-18  # squared norm above which the joints can move along a row of the Jacobian
-VOLUME = 1e-30  # smallest squared pivot: keeps the logarithm finite at a singular pose
-DAMPING = 1e-10  # of the projection and the way back: below any singular value worth a step
-CORRECTIONS = 6  # steps back onto the target; convergence is quadratic
-DIFFERENCE = 1e-6  # [rad] of the one-sided derivative of the manipulability
-SMALLEST = 1e-7  # a step that moves every joint by less ends the search
-LONGEST = 0.3  # [rad or kernel unit] largest move of a joint in a step: the null space is curved
+MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
+DAMPING = 1e-10  # damping of projections and corrections: below the square of any singular value worth a step
+
+
+class Steps(NamedTuple):
+    """Numbers of the motion through the null space."""
+
+    counted: float = 1e-18  # squared norm of a row of the Jacobian above which the joints can reduce its error
+    volume: float = 1e-30  # smallest squared pivot, which keeps the logarithm finite at a singular pose
+    corrections: int = 6  # highest number of steps back onto the target; two or three do, as convergence is quadratic
+    difference: float = 1e-6  # step of the one-sided derivative of the manipulability [rad or kernel units]
+    smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad or kernel units]
+    longest: float = 0.3  # largest move of a joint in a step [rad or kernel units], because the null space is curved
+
+
+NULL = Steps()
 
 
 @compiled
 class Bounds(NamedTuple):
-    """Limits as they count here (endless joints have none), by place."""
+    """Limits of the joints during a refinement; endless joints have none."""
 
-    limits: Array  # (3, n) lower, upper, whether the objective counts the joint
+    limits: Array  # (3, n) lower limit, upper limit, and 1 if the objective counts the joint, else 0
 
     def lower(self, i):
         return self.limits[0, i]
@@ -44,7 +52,7 @@ class Bounds(NamedTuple):
 
 @spliced
 def make_bounds(places, ends, what, limits):
-    """Bounds of a chain for an objective, written to `places` (3, n)."""
+    """Make the Bounds of a chain for an objective, in the array `places` (3, n)."""
     box = Bounds(places)
     for i in range(ends.n):
         free = ends.turns(i) > 1.5 or not limits
@@ -56,10 +64,10 @@ def make_bounds(places, ends, what, limits):
 
 @inline
 def log_manipulability(p, ends):
-    """Half the log-determinant of JJ' over the rows of the last Jacobian that count, of all tips stacked.
+    """Return the logarithm of Yoshikawa's manipulability sqrt(det(JJ')), up to a constant.
 
-    That is the log of Yoshikawa's measure, up to a constant. Columns of sliding joints are turned back to metres; p.desk.J and
-    A are overwritten.
+    J has the rows that the joints can move along, of all tips. Columns of sliding joints are converted to metres; p.desk.J and
+    p.desk.A are overwritten.
     """
     J, A = p.desk.J, p.desk.A
     m = 0
@@ -67,7 +75,7 @@ def log_manipulability(p, ends):
         size = 0.0
         for i in range(J.shape[0]):
             size += J[i, r] * J[i, r]
-        if size > COUNTED:
+        if size > NULL.counted:
             for i in range(J.shape[0]):
                 J[i, m] = J[i, r] / ends.unit(i)
             m += 1
@@ -76,7 +84,7 @@ def log_manipulability(p, ends):
             A[r, c] = 0.0
             for i in range(J.shape[0]):
                 A[r, c] += J[i, r] * J[i, c]
-    cholesky(A, m, VOLUME)
+    cholesky(A, m, NULL.volume)
     total = 0.0
     for r in range(m):
         total += math.log(A[r, r])
@@ -84,27 +92,30 @@ def log_manipulability(p, ends):
 
 
 @inline
-def wanted(what, ends, ref, i):
-    """Where the objective wants joint i."""
+def objective_goal(what, ends, ref, i):
+    """Return the value that the objective wants for joint i [kernel units]: the middle of its range, or that of `ref`."""
     return ends.low(i) + 0.5 * ends.span(i) if what == MID_RANGE else ref[i] / ends.unit(i)
 
 
 @inline
 def move(q, dq, factor, box):
-    """Add factor dq to q, inside the bounds."""
+    """Add factor * dq to q, inside the bounds."""
     for i in range(q.shape[0]):
         q[i] = min(max(q[i] + factor * dq[i], box.lower(i)), box.upper(i))
 
 
-@spliced
-def correct(p, weights, box):
-    """Return to the target: the null-space step left it to second order. Returns the last look, with its Jacobian made."""
+@inline
+def onto_target(p, weights, box, enough):
+    """Move p.desk.q back to the target, which a null-space step leaves to second order.
+
+    Returns the last evaluation; its Jacobian is in p.desk.J.
+    """
     s = p.desk
-    for k in range(CORRECTIONS):
+    for k in range(NULL.corrections):
         e = p.evaluate(s.q)
-        p.jacobian(e)
-        if e.good or k == CORRECTIONS - 1:
+        if (e.ee <= enough if enough > 0.0 else e.good) or k == NULL.corrections - 1:
             break
+        p.jacobian(e)
         copy(weights, s.w)
         for _ in range(2):
             p.damped(e, DAMPING)
@@ -116,7 +127,10 @@ def correct(p, weights, box):
 
 @inline
 def direction(p, z, box):
-    """Write to p.desk.dq the part of z (in the metric 1/w) that moves no tip, joints at a bound held; uses p.desk.J, w and y."""
+    """Write to p.desk.dq the part of z (n,) that moves no tip, while joints at a bound are held.
+
+    It is the projection in the metric 1/w of the joint weights p.desk.w; p.desk.J is needed, p.desk.w and p.desk.y are changed.
+    """
     s = p.desk
     n = z.shape[0]
     for _ in range(n):
@@ -135,40 +149,41 @@ def direction(p, z, box):
 
 @inline
 def objective(p, what, ends, box, ref):
-    """Value to lower at p.desk.q, whose Jacobian is made; see `refine`."""
+    """Return the value of the objective (see `refine`) at p.desk.q, whose Jacobian is in p.desk.J; less is better."""
     if what == MANIPULABILITY:
         return -log_manipulability(p, ends)
     total = 0.0
     for i in range(ref.shape[0]):
-        total += box.counted(i) * 0.5 * ((p.desk.q[i] - wanted(what, ends, ref, i)) / ends.span(i)) ** 2
+        total += box.counted(i) * 0.5 * ((p.desk.q[i] - objective_goal(what, ends, ref, i)) / ends.span(i)) ** 2
     return total
 
 
 @spliced
 def downhill(p, what, ends, box, ref, value, z):
-    """Write to z (n,) where the objective falls from p.desk.q, at which it is `value`; the Jacobian there is made again.
+    """Write to z (n,) the direction in which the objective falls from p.desk.q, where it has the given value.
 
-    The distances are measured in joint ranges; with the same metric in the projection their step of one is Newton's.
+    For the two objectives that are distances this is the whole Newton step, as they and the projection are measured in joint
+    ranges. The Jacobian at p.desk.q is computed again.
     """
     q = p.desk.q
     n = q.shape[0]
     for i in range(n):
-        z[i] = box.counted(i) * (wanted(what, ends, ref, i) - q[i])
-    for i in range(n + 1):  # the last time with q as it is, for the Jacobian there
+        z[i] = box.counted(i) * (objective_goal(what, ends, ref, i) - q[i])
+    for i in range(n + 1):  # the last pass only computes the Jacobian of the unchanged q
         if i < n:
             if what != MANIPULABILITY:
                 continue
-            q[i] += DIFFERENCE
+            q[i] += NULL.difference
         e = p.evaluate(q)
         p.jacobian(e)
         if i < n:
-            z[i] = 0.5 * (log_manipulability(p, ends) + value) / DIFFERENCE
-            q[i] -= DIFFERENCE
+            z[i] = 0.5 * (log_manipulability(p, ends) + value) / NULL.difference
+            q[i] -= NULL.difference
 
 
 @inline
 def secant(old, before, way, dq, gain):
-    """Length of the next step from the one just taken: what Barzilai and Borwein (1988) make of the secant."""
+    """Return the length of the next step that Barzilai and Borwein (1988) derive from the last step; else the present gain."""
     ss, sy = 0.0, 0.0
     for i in range(old.shape[0]):
         step = old[i] - before[i]
@@ -178,15 +193,15 @@ def secant(old, before, way, dq, gain):
 
 
 @inline
-def improve(rows, ends, T, row, ref, orders, what, steps, block):
-    """`refine` on views, with its scratch."""
+def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
+    """Do the work of `refine` on views, with a block of scratch."""
     n = ref.shape[0]
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
     p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
-    full = Ends(flat(ends), n)  # what belongs to the coordinates is the same for every tip, and stands first
+    full = Ends(flat(ends), n)  # the limits are the same for every tip, so those of the first will do
     (places,) = cut(block, np.float64, ((3, n),))
     box = make_bounds(places, full, what, o.limits > 0.0)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
@@ -195,15 +210,15 @@ def improve(rows, ends, T, row, ref, orders, what, steps, block):
     for i in range(n):
         q[i] = row[ANSWER + i] / full.unit(i)
     gain = 1.0
-    fresh = False  # whether the step before was an improvement
+    fresh = False  # whether the last step was an improvement
     value = np.inf
     taken = 0
     for k in range(steps + 1):
-        e = correct(p, weights, box)
+        e = onto_target(p, weights, box, 0.0)
+        p.jacobian(e)
         now = objective(p, what, full, box, ref)
-        better = e.good and (
-            k == 0 or now < value - 1e-12 * abs(value)
-        )  # rounding of the sum does not count as progress
+        # Less than the rounding of the sum does not count as progress.
+        better = e.good and (k == 0 or now < value - 1e-12 * abs(value))
         if better:
             value = now
             p.keep(e, BEST_OF_ALL)
@@ -222,14 +237,14 @@ def improve(rows, ends, T, row, ref, orders, what, steps, block):
         size = 0.0
         for i in range(n):
             size = max(size, abs(dq[i]))
-        if size < SMALLEST:
+        if size < NULL.smallest:
             break
         if fresh:
             gain = secant(old, before, way, dq, gain)
         if better:
             copy(old, before)
             copy(dq, way)
-        move(q, dq, gain * min(1.0, LONGEST / size), box)
+        move(q, dq, gain * min(1.0, NULL.longest / size), box)
     if taken > 0:
         row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
         p.report(BEST_OF_ALL, row)
@@ -239,13 +254,22 @@ def improve(rows, ends, T, row, ref, orders, what, steps, block):
 
 @cached
 def refine(rows, ends, T, row, ref, orders, what, steps):
-    """Improve the solution in `row` for the objective `what` without leaving the tolerances of the target.
+    """Improve the solution in `row` for a secondary objective without leaving the tolerances of its target.
 
-    rows, ends, T (1, ...), row and orders as of `search.entry`; ref (n,): where REFERENCE wants the joints. MID_RANGE and
-    REFERENCE lower half the squared distance, in ranges (an endless joint has no middle); MANIPULABILITY minus the log of the
-    manipulability. q and its errors are replaced when some step of at most `steps` was taken.
+    q and its errors in `row` are replaced if at least one step was an improvement.
+
+    Args:
+        rows: (L, 10) of the chain or tree.
+        ends: Of the chain or tree.
+        T: (1, 4, 4) or (1, F, 4, 4) target [m], base frame.
+        row: The answer of a search, see `search.entry`.
+        ref: (n,) joint values [rad or m] that REFERENCE wants.
+        orders: See `search.entry`.
+        what: MID_RANGE or REFERENCE lower half the squared distance from the middle of the range or from `ref`, in ranges of the
+            joints (an endless joint has no middle); MANIPULABILITY raises the logarithm of the manipulability.
+        steps: Highest number of steps.
     """
     n, tips = ref.shape[0], ends.size // ends.shape[-1]
     block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
-    improve(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
+    refine_on_views(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
     keep(block)

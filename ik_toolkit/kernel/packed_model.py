@@ -1,7 +1,7 @@
-"""All that a search reads of a robot in one array: each array that a call from Python hands over takes it 60 nanoseconds.
+"""All arrays of a robot that a search reads, packed into one, because handing an array from Python to a kernel takes 60 ns.
 
-First five counts, see `Parts`; then rows, ends, seeds and features as `chain.Chain` and `tree_chain.TreeChain` have them, one
-after the other. The features are single precision, two to a number.
+The packed array begins with five counts (see `counts`), then follow rows, ends, seeds and features of a `chain.Chain` or a
+`chain.TreeChain`. The features are single precision, so each number of the array holds two.
 """
 
 from typing import NamedTuple
@@ -14,35 +14,35 @@ from .kinematics import ROW
 from .records import Array
 from .starts import FEATURES, PAD
 
-COUNTS = 5
+COUNTS = 5  # numbers at the start of a packed array that give the shapes of its parts
 
 
 def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.ndarray) -> np.ndarray:
-    """One array (K,) of the arrays of a chain, or a tree's."""
+    """Pack the arrays of a chain or a tree into one array (K,)."""
     first = len(rows), ends.size // ends.shape[-1], ends.shape[-1], seeds.shape[1], len(seeds)
     return np.concatenate([first, rows.ravel(), ends.ravel(), seeds.ravel(), features.ravel().view(float)])
 
 
 @compiled
 class Parts(NamedTuple):
-    """The arrays again, of L joints, F tips, n coordinates and N known configurations."""
+    """The parts of a packed array, for L joints, F tips, n coordinates and N known configurations."""
 
-    rows: Array  # (L, 10)
-    ends: Array  # (F * numbers of a tip,)
-    seeds: Array  # (N, n)
-    features: Array  # (F * FEATURES, N + PAD), float32
+    rows: Array  # (L, 10) geometry of the joints
+    ends: Array  # (F * K,) the K numbers of `records.Ends` of each tip
+    seeds: Array  # (N, n) configurations to start from
+    features: Array  # (F * FEATURES, N + PAD) single-precision numbers that choose among them
 
 
 @inline
-def counts(chain):
-    """Joints, tips, numbers of a tip, coordinates, known configurations."""
+def array_sizes(chain):
+    """Return how many joints, tips, numbers in `ends` of one tip, coordinates and known configurations there are."""
     return int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
 
 
 @inline
 def part(chain):
-    """Parts of a joined array, as views."""
-    L, F, K, n, N = counts(chain)
+    """Return the parts of a packed array as views of it."""
+    L, F, K, n, N = array_sizes(chain)
     at_ends = COUNTS + ROW * L
     at_seeds = at_ends + F * K
     seeds = fold(chain[at_seeds:], np.float64, N, n)
@@ -52,6 +52,6 @@ def part(chain):
 
 @inline
 def scratch(chain):
-    """Length of a block with room for a search on a joined array, and for ends narrowed by `follow`."""
-    L, F, K, n, N = counts(chain)
+    """Return the length of a block with room for a search on a packed array, and for `ends` narrowed by the option `follow`."""
+    L, F, K, n, N = array_sizes(chain)
     return space(n, 6 * F, L, N) + F * K + LINE

@@ -1,26 +1,28 @@
-"""What a search runs on: one tip (`serial.Serial`) or several with shared joints (`tree.Tree`). Both answer the same calls.
+"""What a search solves: the problem of one tip (`serial.Serial`), or of several tips with shared joints (`tree.Tree`).
 
-    aim(T, orders)     take a target: by how much it is out of reach [kernel units], -1 when it is not a pose
-    evaluate(q)        the errors there, as a look: e.ee the squared norm of all of them, e.good inside the tolerances
-    stand(q), see()    the same in two parts, for several targets at one q
-    jacobian(look)     fill J (n, m), one joint a row, linear part first, six columns a tip
-    damped(look, x)    the step dq = W J'(J W J' + x)^-1 e
-    toward(y, x)       the same step for errors y (m,) of the caller's
-    width()            m, where it is known at compile time as a constant
-    pseudo(look, r)    the step dq = pinv(J) e; singular values below r times the largest count as zero
-    stack(look)        errors y (m,), rotations as rotation vectors, for rules written with J and e
-    slope(look, i)     J_i e
-    norm, inside, best_move, try_out, undo    for rules that move one joint after the other
-    rank, begin, draw  starts
-    head_for(T)        take a target of a tracker, T (F, 4, 4), as it is
-    plain()            whether whole poses and positions in the base's axes are all that counts
-    base_axes(y, out)  errors y (m,) of `stack` in base axes, lengths in m (where a part counts: along its own axes)
-    moving(V, out)     a twist, or acceleration, of the targets V (m,) [base axes, m] as it counts, in kernel units
-    mirrors(out)       (F, 3) for tips that may turn about an axis: the normal of the mirror that lays the free row last
-    bending(look, x, y, out)  (dJ/dt along x) y, where `plain`; J as filled last
-    keep, left, report errors of the answer
+Both have the same methods, so rules and loops are written once:
 
-A record holds views of the flat arrays and scratch; it is made once a call and never leaves inlined code.
+    aim(T, orders)     take a target; returns the length by which it is out of reach [kernel units], -1 if it is not a pose
+    evaluate(q)        return the errors at q as a look: e.ee is their squared norm, e.good says if they are inside the tolerances
+    stand(q), see()    evaluate in two parts, so that several targets are compared at one q
+    jacobian(look)     fill J (n, m): one joint a row, six columns a tip, linear part first
+    damped(look, x)    write the step dq = W J'(J W J' + x)^-1 e
+    toward(y, x)       write the same step for given errors y (m,)
+    width()            return m, as a constant where it is known at compile time
+    pseudo(look, r)    write the step dq = pinv(J) e; singular values below r times the largest count as zero
+    stack(look)        write the errors y (m,) with rotations as rotation vectors, for rules written with J and e
+    slope(look, i)     return J_i e, the fall of the error along coordinate i
+    norm, inside, best_move, try_out, undo    serve rules that move one joint after the other
+    rank, begin, draw  choose where attempts start
+    head_for(T)        take the target T (F, 4, 4) of a tracker, even if it is out of reach
+    plain()            return whether only whole poses, and positions in the base's axes, count
+    base_axes(y, out)  convert errors y (m,) of `stack` to base axes and metres (where a part counts: to its own axes)
+    moving(V, out)     convert a twist, or acceleration, of the targets V (m,) [base axes, m] to the errors that count
+    mirrors(out)       write (F, 3) normals of mirrors: each makes the error row of a free turn the last one of its tip
+    bending(look, x, y, out)  write (dJ/dt along x) y for the J filled last, where `plain`
+    keep, left, report store and return the errors of the answer
+
+A problem holds views of the flat arrays and of scratch. It is made once a call and never leaves inlined code.
 """
 
 from typing import NamedTuple
@@ -35,34 +37,36 @@ from .counted_error import FREE, PART, POSE, POSITION, count_column, count_goal_
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
 
-GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
-BEST_OF_ALL, NEAREST, NOW = 0, 1, 2  # places to keep errors: the least, those of the answer nearest q0, any others
+# A goal is the pose that is aimed at (12) and the target's own point (3), which is beyond the pose if it is out of reach.
+GOAL = 15
+# Indices of kept errors: those of the best attempt, those of the solution nearest q0, and those of the present evaluation.
+BEST_OF_ALL, NEAREST, NOW = 0, 1, 2
 
 
 @compiled
 class Desk(NamedTuple):
-    """Scratch of a search over n coordinates and m errors of F tips."""
+    """Working memory of a search over n coordinates and m errors of F tips, in kernel units."""
 
     q: Array  # (n,) current coordinates
-    dq: Array  # (n,) the step
-    start: Array  # (n,) q0, or home
+    dq: Array  # (n,) step that the rule asks for
+    start: Array  # (n,) q0, or home where no q0 is given
     w: Array  # (n,) joint weights; 0 holds a joint in this step
-    x: Array  # (4 n + 8,) memory of the rule, zeroed at the start of an attempt
-    J: Array  # (n, m)
-    A: Array  # (m, m)
-    y: Array  # (m,)
-    e: Array  # (m,) errors of several tips, as they are minimised
-    spent: Array  # (2,) evaluations made, and how many are allowed
-    errors: Array  # (3, F, 2) squared errors kept, see BEST_OF_ALL; position, rotation
+    x: Array  # (4 n + 8,) memory of the rule, set to zero when an attempt starts
+    J: Array  # (n, m) transposed Jacobian
+    A: Array  # (m, m) scratch for a matrix over the errors
+    y: Array  # (m,) errors with rotations as rotation vectors
+    e: Array  # (m,) errors of several tips in the form that is minimised
+    spent: Array  # (2,) evaluations made, and evaluations allowed
+    errors: Array  # (3, F, 2) kept squared errors (position, rotation) by index: BEST_OF_ALL, NEAREST, NOW
 
     def affords(self, evaluations):
-        """Whether a rule may make this many evaluations with one left for the search itself."""
+        """Return whether a rule may make so many evaluations and still leave one for the search itself."""
         return self.spent[0] + evaluations < self.spent[1]
 
 
 @spliced
 def make_desk(block, n, m):
-    """Scratch for n coordinates and m errors, cut from a block."""
+    """Make a Desk for n coordinates and m errors, cut from a block."""
     s = Desk(*cut(block, np.float64, (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 2, (3, m // 6, 2))))
     for i in range(n):
         for k in range(m):
@@ -73,40 +77,43 @@ def make_desk(block, n, m):
 
 @inline
 def tolerances(orders, kind, scale):
-    """Squared tolerances of position and rotation, as the errors of a kind of task are measured."""
+    """Return the squared tolerances of position and rotation, in the measure of the errors of a kind of task."""
     tol_p = orders.tol_p / scale
     return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == PART else chord(orders.tol_r)
 
 
 @inline
 def take(T, ends, task, goal, orders):
-    """Write a target to goal (GOAL,). Returns by how much it is out of reach, -1 when it is not a pose."""
+    """Write a target to goal (GOAL,). Returns the length by which it is out of reach, -1 if it is not a pose."""
     if not rigid(T, ORTHONORMAL):
         return -1.0
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
-    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # there the damping vanishes and the search is fast
+    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # the search converges fast at a point that can be reached
         edge(goal, ends, excess)
     return excess
 
 
 @inline
 def from_target(goal, linear):
-    """Position error measured from the target itself, not from the edge of the reach. (Where a part counts they are one.)"""
+    """Return the position error measured from the target itself, where the search aims at the edge of the reach.
+
+    Where only a part of the error counts, the search always aims at the target itself.
+    """
     return linear + (at3(goal, 12) - at3(goal, 9))
 
 
 @inline
 def tip_at(rows, ends, q, joints, trig):
-    """Axes of the last joint, and the tip, of one chain at q."""
+    """Return the axes of the last joint and the tip of one chain at q."""
     now = fk(rows, q, joints, trig)
     return now.axes, now.point + now.axes.times(at3(ends.flat, 21))
 
 
 @inline
 def errors_at(task, ends, goal, kept, axes, tip):
-    """Errors (linear, angular) that count."""
+    """Return the part of the pose error (linear, angular) that counts for a task."""
     linear, angular = pose_error(goal, axes, tip)
     kind = int(task[WHAT.kind])
     if kind == POSE:
@@ -118,7 +125,7 @@ def errors_at(task, ends, goal, kept, axes, tip):
 
 @inline
 def counted(kind, kept, linear, angular):
-    """A column of the tip as its errors count."""
+    """Convert a Jacobian column of the tip (linear, angular) to the errors that count."""
     if kind == POSE:
         return linear, angular
     if kind == POSITION:
@@ -128,7 +135,7 @@ def counted(kind, kept, linear, angular):
 
 @inline
 def counted_goal(kind, kept, linear, angular):
-    """A motion of the target as its errors count."""
+    """Convert a motion of the target (linear, angular) to the errors that count."""
     if kind == PART:
         return count_goal_column(kept, linear, angular)
     return counted(kind, kept, linear, angular)
@@ -136,7 +143,10 @@ def counted_goal(kind, kept, linear, angular):
 
 @inline
 def fill(rows, own, task, kept, joints, tip, J, first):
-    """Write the columns of one chain to J[:, first : first + 6]; where not each row is its `own` coordinate, they add up."""
+    """Write the Jacobian of one chain to J[:, first : first + 6].
+
+    own: row i of the chain is coordinate i. Else several rows may belong to one coordinate, and their columns add up.
+    """
     kind = int(task[WHAT.kind])
     if not own:
         for i in range(J.shape[0]):
@@ -166,7 +176,7 @@ def add_column(J, i, first, ratio, u, v):
 # ------------------------------------------------------------------------------------------------------- for the tracker
 @inline
 def to_base(ends, task, y, out):
-    """Errors y (6,) of `stack` as they are reported: base axes and metres; where a part counts, its own axes."""
+    """Convert errors y (6,) of `stack` to base axes and metres; where a part counts, they keep its own axes."""
     linear, angular = at3(y, 0) * ends.scale(), at3(y, 3)
     if int(task[WHAT.kind]) < FREE:
         base = rotation_at(ends.flat, 0)
@@ -177,7 +187,10 @@ def to_base(ends, task, y, out):
 
 @inline
 def local_motion(ends, task, kept, V, out):
-    """Twist or acceleration V (6,) of a target, base axes [m, rad], as it counts: first joint's axes, kernel units."""
+    """Convert a twist or acceleration V (6,) of a target [base axes, m, rad] to the errors that count.
+
+    They are in the first joint's axes and kernel units.
+    """
     base = rotation_at(ends.flat, 0)
     u, v = base.across(at3(V, 0)) * (1.0 / ends.scale()), base.across(at3(V, 3))
     u, v = counted_goal(int(task[WHAT.kind]), kept, u, v)

@@ -1,17 +1,18 @@
-"""Inputs and outputs of the compiled loops, by name. The order of the fields is the layout of the flat arrays.
+"""Records that name the numbers of the flat arrays which Python hands to compiled loops and gets back.
 
-Python packs `[*Orders(...), *Task(...), ...]` and reads `row[AT.status]`; the kernel makes the same records from the same
-arrays. Flat arrays cross the boundary because they are cheap there (50 ns each, a record of arrays twice that).
+The order of the fields is the layout of an array: Python packs `[*Orders(...), *Task(...), ...]` and reads `row[AT.status]`, and
+the kernel makes the same records from the same arrays. Flat arrays are used because numba unpacks them fastest (50 ns each, a
+record of arrays twice that).
 """
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
 
-from ..compile.array_view import View, numbers, put_numbers
+from ..compile.array_view import View, counted_part, put_numbers
 from ..compile.jit import BUILD, INLINE, compiled, inline
 
 Array = np.ndarray
@@ -19,44 +20,45 @@ Array = np.ndarray
 
 @compiled
 class Orders(NamedTuple):
-    """Head of `orders`; a `Task` for each tip, the joint weights (n) and the parameters of the rule follow."""
+    """Options of a solve. In an array of orders a `Task` for each tip, the joint weights (n) and the rule's parameters follow."""
 
-    tol_p: float  # [m]
-    tol_r: float  # [rad]
-    given: float  # 1: the first attempt starts at q0
-    iterations: float  # of an attempt
-    attempts: float
-    c: float  # an attempt from the table ends when |e|^2 > c rho^k
+    tol_p: float  # position tolerance [m]
+    tol_r: float  # rotation tolerance [rad]
+    given: float  # 1 if the first attempt starts at q0, else 0
+    iterations: float  # highest number of iterations of an attempt
+    attempts: float  # highest number of attempts
+    c: float  # an attempt from the table is given up in iteration k if |e|^2 > c rho^k
     rho: float
-    c_free: float  # the same for one from q0 or a random start
+    c_free: float  # an attempt from q0 or a random start is given up in iteration k if |e|^2 > c_free rho_free^k
     rho_free: float
-    patience: float  # from this attempt after q0's on, each has twice the iterations and is given up later; inf: none
-    evaluations: float  # budget
-    limits: float  # 0: ignore them
-    seed: float
-    closest: float  # how many answers to compare when the one nearest q0 is wanted, 0: take the first
-    hold: float  # 1: joints pushed past a limit are held and the step is redone
-    follow: float  # largest move of a turning joint [rad] from q0 ...
-    follow_slide: float  # ... and of a slide [m]; 0: any
+    patience: float  # number of the first patient attempt, see `search.Endings`; inf if no attempt is patient
+    evaluations: float  # highest number of evaluations of the errors
+    limits: float  # 1 if the joint limits are kept, 0 if they are ignored
+    seed: float  # seed of the random starts
+    closest: float  # number of solutions of which the one nearest q0 is taken; 0 takes the first solution
+    hold: float  # 1 if joints pushed past a limit are held and the step is computed again, else 0
+    follow: float  # largest move of a turning joint away from q0 [rad]; 0 allows any
+    follow_slide: float  # largest move of a sliding joint away from q0 [m]; 0 allows any
 
 
 class Task(NamedTuple):
-    """Which part of a tip's error counts, as `task` reads it; lengths in kernel units, the axis in the last joint's frame."""
+    """Which part of a tip's pose error counts. Lengths are in kernel units, the free axis is in the last joint's frame."""
 
-    kind: float  # POSE, POSITION, FREE or PART
-    frame: float = 0.0  # the axes of weights and slacks: those of BASE, TIP or TARGET
-    other: float = -1.0  # the tip that the target is relative to, -1: the base
-    free: float = 0.0  # 1: the tip may turn about an axis
+    kind: float  # POSE, POSITION, FREE or PART of `counted_error`
+    frame: float = 0.0  # axes in which weights and slacks are given: BASE, TIP or TARGET of `counted_error`
+    other: float = -1.0  # index of the tip that the target is relative to; -1 means the base
+    free: float = 0.0  # 1 if the tip may turn about the axis (ax, ay, az), else 0
     ax: float = 0.0
     ay: float = 0.0
     az: float = 0.0
-    w0: float = 1.0  # weights, 0 where an error does not count: three of the position, three of the rotation
+    # w0 to w2 weight the position error, w3 to w5 the rotation error; an error of weight 0 does not count.
+    w0: float = 1.0
     w1: float = 1.0
     w2: float = 1.0
     w3: float = 1.0
     w4: float = 1.0
     w5: float = 1.0
-    s0: float = 0.0  # half widths inside which the error counts as zero
+    s0: float = 0.0  # s0 to s5 are the sizes up to which the same six errors count as zero
     s1: float = 0.0
     s2: float = 0.0
     s3: float = 0.0
@@ -66,42 +68,46 @@ class Task(NamedTuple):
 
 @compiled
 class Answer(NamedTuple):
-    """Head of a row of `out`; q (n) follows, then for several tips the `Miss` of each."""
+    """Result of a solve. In an array of results q (n) follows, then for several tips the `Miss` of each."""
 
-    status: float
-    iterations: float
-    restarts: float
-    position: float  # [m], the largest over the tips
-    rotation: float  # [rad]
-    evaluations: float
-    history: float  # rows of `history` written
-    excess: float  # [m] by which a target lies out of reach
-    attempt: float  # the attempt that found q, 0 the first
-    held: float  # joint that the neighbourhood of q0 holds back (TOO_FAR) or that went to its other end (CONVERGED), -1: none
+    status: float  # one of the codes of `checks`
+    iterations: float  # number of iterations of all attempts
+    restarts: float  # attempts after the first one
+    position: float  # position error [m], the largest of all tips
+    rotation: float  # rotation error [rad], the largest of all tips
+    evaluations: float  # how often the errors were evaluated
+    history: float  # number of rows of history that were written
+    excess: float  # length [m] by which the target is proven out of reach
+    attempt: float  # number of the attempt that found q, 0 for the first
+    # Joint that `follow` holds back (TOO_FAR) or that went to its other end (CONVERGED); -1 if there is none.
+    held: float
 
 
 @compiled
 class Miss(NamedTuple):
-    """Remaining error of one tip."""
+    """What separates one tip from its target."""
 
-    position: float  # [m]
-    rotation: float  # [rad]
-    excess: float  # [m]
+    position: float  # position error [m]
+    rotation: float  # rotation error [rad]
+    excess: float  # length [m] by which the target is proven out of reach
 
 
+# Lengths of the records in an array.
 HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
-WEIGHTS = HEAD + TASK  # where the joint weights begin in the orders for one tip
-AT = Answer._make(range(ANSWER))  # places in a row: row[AT.status]
-ORDER = Orders._make(range(HEAD))  # in the orders
-WHAT: Any = Task._make(range(TASK))  # and in a task
-POINTS = 24  # numbers of `ends` before what belongs to the coordinates: base (12), tip (12)
+WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the orders for one tip
+# The index of each field in its array: row[AT.status], orders[ORDER.seed], task[WHAT.kind].
+AT = Answer._make(range(ANSWER))
+ORDER = Orders._make(range(HEAD))
+WHAT: Any = Task._make(range(TASK))
+POINTS = 24  # `Ends` begins with so many numbers of the base (12) and the tip (12), before those of the coordinates
 
 
 @compiled
 class Ends(NamedTuple):
-    """Base (rotation by rows, point), tip (the same, from 12 on), then what belongs to each coordinate, by place.
+    """Both ends of a chain and its coordinates' limits, all in one flat array because each array costs a kernel time.
 
-    One array, so that a kernel carries one. Lengths in kernel units.
+    The array holds the base (rotation matrix by rows, then point), the tip (likewise), n numbers for each property of the
+    coordinates, then the numbers of the chain as a whole. Lengths are in kernel units.
     """
 
     flat: Array
@@ -114,34 +120,38 @@ class Ends(NamedTuple):
         return self.flat[POINTS + self.n + i]
 
     def turns(self, i):
-        """0: never wraps, 1: by full turns inside its limits, 2: endless."""
+        """Return 0 if coordinate i never wraps, 1 if it wraps by full turns inside its limits, 2 if it is endless."""
         return self.flat[POINTS + 2 * self.n + i]
 
     def unit(self, i):
-        """1 for an angle, the chain's scale for a slide."""
+        """Return the size of one kernel unit of coordinate i: 1 rad for an angle, `scale` metres for a slide."""
         return self.flat[POINTS + 3 * self.n + i]
 
     def low(self, i):
-        """Where random starts are drawn from ..."""
+        """Return the lower end of the range from which random starts of coordinate i are drawn."""
         return self.flat[POINTS + 4 * self.n + i]
 
     def span(self, i):
-        """... and how wide that is."""
+        """Return the width of the range from which random starts of coordinate i are drawn."""
         return self.flat[POINTS + 5 * self.n + i]
 
     def home(self, i):
         return self.flat[POINTS + 6 * self.n + i]
 
     def scale(self):
-        """Length of one kernel unit [m]."""
+        """Return the length of one kernel unit [m]."""
         return self.flat[POINTS + 7 * self.n]
 
     def bound(self, k):
-        """Reach of the tip, hole of the tip, reach of the last joint, hole of the last joint, lift low, lift high."""
+        """Return one of six bounds on the reach.
+
+        k = 0 and 1 are the largest and least distance of the tip from the arm's foot, 2 and 3 those of the last joint, 4 and 5
+        the lowest and highest place of the foot, which a vertical slide may carry.
+        """
         return self.flat[POINTS + 1 + 7 * self.n + k]
 
     def confine(self, i, low, high):
-        """Put a coordinate between new limits, where it does not wrap."""
+        """Give coordinate i new limits and keep it from wrapping."""
         self.flat[POINTS + i] = low
         self.flat[POINTS + self.n + i] = high
         self.flat[POINTS + 2 * self.n + i] = 0.0
@@ -149,7 +159,7 @@ class Ends(NamedTuple):
 
 # ---------------------------------------------------------------------------------------------------- arrays <-> records
 def read(cls: type, array: Array, start: int = 0) -> Any:
-    """Record of class `cls` from array[start:]."""
+    """Make a record of class `cls` from the numbers array[start:]."""
     if list(cls.__annotations__.values()) == [Array]:
         return cls(array[start:])
     return cls(*array[start : start + len(cls._fields)])  # type: ignore[attr-defined]
@@ -161,19 +171,19 @@ def _read(cls, array, start=0):
     if list(make.__annotations__.values()) == [Array]:
         return (lambda cls, array, start=0: make(array[start:])) if isinstance(array, View) else None
     size = len(make._fields)
-    return lambda cls, array, start=0: make(*numbers(array, start, size))
+    return lambda cls, array, start=0: make(*counted_part(array, start, size))
 
 
-@overload(read, jit_options=BUILD)  # it returns an array, so it counts references, and so must its callers
+@overload(read, jit_options=BUILD)  # a function that returns an array must count references
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # a rule with many numbers takes them as they are
+    return lambda cls, array, start=0: make(array[start:])  # a rule with many numbers has them as one array
 
 
 def write(array, start, record):
-    """Write a record of numbers to array[start:]."""
+    """Write the numbers of a record to array[start:]."""
     array[start : start + len(record)] = record
 
 
@@ -184,6 +194,6 @@ def _write(array, start, record):
 
 @inline
 def copy(source, target):
-    """target[:] = source, element by element: slices compile slowly."""
+    """Copy `source` to `target` element by element, because numba compiles slices slowly."""
     for i in range(source.shape[0]):
         target[i] = source[i]

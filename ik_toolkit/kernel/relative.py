@@ -1,4 +1,4 @@
-"""A target given relative to another tip: where it is, and how it moves with that tip."""
+"""Targets given relative to another tip: where such a target is, and how it moves with that tip."""
 
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, at3, put3, put_axes, rotation_at
@@ -6,26 +6,27 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-# Of a target given relative to another tip, by place: what brings that tip's axes to the target's (9), the target's point in
-# that tip's axes (3), and the pose of that chain's first joint in this chain's (12).
-TURN, POINT, FRAME, LINK = 0, 9, 12, 24
+TURN = 0  # index in a link of the rotation (9) from the other tip's axes to the target's
+POINT = 9  # index in a link of the target's point (3) in the other tip's axes
+FRAME = 12  # index in a link of the pose (12) of the other chain's first joint in the frame of this chain's first joint
+LINK = 24  # length of a link, the array that ties a target to another tip
 
 
 @inline
 def product(a, b):
-    """a b."""
+    """Return the matrix product a b."""
     return M3(a.times(b.x), a.times(b.y), a.times(b.z))
 
 
 @inline
 def transposed(m):
-    """The transpose of a matrix."""
+    """Return the transpose of a matrix."""
     return M3(V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z))
 
 
 @inner
 def link_to(T, ends, other, link):
-    """Read a target T (4, 4) [m] in the frame of another tip: link (LINK,). ends, other: of the two chains."""
+    """Write to link (LINK,) a target T (4, 4) [m] given in the frame of another tip, whose `Ends` are `other`."""
     tool = rotation_at(other.flat, 12)
     turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
     put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))
@@ -37,7 +38,7 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write where the target is, to goal (GOAL,), when the other tip is at a pose: axes of its last joint (9), its point."""
+    """Write to goal (GOAL,) where the target is when the other tip is at a pose: axes of its last joint (9), then the tip (3)."""
     frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
     put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))
     put3(goal, 9, frame.times(at3(pose, 9) + axes.times(at3(link, POINT))) + at3(link, FRAME + 9))
@@ -46,7 +47,7 @@ def carry(pose, link, goal):
 
 @inner
 def fill_goal(rows, task, kept, joints, pose, link, J, first):
-    """Subtract how the target of a tip moves with the other tip, which these rows, joints and pose belong to."""
+    """Subtract from J the motion of a tip's target with the other tip, whose rows, joints and pose are given."""
     point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
     frame, kind = rotation_at(link, FRAME), int(task[WHAT.kind])
     for i in range(rows.shape[0]):

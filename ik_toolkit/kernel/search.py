@@ -1,15 +1,16 @@
-"""The one search: attempts from good starts, for any rule and any problem.
+"""The search shared by all iterative rules and all problems: attempts from good starts until one of them converges.
 
-A rule is a NamedTuple class whose fields are its parameters and whose method step(p, e) writes p.desk.dq; a problem is a
-Serial or a Tree. Both are chosen by class when the search is compiled, so the loop exists once and costs no call. With
-NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
+A rule is a NamedTuple class whose fields are its parameters and whose method step(p, e) writes the step p.desk.dq. A problem
+is a `Serial` (one tip) or a `Tree` (several tips). Both are chosen by class when the search is compiled, so the loop is written
+once and costs no function call. With NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 
-Order in every iteration: evaluate, best so far, test, budget, give up, step, limits, integrate, stall. The q reported is
-always one that was evaluated, at most full turns away. Restarts wrap the loop.
+Every iteration evaluates the errors, keeps the best configuration so far, tests for convergence, budget and lack of progress,
+asks the rule for a step, and applies it inside the joint limits. The reported q was evaluated itself, or full turns away.
 """
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -36,22 +37,35 @@ from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, TASK, Answer, Array, Ends, Orders, copy, read, write
 from .serial import make_serial, serial_on
-from .starts import BEST, FEATURES, sow
+from .starts import BEST, FEATURES, StartTable, make_table, sow
 from .tree import make_tree, tree_on
 
-SINGULAR_STEP, WAITING = -1, -2  # what `step` may return instead of 0: no step exists; a zero step that is not a stall
-GOING, STILL = -1, -2  # an attempt that continues, or has stopped moving; the search determines why
-LOOK = -1.0  # iterations of a mere evaluation of the answer, which is not an attempt
-# Near a singular pose the iteration converges too slowly for the give-up of the first attempts. A patient attempt has twice
-# the iterations and is given up later, so that hard targets are solved and easy ones cost no more.
-PATIENT, PATIENT_RHO = 2.0, 0.6
-EDGE_ATTEMPTS = 3  # at a target proven out of reach: the nearest pose does not justify a long search
-ROUNDING = 1e-9  # squared error below which no attempt is given up: the rest is rounding
-OVERFLOW, FAR_OFF = 1e300, 1e6  # a squared error, and a coordinate, above which numbers cannot be trusted
+# A rule's `step` returns 0, SINGULAR_STEP when no step exists, or WAITING when a step of zero does not mean that it has stalled.
+SINGULAR_STEP, WAITING = -1, -2
+# An attempt without a status yet either goes on (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
+GOING, STILL = -1, -2
+
+
+class Endings(NamedTuple):
+    """Numbers that decide when an attempt or a whole search is given up.
+
+    Near a singular pose the first attempts are given up too early. Later ones are patient: they get more iterations and a slower
+    decay of the ceiling, so that hard targets are solved and easy ones cost no more.
+    """
+
+    patient_iterations: float = 2.0  # factor on the iterations of a patient attempt
+    patient_decay: float = 0.6  # factor per iteration on the squared error above which a patient attempt is given up
+    unreachable_attempts: int = 3  # number of attempts, enough for a pose near a target that is proven out of reach
+    rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
+    overflow: float = 1e300  # squared error above which an attempt has diverged
+    far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
+
+
+END = Endings()
 
 
 def problem_on(block, rows, ends, tasks, n, orders):
-    """Serial or Tree, by the shape of `ends`, with its scratch cut from a block."""
+    """Make a Serial (`ends` is one row) or a Tree (one row a tip), with its scratch cut from a block."""
     return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
 
@@ -62,20 +76,20 @@ def _problem_on(block, rows, ends, tasks, n, orders):
     return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
 
 
-def by_tip(ends, T, tips):
-    """Ends as Serial or Tree take them, by the shape of the targets."""
+def shaped(ends, T, tips):
+    """Reshape flat ends to the form of a Serial or a Tree, whichever the shape of the targets T asks for."""
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 
 
-@overload(by_tip, jit_options=INLINE)
-def _by_tip(ends, T, tips):
+@overload(shaped, jit_options=INLINE)
+def _shaped(ends, T, tips):
     if T.ndim == 3:
         return lambda ends, T, tips: ends
     return lambda ends, T, tips: fold(ends, np.float64, tips, ends.shape[0] // tips)
 
 
 def problem(rows, ends, tasks, n, orders):
-    """The same with its own block, for code that runs on arrays and counts references."""
+    """Make a Serial or a Tree that owns its scratch, for code that works on arrays (not views) and counts references."""
     return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
 
 
@@ -87,55 +101,65 @@ def _problem(rows, ends, tasks, n, orders):
 
 
 @compiled
-class Table(NamedTuple):
-    """Known configurations to start from, and scratch to choose among them."""
+class SearchInput(NamedTuple):
+    """What all targets of one call share."""
 
-    seeds: Array
-    features: Array
-    score: Array
-    val: Array
-    best: Array
-    choice: Array
-    total: Array
-    state: Array  # of the random sequence
+    orders: Orders
+    near: Ends  # the limits of a step, which the option `follow` makes narrower than those of the joints
+    box: Ends  # the limits of the joints
+    weights: Array  # (n,) joint weights
+    table: StartTable
+    best: Array  # (n,) the configuration of the least error so far
+    closest: Array  # (n,) the solution nearest the start so far
+    history: Array  # (H, 2 + n) a row for each evaluation: position error [m], rotation error [rad], q
 
 
-@inline
-def make_table(block, seeds, features, tips):
-    """Table with its scratch cut from a block."""
-    score, val = cut(block, np.float32, (seeds.shape[0], BEST))
-    best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
-    (total,) = cut(block, np.float64, (BEST,))
-    (state,) = cut(block, np.uint64, (1,))
-    return Table(seeds, features, score, val, best, choice, total, state)
+@compiled
+class Patience(NamedTuple):
+    """How long an attempt may go on: it is given up when its squared error exceeds ceiling * decay^iteration."""
+
+    iterations: float
+    ceiling: float
+    decay: float
 
 
 @compiled
 class Spent(NamedTuple):
-    """What a search has used so far."""
+    """Counts of what a search has done so far."""
 
-    evaluations: int
-    steps: int
-    noted: int  # rows of history
+    evaluations: int  # evaluations of the errors
+    steps: int  # steps of the rule
+    noted: int  # rows written to `history`
+
+
+@compiled
+class Attempts(NamedTuple):
+    """What is known of the attempts at one target when the last one has ended."""
+
+    status: int  # CONVERGED when any attempt did, else the status of the last one
+    tries: int
+    cut_off: int  # attempts that ended at the limit of iterations
+    found: int  # the attempt that found the answer, 0 for the first
+    slot: int  # where the errors of the answer are kept: BEST_OF_ALL or NEAREST
 
 
 @inline
-def verdict(e, k, most, count, c, o):
-    """What an evaluation means for an attempt in its iteration k: a status, or GOING."""
+def judge_evaluation(e, k, ceiling, patience, count, o):
+    """Judge an evaluation made in iteration k of an attempt: return its final status, or GOING."""
     if e.good:
         return CONVERGED
-    if not e.ee < OVERFLOW:
+    if not e.ee < END.overflow:
         return NOT_FINITE
-    if k >= most or count >= o.evaluations:
+    if k >= patience.iterations or count >= o.evaluations:
         return ITERATION_LIMIT
-    if e.ee > c and e.ee > ROUNDING:
+    if e.ee > ceiling and e.ee > END.rounding:
         return STALLED
     return GOING
 
 
 @inner
 def note(p, e, ends, history, row):
-    """Write a row of history: position error, rotation error, q."""
+    """Write one row of history: position error [m], rotation error [rad] and q [rad or m]."""
     p.keep(e, NOW)
     history[row, 0], history[row, 1] = p.left(NOW)
     for i in range(p.desk.q.shape[0]):
@@ -143,51 +167,47 @@ def note(p, e, ends, history, row):
 
 
 @inline
-def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history):
-    """One attempt from p.desk.q; best (n,) and p keep the q of the least error and its errors.
+def make_attempt(rule, p, job, patience, needs_jacobian, spent, least):
+    """Iterate from p.desk.q until the attempt converges, fails or is given up.
 
-    With most = LOOK only the errors and the Jacobian at p.desk.q. Returns the status, the last look, the least squared error
-    and the counts.
+    The q of the least error goes to `job.best`, and its errors are kept by p as BEST_OF_ALL. Returns the status, the last
+    evaluation, the least squared error and what has been spent.
     """
-    q, dq, w = p.desk.q, p.desk.dq, p.desk.w
+    q, dq, w, o = p.desk.q, p.desk.dq, p.desk.w, job.orders
     boxed = o.limits > 0.0 or o.follow > 0.0
     holding = boxed and o.hold > 0.0
     count, steps, noted = spent.evaluations, spent.steps, spent.noted
-    k = 0.0
+    k, ceiling = 0.0, patience.ceiling
     while True:
         e = p.evaluate(q)
         count += 1
-        status = GOING
-        if most >= 0.0:
-            if noted < history.shape[0]:
-                note(p, e, near, history, noted)
-                noted += 1
-            if e.ee < least or e.good:
-                least = e.ee
-                copy(q, best)
-                p.keep(e, BEST_OF_ALL)
-            status = verdict(e, k, most, count, c, o)
-            if status != GOING:
-                break
-        if needs_jacobian or most < 0.0:
-            p.jacobian(e)
-        if most < 0.0:
+        if noted < job.history.shape[0]:
+            note(p, e, job.near, job.history, noted)
+            noted += 1
+        if e.ee < least or e.good:
+            least = e.ee
+            copy(q, job.best)
+            p.keep(e, BEST_OF_ALL)
+        status = judge_evaluation(e, k, ceiling, patience, count, o)
+        if status != GOING:
             break
+        if needs_jacobian:
+            p.jacobian(e)
         k += 1.0
-        c *= rho
-        copy(weights, w)
+        ceiling *= patience.decay
+        copy(job.weights, w)
         p.desk.spent[0] = count
         for _ in range(2):
             code = rule.step(p, e)
-            if not (holding and hold(q, dq, w, near)):
+            if not (holding and hold(q, dq, w, job.near)):
                 break
         count = int(p.desk.spent[0])
         if code == SINGULAR_STEP:
             status = SINGULAR
             break
         steps += 1
-        moved, far = integrate(q, dq, boxed, near)
-        if not far < FAR_OFF:
+        moved, far = integrate(q, dq, boxed, job.near)
+        if not far < END.far_off:
             status = NOT_FINITE
             break
         if moved <= 0.0 and code != WAITING:
@@ -197,114 +217,118 @@ def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, ne
 
 
 @inline
-def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jacobian, excess, history):
-    """Attempts until one converges (or `closest` have), then the answer in p.desk.q. Returns the head of its row.
+def search(rule, p, job, needs_jacobian, excess):
+    """Make attempts until one converges (with the option `closest`: until that many have), and choose among their results.
 
-    start (n,): q0, or home; the turn nearest to it is returned. near: ends with the limits of a step, which `follow` narrows.
+    The start p.desk.start (n,) is q0 or home. `excess` > 0 says by how much the target is proven out of reach [kernel units].
+    Returns the head of the answer's row and where its errors are kept; the answer itself is in p.desk.q.
     """
-    q = p.desk.q
+    o, q, start = job.orders, p.desk.q, p.desk.start
     given, closest, attempts = int(o.given), int(o.closest), int(o.attempts)
-    limits, following = o.limits > 0.0, o.follow > 0.0
     if excess > 0.0:
-        attempts, closest = min(attempts, EDGE_ATTEMPTS), 0
-    copy(start, best)
+        attempts, closest = min(attempts, END.unreachable_attempts), 0
+    copy(start, job.best)
     for f in range(p.desk.errors.shape[1]):
         p.desk.errors[BEST_OF_ALL, f, 0], p.desk.errors[BEST_OF_ALL, f, 1] = np.inf, np.inf
     p.desk.spent[1] = o.evaluations
-    spent = Spent(0, 0, 0)
-    least, shortest = np.inf, np.inf
-    hits, tries, cut_off, attempt, place, held = 0, 0, 0, 0, BEST_OF_ALL, -1
-    turned, judged, status = False, False, GOING
-    most, c, rho = 0.0, 0.0, 0.0
+    spent, least, shortest = Spent(0, 0, 0), np.inf, np.inf
+    hits, tries, cut_off, found, place = 0, 0, 0, 0, BEST_OF_ALL
     while True:
-        if status == GOING:
-            most, c, rho = start_attempt(p, o, table, tries - given, start)
-            if excess > 0.0:
-                c = np.inf
-            for i in range(p.desk.x.shape[0]):
-                p.desk.x[i] = 0.0
+        patience = start_attempt(p, job, tries - given, excess)
         before = least
-        ended, e, least, spent = make_attempt(
-            rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history
-        )
-        if status != GOING:
-            break  # that was the evaluation of the answer
-        if place == BEST_OF_ALL and (least < before or ended == CONVERGED):
-            attempt = tries
+        status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least)
+        if place == BEST_OF_ALL and (least < before or status == CONVERGED):
+            found = tries
         tries += 1
-        if ended == ITERATION_LIMIT:
+        if status == ITERATION_LIMIT:
             cut_off += 1
-        if ended == CONVERGED:
+        if status == CONVERGED:
             hits += 1
-            d = distance(q, start, weights, ends) if closest > 0 else 0.0
+            d = distance(q, start, job.weights, job.box) if closest > 0 else 0.0
             if closest > 0 and d < shortest:
-                shortest, place, attempt = d, NEAREST, tries - 1
-                copy(q, found)
+                shortest, place, found = d, NEAREST, tries - 1
+                copy(q, job.closest)
                 p.keep(e, NEAREST)
-        if hits < max(closest, 1) and tries < attempts and spent.evaluations < o.evaluations:
-            continue
-        status, judged = ended, False
-        if hits > 0:
-            status = CONVERGED
-        if excess > 0.0:
-            status = UNREACHABLE
-        elif status != CONVERGED and status != NOT_FINITE:
-            judged = attempts > 1 or following or status == STILL
-            if spent.evaluations >= o.evaluations:
-                status, judged = ITERATION_LIMIT, False
-        copy(best if place == BEST_OF_ALL else found, q)
-        # Of the same answer several turns away, return the one within limits nearest the start (or home).
-        turned = limits and not following and face(q, start, ends)
-        if not (judged or turned) or spent.evaluations >= o.evaluations:
+        if hits >= max(closest, 1) or tries >= attempts or spent.evaluations >= o.evaluations:
             break
-        most = LOOK
-    if most < 0.0:
-        if status == CONVERGED and not e.good:  # rounding of the turn exceeded a tolerance that was just met
-            copy(best if place == BEST_OF_ALL else found, q)
+    if hits > 0:
+        status = CONVERGED
+    return conclude(p, job, Attempts(status, tries, cut_off, found, place), spent, excess), place
+
+
+@inner
+def conclude(p, job, made, spent, excess):
+    """Put the answer into p.desk.q, on the turn nearest the start, find out why no attempt converged, and return its Answer."""
+    o, q, start, status = job.orders, p.desk.q, p.desk.start, made.status
+    limits, following = o.limits > 0.0, o.follow > 0.0
+    affordable, judged, held = spent.evaluations < o.evaluations, False, -1
+    if excess > 0.0:
+        status = UNREACHABLE
+    elif status != CONVERGED and status != NOT_FINITE:
+        judged = affordable and (o.attempts > 1.0 or following or status == STILL)
+        if not affordable:
+            status = ITERATION_LIMIT
+    answer = job.best if made.slot == BEST_OF_ALL else job.closest
+    copy(answer, q)
+    turned = limits and not following and face(q, start, job.box)
+    evaluations = spent.evaluations
+    if affordable and (judged or turned):
+        e = p.evaluate(q)
+        p.jacobian(e)
+        evaluations += 1
+        if status == CONVERGED and not e.good:  # the full turn's rounding exceeded a tolerance that was just met
+            copy(answer, q)
         else:
-            p.keep(e, place)
-    if judged:
-        if following:
-            held = held_back(p, e, near, ends, limits)
-        why = standstill(p, e, near, limits or following)
-        if held >= 0:
-            status = TOO_FAR
-        elif attempts > 1:
-            status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else ITERATION_LIMIT if cut_off == tries else STALLED
-        elif status == STILL:
-            status = why
-    if status == CONVERGED and given > 0 and not following:
-        held = other_end(q, start, ends)
-    position, rotation = p.left(place)
-    answer = Answer(
-        float(status), float(spent.steps), float(tries - 1), position, rotation, float(spent.evaluations),
-        float(spent.noted), excess * ends.scale(), float(attempt), float(held),
+            p.keep(e, made.slot)
+        if judged:
+            if following:
+                held = held_back(p, e, job.near, job.box, limits)
+            why = standstill(p, e, job.near, limits or following)
+            if held >= 0:
+                status = TOO_FAR
+            elif o.attempts > 1.0:
+                unfinished = ITERATION_LIMIT if made.cut_off == made.tries else STALLED
+                status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else unfinished
+            elif status == STILL:
+                status = why
+    if status == CONVERGED and o.given > 0.0 and not following:
+        held = other_end(q, start, job.box)
+    position, rotation = p.left(made.slot)
+    return Answer(
+        float(status), float(spent.steps), float(made.tries - 1), position, rotation, float(evaluations),
+        float(spent.noted), excess * job.box.scale(), float(made.found), float(held),
     )  # fmt: skip
-    return answer, place
 
 
 @inline
-def start_attempt(p, o, table, k, start):
-    """Put the start of attempt k (negative: q0) into p.desk.q. Returns its iterations and how it is given up."""
-    q = p.desk.q
-    most, c, rho = o.iterations, o.c_free, o.rho_free
+def start_attempt(p, job, k, excess):
+    """Put the start of attempt k into p.desk.q and return the attempt's Patience.
+
+    k < 0 is the attempt from q0; the next BEST start from the table, nearest first; all others start at random.
+    """
+    o, q = job.orders, p.desk.q
+    iterations, ceiling, decay = o.iterations, o.c_free, o.rho_free
     if k < 0:
-        copy(start, q)
+        copy(p.desk.start, q)
     elif k < BEST:
         if k == 0:
-            p.rank(table)
-        p.begin(table, k, q)
-        c, rho = o.c, o.rho
+            p.rank(job.table)
+        p.begin(job.table, k, q)
+        ceiling, decay = o.c, o.rho
     else:
-        p.draw(table, k, q)
+        p.draw(job.table, k, q)
         if k >= o.patience:
-            most, rho = PATIENT * o.iterations, PATIENT_RHO
-    return most, c, rho
+            iterations, decay = END.patient_iterations * o.iterations, END.patient_decay
+    if excess > 0.0:
+        ceiling = np.inf
+    for i in range(p.desk.x.shape[0]):
+        p.desk.x[i] = 0.0
+    return Patience(iterations, ceiling, decay)
 
 
 @inline
-def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
-    """The search of a rule for all targets, on views: arguments as of `entry`, and scratch."""
+def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
+    """Search for all targets of a call with one rule: the arguments of `entry` as views, and a block of scratch."""
     rows, ends, seeds, features = part(chain)
     N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
@@ -312,7 +336,6 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
     width = ANSWER + n + (MISS * tips if len(T.shape) == 4 else 0)
     history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (2 + n), 2 + n)
     first = HEAD + TASK * tips
-    weights = orders[first : first + n]
     rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
     block[0] = 0.0
@@ -320,11 +343,11 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
     if following:
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
-    p = problem_on(block, rows, by_tip(near_ends, T, tips), orders[HEAD:first], n, o)
-    # What belongs to the coordinates is the same for every tip, and stands first.
-    box, near = Ends(ends, n), Ends(near_ends, n)
+    p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
+    box, near = Ends(ends, n), Ends(near_ends, n)  # several tips have the same limits
     table = make_table(block, seeds, features, tips)
-    best, found = cut(block, np.float64, (n, n))
+    best, closest = cut(block, np.float64, (n, n))
+    job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)
     start = p.desk.start
     from_q0 = o.given > 0.0 or o.closest > 0.0
     for t in range(N):
@@ -341,40 +364,37 @@ def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
         if following:
             neighbourhood(q0, rows, o.follow, o.follow_slide, limits, box, near)
         sow(table.state, o.seed)
-        answer, place = search(
-            rule, p, o, near, box, weights, table, best, found, start, needs_jacobian, excess, history
-        )
+        answer, place = search(rule, p, job, needs_jacobian, excess)
         write(row, 0, answer)
         for i in range(n):
             row[ANSWER + i] = p.desk.q[i] * box.unit(i)
         p.report(place, row)
 
 
-ENTRIES: dict[type, Callable] = {}
-
-
 def step_class(cls: type) -> type:
-    """The class of a rule whose fields are what the compiled step reads: `COMPILED`, or the rule's own."""
+    """Return the class that the compiled step of a rule reads: its `COMPILED`, or the rule's own class."""
     return getattr(cls, "COMPILED", cls)
 
 
+@functools.cache
 def entry(cls: type) -> Callable:
     """Return the compiled search of a rule: solve(chain, T, Q0, out, orders).
 
-    chain: all arrays of a chain or a tree (see `joined.join`). T (N, 4, 4) [m], of F tips (N, F, 4, 4). Q0 (1 or N, n) start if
-    orders say so, and the turn nearest to it is returned. out (K,): N rows of ANSWER + n numbers, of several tips MISS F more;
-    what is left of it are rows of 2 + n that receive position error, orientation error and q of each evaluation. orders:
-    `Orders`, a `Task` a tip, joint weights (n), parameters.
+    Its arguments are arrays of float64:
+
+    - chain: all arrays of a chain or a tree (see `packed_model.join`);
+    - T: target poses (N, 4, 4) [m] in the base frame, for F tips (N, F, 4, 4);
+    - Q0: starts (1 or N, n) [rad or m], used if the orders say so; the answer is the turn nearest to them;
+    - out: receives N rows of ANSWER + n numbers, and MISS F more with several tips; what is left of it receives history, 2 + n
+      numbers for each evaluation: position error [m], rotation error [rad], q;
+    - orders: an `Orders`, a `Task` for each tip, the joint weights (n) and the parameters of the rule.
     """
-    if cls in ENTRIES:
-        return ENTRIES[cls]
     step = step_class(cls)
     needs_jacobian = getattr(step, "JACOBIAN", True)
 
     def solve(chain, T, Q0, out, orders):
         block = np.empty(scratch(view(chain)))
-        run(step, needs_jacobian, view(chain), view(T), view(Q0), view(out), view(orders), view(block))
+        run_search(step, needs_jacobian, view(chain), view(T), view(Q0), view(out), view(orders), view(block))
         keep(block)
 
-    ENTRIES[cls] = cached(solve, cls, step.step)
-    return ENTRIES[cls]
+    return cached(solve, cls, step.step)

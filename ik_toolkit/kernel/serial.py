@@ -1,4 +1,4 @@
-"""The problem of one tip; see problem.py for what each call does."""
+"""The problem of one tip. What each of its methods does stands in problem.py."""
 
 import math
 from typing import NamedTuple
@@ -26,36 +26,36 @@ from .problem import (
     tolerances,
 )  # fmt: skip
 from .records import TASK, WHAT, Array, Ends
-from .starts import nearest, rnd
+from .starts import nearest_seeds, rnd
 
 
 @compiled
 class Look(NamedTuple):
-    """One tip at a configuration. Lengths are divided by the chain's scale; axes: the first joint's, or the task's."""
+    """Errors of one tip at a configuration, in kernel units and in the first joint's axes (or those of the task)."""
 
-    point: V3  # the tip
-    linear: V3  # target - tip
-    angular: V3  # 2 sin(angle/2) * axis of the rotation left; a rotation vector where a part counts
+    point: V3  # position of the tip
+    linear: V3  # position error: target - tip
+    angular: V3  # rotation error, 2 sin(angle/2) times the axis; where a part counts, the rotation vector
     ee: float  # squared norm of all errors
-    good: bool  # inside the tolerances
+    good: bool  # whether the errors are inside the tolerances
 
 
 @compiled
 class Serial(NamedTuple):
-    """One tip: rows (L, 10), ends and task flat."""
+    """The problem of one tip."""
 
     desk: Desk
-    rows: Array
-    ends: Ends  # with the limits of a step
-    task: Array
-    goal: Array
-    kept: Array
-    pose: Array  # (12,) where it stands: axes of the last joint by rows, then the tip
-    joints: Array
-    trig: Array
-    tp: float
-    tr: float
-    boxed: bool  # whether limits count
+    rows: Array  # (L, 10) geometry of the chain, see kinematics.py
+    ends: Ends  # base, tip and the limits of a step
+    task: Array  # (TASK,) what counts, see `records.Task`
+    goal: Array  # (GOAL,) the target
+    kept: Array  # (KEPT,) what `counted_error.shape` leaves for `count_column`
+    pose: Array  # (12,) pose at the last `stand`: axes of the last joint by rows, then the tip
+    joints: Array  # (6 L,) axis and point of each joint
+    trig: Array  # angles, sines and cosines of the joints
+    tp: float  # squared position tolerance
+    tr: float  # squared rotation tolerance
+    boxed: bool  # whether limits are kept
     own: bool  # whether row i is coordinate i
 
     def aim(self, T, orders):
@@ -66,7 +66,7 @@ class Serial(NamedTuple):
         return self.look(axes, tip)
 
     def look(self, axes, tip):
-        """The errors where the last joint has these axes, and the tip is there."""
+        """Return the errors for these axes of the last joint and this place of the tip."""
         linear, angular = errors_at(self.task, self.ends, self.goal, self.kept, axes, tip)
         pp, rr = linear.square(), angular.square()
         return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)
@@ -107,16 +107,19 @@ class Serial(NamedTuple):
         return V3(J[i, 0], J[i, 1], J[i, 2]).dot(look.linear) + V3(J[i, 3], J[i, 4], J[i, 5]).dot(look.angular)
 
     def norm(self, look, weight):
-        """Norm of the errors, rotations as angles times `weight`."""
+        """Return the norm of the errors, in which an angle counts `weight` times."""
         ratio = weight * vector_ratio(int(self.task[WHAT.kind]), look.angular.square())
         return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
 
     def inside(self, i, value):
-        """Coordinate i at `value`, or at the limit it would pass."""
+        """Return `value`, or the limit of coordinate i that it lies beyond."""
         return min(max(value, self.ends.lower(i)), self.ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """Move of coordinate i alone to where the error is least: exact for a turning joint and a position, else linear."""
+        """Return the move of coordinate i alone that makes the error least: exact for a turning joint and a position, else linear.
+
+        It is 0 where the coordinate changes the error by less than `least`.
+        """
         linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
         kind = int(self.task[WHAT.kind])
         for r in range(self.rows.shape[0]):
@@ -136,12 +139,12 @@ class Serial(NamedTuple):
         return top / size if size > least else 0.0
 
     def try_out(self, q):
-        """Evaluate for a rule; counted."""
+        """Evaluate q for a rule, at the expense of its budget."""
         self.desk.spent[0] += 1.0
         return self.evaluate(q)
 
     def undo(self, look):
-        """After a trial is undone: the joints before the one moved are as they were; only what `shape` keeps may differ."""
+        """Restore what `try_out` changed after q was put back; only what `shape` keeps is needed again."""
         if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
 
@@ -168,7 +171,7 @@ class Serial(NamedTuple):
 
     def rank(self, table):
         wp, wr = counts(self.task)
-        nearest(table.features, self.goal, wp, wr, table.score, table.val, table.best)
+        nearest_seeds(table.features, self.goal, wp, wr, table.score, table.val, table.best)
 
     def begin(self, table, k, q):
         for i in range(q.shape[0]):
@@ -179,29 +182,29 @@ class Serial(NamedTuple):
             q[i] = self.ends.low(i) + self.ends.span(i) * rnd(table.state)
 
     def keep(self, look, place):
-        """Keep the errors of a look, measured from the target itself."""
+        """Store the errors of a look at index `place`, measured from the target itself."""
         errors = self.desk.errors
         errors[place, 0, 0] = from_target(self.goal, look.linear).square()
         errors[place, 0, 1] = look.angular.square()
 
     def left(self, place):
-        """Position error [m] and rotation error [rad] kept at a place."""
+        """Return the position error [m] and rotation error [rad] stored at index `place`."""
         errors = self.desk.errors
         position = math.sqrt(errors[place, 0, 0]) * self.ends.scale()
         return position, angle_left(int(self.task[WHAT.kind]), errors[place, 0, 1])
 
     def report(self, place, row):
-        """Nothing beyond the head of the row."""
+        """Write nothing: for one tip the `Answer` at the start of the row says all."""
 
 
 @spliced
 def serial_on(block, rows, ends, tasks, n, orders):
-    """Serial with its scratch cut from a block."""
+    """Make a Serial with its scratch cut from a block."""
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # the padding is read as well
+    for i in range(angles):  # the padding must hold valid angles, too
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(
@@ -223,7 +226,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_serial(rows, ends, tasks, n, orders):
-    """The same with its own block, for code that runs on arrays and counts references."""
+    """Make a Serial that owns its scratch, for code that works on arrays (not views) and counts references."""
     block = np.empty(space(n, 6, rows.shape[0], 0))
     block[0] = 0.0
     return serial_on(block, rows, ends, tasks, n, orders)

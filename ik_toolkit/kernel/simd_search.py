@@ -1,12 +1,12 @@
-"""Levenberg-Marquardt for eight targets side by side, one in each lane of a vector: twice the solves a second of `search`.
+"""Levenberg-Marquardt for eight targets at once, one in each lane of a SIMD vector: twice the solves a second of `search`.
 
-The same formulas, starts, give-up and tests as the search with the rule LM; limits differ in that the sign of the gradient,
-not of the step, says which joints to hold (some lane would want the step redone almost always). A lane that is done takes
-the next target, and lanes never see each other, so an answer depends on its target alone. What takes a lane too long or
-needs care (unreachable, half a turn off, refused) is left to the search.
+Formulas, starts, tests and rules for giving up are those of the search with the rule LM. Only the joint limits differ: the
+sign of the gradient, not that of the step, says which joints to hold, because some lane would almost always want its step
+redone. A lane that is done takes the next target. Lanes never exchange data, so an answer depends on its target alone. Targets
+that take too long or need care (unreachable, half a turn away, refused) are left to the search.
 """
 
-# numba itself gives an intrinsic its first argument, which type checkers cannot know.
+# The type checker must ignore that numba itself passes the first argument of an intrinsic.
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 import functools
 import math
@@ -17,7 +17,7 @@ import numpy as np
 
 from ..compile.array_view import cut, keep, space, view
 from ..compile.jit import cached, compiled, inline, spliced
-from ..compile.simd import WIDTH, bits, choose, full
+from ..compile.simd import WIDTH, bits, full, lane_select
 from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
 from .checks import CONVERGED
 from .counted_error import POSITION
@@ -25,39 +25,49 @@ from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
 from .problem import BEST_OF_ALL
 from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
-from .search import ROUNDING, make_table
+from .search import END
 from .serial import serial_on
-from .starts import BEST, rnd, sow
+from .starts import BEST, make_table, rnd, sow
 
-LEFT = -1  # status of a target left to the search
-HALF_TURN = 5e-4  # 1 + cos below which an attempt is given up: the axis cannot be determined
-ATTEMPTS = 32  # evaluations of one target before it is left to the search: others would have to wait for it
-ALL = (1 << WIDTH) - 1
+LEFT = -1  # status that leaves a target to the search
+# An attempt is given up when 1 + cos(angle left) is below this: the axis of the rotation is then unknown.
+HALF_TURN = 5e-4
+ATTEMPTS = 32  # attempts at one target before it is left to the search, because all other lanes wait for the last one
+ALL = (1 << WIDTH) - 1  # bits of a mask in which every lane is set
 
 
 @compiled
 class Lanes(NamedTuple):
-    """Eight attempts; the last axis of an array, or the only one, is the lane."""
+    """Eight attempts at eight targets; the last axis of each array is the lane, unless its shape says otherwise."""
 
-    Q: Array  # (n, 8)
-    joints: Array  # (6 n, 8) axes and points, then the Jacobian
-    trig: Array  # (3 n, 8)
-    goals: Array  # (12, 8)
-    ceiling: Array  # (8,) an attempt whose squared error is above this is given up ...
-    decay: Array  # ... and this factor lowers it every iteration
-    age: Array  # evaluations of this attempt
-    spent: Array  # evaluations of this target
-    pp: Array  # squared errors of the last look
-    rr: Array
-    which: Array  # target in each lane, -1: none
-    tries: Array
-    starts: Array  # (8, BEST) rows of the table
-    state: Array  # (8, 1) of the random sequences
+    Q: Array  # (n, 8) coordinates
+    joints: Array  # (6 n, 8) axis and point of each joint, overwritten by the Jacobian
+    trig: Array  # (3 n, 8) angles, sines and cosines of the joints
+    goals: Array  # (12, 8) targets as `kinematics.aim` writes them
+    ceiling: Array  # (1, 8) squared error above which the attempt is given up
+    decay: Array  # (1, 8) factor on the ceiling in every iteration
+    age: Array  # (1, 8) evaluations of this attempt
+    spent: Array  # (1, 8) evaluations of this target
+    pp: Array  # (1, 8) squared position error of the last evaluation
+    rr: Array  # (1, 8) squared rotation error of the last evaluation
+    which: Array  # (8,) index of the target, -1 for a lane without one
+    tries: Array  # (8,) attempts made at the target
+    starts: Array  # (8, BEST) rows of the table to start from
+    state: Array  # (8, 1) states of the random sequences
+
+
+@compiled
+class Call(NamedTuple):
+    """Targets, starts and answers of one call, as `search.entry` describes them."""
+
+    T: Array
+    Q0: Array
+    out: Array
 
 
 @spliced
 def make_lanes(block, n):
-    """No target in any lane."""
+    """Make Lanes without targets, with scratch cut from a block."""
     W = WIDTH
     Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
         block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))
@@ -65,7 +75,7 @@ def make_lanes(block, n):
     which, tries, starts = cut(block, np.int64, (W, W, (W, BEST)))
     (state,) = cut(block, np.uint64, ((W, 1),))
     s = Lanes(Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr, which, tries, starts, state)
-    for lane in range(W):  # a lane without a target is computed like the others, so it needs valid numbers
+    for lane in range(W):  # even a lane without a target is computed, so it needs valid numbers
         for i in range(n):
             Q[i, lane] = 0.0
         for i in range(12):
@@ -76,18 +86,18 @@ def make_lanes(block, n):
 
 
 @spliced
-def errors(rows, tip, s, turning):
-    """Tip, errors (linear, angular) and 1 + cos of the angle left; below HALF_TURN only the latter is right."""
+def lane_errors(rows, tip, s, turning):
+    """Return the tip, its errors (linear, angular) and 1 + cos(angle left); below HALF_TURN the angular error is wrong."""
     now = fk(rows, s.Q, s.joints, s.trig)
     point = now.point + now.axes.times(tip)
     sine, cos1 = rotation_left(now.axes, rotation_at(s.goals, 0))
-    angular = sine * (turning * math.sqrt(2.0 / choose(cos1 > HALF_TURN, cos1, full(1.0))))
+    angular = sine * (turning * math.sqrt(2.0 / lane_select(cos1 > HALF_TURN, cos1, full(1.0))))
     return point, at3(s.goals, 9) - point, angular, cos1
 
 
 @spliced
-def move(rows, s, ends, turning, point, linear, angular, damping):
-    """The damped step with joints held by the sign of the gradient, inside the limits. s.joints becomes the Jacobian."""
+def limited_step(rows, s, ends, turning, point, linear, angular, damping):
+    """Take the damped step inside the limits, holding joints by the sign of the gradient. s.joints becomes the Jacobian."""
     n = rows.shape[0]
     zero, one = full(0.0), full(1.0)
     blocks = diagonal(damping)
@@ -97,7 +107,7 @@ def move(rows, s, ends, turning, point, linear, angular, damping):
         if ends.turns(i) == 0.0:
             slope, q = u.dot(linear) + v.dot(angular), at(s.Q, i)
             out = ((q <= ends.lower(i)) & (slope < 0.0)) | ((q >= ends.upper(i)) & (slope > 0.0))
-            w = choose(out, zero, one)
+            w = lane_select(out, zero, one)
             u, v = u * w, v * w
         put3(s.joints, 6 * i, u)
         put3(s.joints, 6 * i + 3, v)
@@ -108,19 +118,19 @@ def move(rows, s, ends, turning, point, linear, angular, damping):
         low, high = ends.lower(i), ends.upper(i)
         if ends.turns(i) > 0.0:
             back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
-            q = choose((q < low) | (q > high), back, q)
-        q = choose(q < low, full(low), q)  # after a turn too: it may end a rounding outside
-        q = choose(q > high, full(high), q)
+            q = lane_select((q < low) | (q > high), back, q)
+        q = lane_select(q < low, full(low), q)  # a full turn may end just outside by rounding
+        q = lane_select(q > high, full(high), q)
         put(s.Q, i, q)
 
 
 @spliced
-def take_target(p, o, ends, table, s, lane, t, T, Q0, out):
-    """Put target t into a lane; False when it has to be left to the search."""
-    out[t, 0] = LEFT
-    excess = p.aim(T[t], o)
+def take_target(p, o, ends, table, s, lane, t, call):
+    """Put target t into a lane; return False if it must be left to the search."""
+    call.out[t, 0] = LEFT
+    excess = p.aim(call.T[t], o)
     given = o.given > 0.0
-    if excess != 0.0 or (given and not legal(Q0[t if Q0.shape[0] > 1 else 0], ends, True)):
+    if excess != 0.0 or (given and not legal(call.Q0[t if call.Q0.shape[0] > 1 else 0], ends, True)):
         return False
     p.rank(table)
     copy(table.best, s.starts[lane])
@@ -135,7 +145,7 @@ def take_target(p, o, ends, table, s, lane, t, T, Q0, out):
 
 @spliced
 def begin_attempt(o, ends, seeds, s, lane, Q0):
-    """Start of the next attempt of the target in a lane."""
+    """Set the start and the limits of the next attempt at the target of a lane."""
     n = s.Q.shape[0]
     k = s.tries[lane] - int(o.given)
     s.ceiling[0, lane], s.decay[0, lane] = o.c_free, o.rho_free
@@ -154,8 +164,9 @@ def begin_attempt(o, ends, seeds, s, lane, Q0):
 
 
 @spliced
-def hand_in(p, o, ends, s, lane, wanted, Q0, out):
-    """Write the answer of a lane."""
+def hand_in(p, o, ends, s, lane, wanted, call):
+    """Write the answer of a lane, on the turn nearest its start."""
+    Q0, out = call.Q0, call.out
     t, q, n = s.which[lane], p.desk.q, s.Q.shape[0]
     for i in range(n):
         q[i] = s.Q[i, lane]
@@ -166,9 +177,10 @@ def hand_in(p, o, ends, s, lane, wanted, Q0, out):
         count += 1.0
         for k in range(12):
             p.goal[k] = s.goals[k, lane]
-        put3(p.goal, 12, at3(p.goal, 9))  # it is in reach, so the aim is the target itself
+        # The target is in reach, so it is aimed at itself, not at the edge of the reach.
+        put3(p.goal, 12, at3(p.goal, 9))
         e = p.evaluate(q)
-        if not e.good:  # rounding of the turn broke a tolerance at its edge
+        if not e.good:  # the full turn's rounding exceeded a tolerance that was just met
             return
         p.keep(e, BEST_OF_ALL)
         position, rotation = p.left(BEST_OF_ALL)
@@ -181,8 +193,8 @@ def hand_in(p, o, ends, s, lane, wanted, Q0, out):
 
 
 @inline
-def run(rows, chain, seeds, features, T, Q0, out, orders, block):
-    """Until every target is done or left: arguments as of `lanes`, as views."""
+def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
+    """Solve until every target is done or left to the search: the arguments of `lanes` as views, and a block of scratch."""
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)
     block[0] = 0.0
@@ -190,6 +202,7 @@ def run(rows, chain, seeds, features, T, Q0, out, orders, block):
     table, s = make_table(block, seeds, features, 1), make_lanes(block, n)
     (wanted,) = cut(block, np.float64, (n,))
     damping = orders[HEAD + TASK + n]
+    call = Call(T, Q0, out)
     W, N = WIDTH, T.shape[0]
     tip = at3(ends.flat, 21)
     turning = 0.0 if int(p.task[WHAT.kind]) == POSITION else 1.0
@@ -204,7 +217,7 @@ def run(rows, chain, seeds, features, T, Q0, out, orders, block):
                     s.which[lane] = -1
                     live -= 1
                 while s.which[lane] < 0 and following < N:
-                    if take_target(p, o, ends, table, s, lane, following, T, Q0, out):
+                    if take_target(p, o, ends, table, s, lane, following, call):
                         live += 1
                     following += 1
                 s.age[0, lane] = 0.0
@@ -214,13 +227,13 @@ def run(rows, chain, seeds, features, T, Q0, out, orders, block):
                     begin_attempt(o, ends, table.seeds, s, lane, Q0)
         if live == 0:
             break
-        point, linear, angular, cos1 = errors(rows, tip, s, turning)
+        point, linear, angular, cos1 = lane_errors(rows, tip, s, turning)
         pp, rr = linear.square(), angular.square()
         ee = pp + rr
         seen = (cos1 > HALF_TURN) | (full(turning) < 0.5)
         age, ceiling = at(s.age, 0), at(s.ceiling, 0)
         done = bits((pp < p.tp) & (rr < p.tr) & seen)
-        renew = (bits(((ee > ceiling) & (ee > ROUNDING)) | (age >= o.iterations)) | ~bits(seen)) & ALL
+        renew = (bits(((ee > ceiling) & (ee > END.rounding)) | (age >= o.iterations)) | ~bits(seen)) & ALL
         put(s.age, 0, age + 1.0)
         put(s.spent, 0, at(s.spent, 0) + 1.0)
         put(s.ceiling, 0, ceiling * at(s.decay, 0))
@@ -230,25 +243,29 @@ def run(rows, chain, seeds, features, T, Q0, out, orders, block):
             put(s.rr, 0, rr)
             for lane in range(W):
                 if s.which[lane] >= 0 and (done >> lane) & 1:
-                    hand_in(p, o, ends, s, lane, wanted, Q0, out)
+                    hand_in(p, o, ends, s, lane, wanted, call)
                     s.which[lane] = -1
                     live -= 1
-        move(rows, s, ends, turning, point, linear, angular, damping * ee + 1e-12)
+        limited_step(rows, s, ends, turning, point, linear, angular, damping * ee + 1e-12)
 
 
 @functools.cache
 def lanes() -> Callable:
-    """Return the compiled solve(rows, ends, seeds, features, T, Q0, out, orders), arguments as for `search.entry` with LM.
+    """Return the compiled batch solver: solve(rows, ends, seeds, features, T, Q0, out, orders).
 
-    For poses and positions of chains without mimic joints, with limits, equal joint weights, no `closest` and no budget
-    of evaluations; rows of `out` with the status LEFT are for the search.
+    It takes poses and positions of chains without mimic joints, with limits, equal joint weights, no `closest` and no budget of
+    evaluations.
+
+    Returns:
+        A function of the arrays of a `Chain`, and of T, Q0, out and orders as `search.entry` describes them for the rule LM.
+        Rows of out with the status LEFT are for the search.
     """
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders):
         L, N = rows.shape[0], seeds.shape[0]
-        lanes_take = WIDTH * (10 * L + 64)  # see make_lanes
+        lanes_take = WIDTH * (10 * L + 64)  # numbers that make_lanes cuts from the block
         block = np.empty(space(seeds.shape[1], 6, L, N) + lanes_take)
-        run(
+        run_lanes(
             view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)
         )  # fmt: skip
         keep(block)

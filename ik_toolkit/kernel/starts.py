@@ -1,45 +1,69 @@
-"""Where attempts start: the nearest entries of a table of known configurations, then a reproducible random sequence.
+"""Where attempts start: first at the nearest entries of a table of known configurations, then at reproducible random places.
 
-With several tips each coordinate starts where the tip that it moves chooses.
+With several tips, each coordinate starts where the tip that it moves chooses.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.jit import dual, inline, inner
+from ..compile.array_view import cut
+from ..compile.jit import compiled, dual, inline, inner
 from .counted_error import FREE, counts
-from .records import WHAT, Ends, copy
+from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
-SEEDS = 256  # table size: larger tables cost more to scan than they save in iterations
-BEST = 8  # restarts taken from the table before random ones
-FEATURES = 13  # of a configuration, see `chain.table`
-PAD = 16  # keeps the feature rows from sharing one cache set
-ROTATION_WEIGHT = 0.05  # of |dR|_F^2 against |dp|^2 (lengths divided by the reach)
+SEEDS = 256  # size of the table: a larger one costs more to scan than it saves in iterations
+BEST = 8  # number of attempts that start from the table before the random ones
+FEATURES = 13  # numbers by which a configuration is compared with a target, see `chain.table`
+PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
+ROTATION_WEIGHT = 0.05  # weight of |dR|_F^2 against |dp|^2 in that comparison, with lengths divided by the reach
 
 
-HALF = np.uint64(32)
-LOW = np.uint64(0xFFFFFFFF)
+@compiled
+class StartTable(NamedTuple):
+    """Known configurations that attempts start from, and scratch to rank them for a target."""
+
+    seeds: Array  # (N, n) the configurations
+    features: Array  # (FEATURES * tips, N + PAD) what is compared with a target, see `chain.table`
+    score: Array  # (N,) squared distances from the target
+    val: Array  # (BEST,) the least of each group
+    best: Array  # (BEST,) for one tip the rows to start from, nearest first; for several tips the groups
+    choice: Array  # (BEST, tips) row of each group that each tip chooses
+    total: Array  # (BEST,) sum of the tips' least distances in each group
+    state: Array  # (1,) state of the random sequence that gives the later starts
 
 
 @inline
-def product(a, b):
-    """a b modulo 2^64 of two uint64, by halves: uncompiled, numpy warns of an overflow."""
-    low = (a & LOW) * (b & LOW)
-    cross = (((a & LOW) * (b >> HALF)) & LOW) + (((a >> HALF) * (b & LOW)) & LOW)
-    return (((low >> HALF) + cross) << HALF) | (low & LOW)
+def make_table(block, seeds, features, tips):
+    """Make a StartTable with its scratch cut from a block."""
+    score, val = cut(block, np.float32, (seeds.shape[0], BEST))
+    best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
+    (total,) = cut(block, np.float64, (BEST,))
+    (state,) = cut(block, np.uint64, (1,))
+    return StartTable(seeds, features, score, val, best, choice, total, state)
+
+
+@inline
+def product_64(a, b):
+    """Return the product of two uint64 modulo 2^64, computed by halves because numpy would warn of an overflow."""
+    half, low_bits = np.uint64(32), np.uint64(0xFFFFFFFF)
+    low = (a & low_bits) * (b & low_bits)
+    cross = (((a & low_bits) * (b >> half)) & low_bits) + (((a >> half) * (b & low_bits)) & low_bits)
+    return (((low >> half) + cross) << half) | (low & low_bits)
 
 
 @inline
 def sow(state, seed):
-    """Begin the random sequence of `state` (1,): it depends on the seed only, not on neighbours or the thread."""
-    state[0] = np.uint64(88172645463325252) ^ product(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
+    """Start the random sequence in state (1,) from a seed; it depends on nothing else, such as other targets or the thread."""
+    state[0] = np.uint64(88172645463325252) ^ product_64(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
 
 
 @inner
-def nearest(feat, goal, wp, wr, score, val, best):
-    """Fill `best` (BEST,) with the nearest seed of each interleaved group, nearest first.
+def nearest_seeds(feat, goal, wp, wr, score, val, best):
+    """Fill best (BEST,) with the nearest configuration of each of BEST interleaved groups of the table, nearest first.
 
-    wp, wr in {0, 1} switch position and rotation off (targets that leave one of them free).
+    wp and wr are 0 if the target leaves position or rotation free, else 1. score (N,) and val (BEST,) are scratch.
     """
     f = np.float32
     p0, p1, p2 = f(wp * goal[9]), f(wp * goal[10]), f(wp * goal[11])
@@ -86,27 +110,27 @@ def nearest(feat, goal, wp, wr, score, val, best):
 
 @dual
 def rnd(state):
-    """Next number in [0, 1) of xorshift64*; `state` is a (1,) uint64 array."""
+    """Return the next random number in [0, 1) by xorshift64*, whose state is an array (1,) of uint64."""
     x = state[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
     state[0] = x
-    return float(product(x, np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return float(product_64(x, np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @inner
 def rank_groups(p, table):
-    """Best row of each tip in each interleaved group of rows, the groups in order of the sum of their scores.
+    """Find the best configuration for each tip in each group of the table, and order the groups by the sum of their scores.
 
-    A target relative to another tip is sought where that tip's own target places it, or where that tip starts.
+    A target relative to another tip is assumed where that tip's own target, or else its start, places it.
     """
     F = p.tasks.shape[0]
     for f in range(F):
         if int(p.tasks[f, WHAT.kind]) == FREE and int(p.tasks[f, WHAT.other]) < 0:
             p.place(f, p.desk.start)
             copy(p.poses[f], p.goals[f])
-    for _ in range(F):  # a chain of them is no longer than that
+    for _ in range(F):  # a target may depend on another one that is relative too, but no chain is longer than F
         for f in range(F):
             other = int(p.tasks[f, WHAT.other])
             if other >= 0:
@@ -116,14 +140,14 @@ def rank_groups(p, table):
         table.total[g] = 0.0
     for f in range(F):
         wp, wr = counts(p.tasks[f])
-        nearest(
+        nearest_seeds(
             table.features[FEATURES * f : FEATURES * (f + 1)], p.goals[f], wp, wr, table.score, table.val, table.best
         )
         for k in range(BEST):
             g = table.best[k] % BEST
             table.choice[g, f] = table.best[k]
             table.total[g] += table.val[k]
-    for k in range(BEST):  # table.best: the groups, best first
+    for k in range(BEST):  # table.best now receives the groups, best first
         first = 0
         for g in range(BEST):
             if table.total[g] < table.total[first]:
@@ -133,8 +157,8 @@ def rank_groups(p, table):
 
 
 @inner
-def begin_by_tips(p, table, k, q):
-    """Each coordinate as its tip chose it; if its tip has no target, it stays where the search starts."""
+def begin_each_tip(p, table, k, q):
+    """Set q to start k: each coordinate as its tip chose it, or as the search starts if its tip has no target."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
@@ -145,7 +169,10 @@ def begin_by_tips(p, table, k, q):
 
 @inner
 def draw_some(p, table, k, q):
-    """Mostly keep the tips that arrived and the shared joints: drawing all of them at once seldom gives a good start."""
+    """Set q to random start k, mostly keeping shared joints and those of tips that reached their targets.
+
+    Drawing all joints at once seldom gives a good start for all tips.
+    """
     some = False
     for f in range(p.tasks.shape[0]):
         some = some or p.arrived(f)
@@ -162,11 +189,11 @@ def draw_some(p, table, k, q):
 
 @inner
 def choose_moves(ends, tasks, n, asked, moves, choosers):
-    """Fill `moves` and `choosers` of a Tree: joints that move a free tip alone move nothing that counts, and choose no start.
+    """Fill `moves` and `choosers` of a Tree; joints that only move a tip without a target have no part in either.
 
-    asked (F,): scratch: whether a tip takes part, because its target counts or another's is relative to it.
+    asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
     """
-    F, own = ends.shape[0], ends.shape[1] - n  # where the coordinates that move a tip are
+    F, own = ends.shape[0], ends.shape[1] - n  # the last n numbers of a tip's ends say which coordinates move it
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):

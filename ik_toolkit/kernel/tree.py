@@ -1,7 +1,7 @@
-"""The problem of several tips that share joints; see problem.py for what each call does.
+"""The problem of several tips that share joints. What each of its methods does stands in problem.py.
 
-Each chain's rows name the shared coordinates; joints common to two paths are evaluated once per path (cheaper than
-bookkeeping a tree). The errors are stacked, six a tip.
+Each tip has a chain of its own whose rows name the shared coordinates. Joints common to two chains are evaluated once for each,
+which is cheaper than keeping account of a tree. The errors are stacked, six a tip.
 """
 
 import math
@@ -32,45 +32,45 @@ from .problem import (
 )  # fmt: skip
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
-from .starts import begin_by_tips, choose_moves, draw_some, rank_groups
+from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
-ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is close enough to its target to keep its joints
+ARRIVED = 1e-4  # a tip whose squared error (rad, lengths over reach) is below this keeps its joints in the next attempt
 
 
 @compiled
 class Looks(NamedTuple):
-    """Several tips at a configuration; the rest is in the arrays of the Tree."""
+    """Summary of the errors of all tips at a configuration; the errors themselves are in the arrays of the Tree."""
 
-    ee: float
-    good: bool
+    ee: float  # squared norm of all errors
+    good: bool  # whether all errors are inside the tolerances
 
 
 @compiled
-class Tree(NamedTuple):
-    """Several tips over shared coordinates: as Serial for tip f, the rows of all chains one after the other."""
+class TreeProblem(NamedTuple):
+    """The problem of F tips over n shared coordinates. Arrays of a tip are as in `Serial`."""
 
     desk: Desk
-    rows: Array
-    ends: Array  # (F, ...)
-    tasks: Array  # (F, TASK)
-    cut: Array  # (F + 1,) chain f in rows[cut[f] : cut[f + 1]]
-    moves: Array  # (F, n) 1 where a coordinate moves what counts at a tip
-    choosers: Array  # (2, n) the tip whose start a coordinate takes, -1: none, and how many tips it moves
-    goals: Array  # (F, GOAL)
-    links: Array  # (F, LINK)
-    kept: Array  # (F, KEPT) as of Serial
-    poses: Array  # (F, GOAL) axes of the last joint by rows, then the tip
-    joints: Array
-    trig: Array
-    tips: Array  # (F, 2) excess, squared error of the look before
+    rows: Array  # (L, 10) geometry of all chains, one after the other
+    ends: Array  # (F, ...) an `Ends` for each tip
+    tasks: Array  # (F, TASK) what counts at each tip, see `records.Task`
+    cut: Array  # (F + 1,) the rows of chain f are rows[cut[f] : cut[f + 1]]
+    moves: Array  # (F, n) 1 where a coordinate moves an error of the tip that counts, else 0
+    choosers: Array  # (2, n) the tip whose start a coordinate takes (-1 if there is none), and how many tips it moves
+    goals: Array  # (F, GOAL) the target of each tip
+    links: Array  # (F, LINK) targets relative to another tip, see relative.py
+    kept: Array  # (F, KEPT) what `counted_error.shape` leaves for `count_column`
+    poses: Array  # (F, GOAL) pose of each tip at the last `stand`: axes of the last joint by rows, then the tip
+    joints: Array  # (6 L,) axis and point of each joint
+    trig: Array  # angles, sines and cosines of the joints of one chain at a time
+    tips: Array  # (F, 2) by how much each target is out of reach, and its squared error at the last evaluation
     orders: Orders
-    boxed: bool
+    boxed: bool  # whether limits are kept
 
     def aim(self, T, orders):
         return aim_tips(self, T, orders)
 
     def place(self, f, q):
-        """Find axes and tip of chain f at q."""
+        """Compute the pose of tip f at q."""
         rows = self.rows[self.cut[f] : self.cut[f + 1]]
         angles = room(rows.shape[0])[1]
         axes, tip = tip_at(
@@ -161,7 +161,7 @@ class Tree(NamedTuple):
         return min(max(value, ends.lower(i)), ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """The linear step of coordinate i on all errors."""
+        """Return the move of coordinate i alone that makes the linearised error of all tips least."""
         self.jacobian(look)
         self.stack(look)
         top, size = 0.0, 0.0
@@ -201,7 +201,7 @@ class Tree(NamedTuple):
         for f in range(self.tasks.shape[0]):
             ends = Ends(self.ends[f], self.desk.q.shape[0])
             other = int(self.tasks[f, WHAT.other])
-            if other >= 0:  # given in the axes of the other tip
+            if other >= 0:  # the motion of a target relative to another tip is given in that tip's axes
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
                 u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
@@ -230,7 +230,7 @@ class Tree(NamedTuple):
         rank_groups(self, table)
 
     def begin(self, table, k, q):
-        begin_by_tips(self, table, k, q)
+        begin_each_tip(self, table, k, q)
 
     def arrived(self, f):
         return int(self.tasks[f, WHAT.kind]) != FREE and self.tips[f, 1] < ARRIVED
@@ -241,12 +241,13 @@ class Tree(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            free = int(self.tasks[f, WHAT.kind]) == FREE  # its goal is where the search starts, so it has no error
+            # The goal of a tip without a target is only where it starts, so its distance from there is no error.
+            free = int(self.tasks[f, WHAT.kind]) == FREE
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
 
     def left_at(self, place, f):
-        """Position error [m] and rotation error [rad] of tip f kept at a place."""
+        """Return the position error [m] and rotation error [rad] of tip f stored at index `place`."""
         errors = self.desk.errors
         position = math.sqrt(errors[place, f, 0]) * Ends(self.ends[f], self.desk.q.shape[0]).scale()
         return position, angle_left(int(self.tasks[f, WHAT.kind]), errors[place, f, 1])
@@ -258,17 +259,14 @@ class Tree(NamedTuple):
         report_tips(self, place, row)
 
 
-# ------------------------------------------------------------- work done once per target or attempt, one copy each
-
-
 # ----------------------------------------------------------------------------- once per target: one copy each, called
 @inner
 def aim_tips(p, T, orders):
-    """Take a target of each tip."""
+    """Take a target for each tip. Returns the largest length by which one is out of reach, -1 if one is not a pose."""
     worst = 0.0
     for f in range(p.tasks.shape[0]):
         other = int(p.tasks[f, WHAT.other])
-        if other >= 0:  # it moves, so nothing can be proven about it
+        if other >= 0:  # a target that moves with another tip cannot be proven out of reach
             if not rigid(T[f], ORTHONORMAL):
                 return -1.0
             link_to(
@@ -289,7 +287,7 @@ def aim_tips(p, T, orders):
 
 @inner
 def left_of_all(p, place):
-    """Largest errors kept at a place."""
+    """Return the largest position error [m] and rotation error [rad] of all tips stored at index `place`."""
     position, rotation = 0.0, 0.0
     for f in range(p.tasks.shape[0]):
         linear, angle = p.left_at(place, f)
@@ -299,7 +297,7 @@ def left_of_all(p, place):
 
 @inner
 def report_tips(p, place, row):
-    """Append the remaining error of each tip."""
+    """Write the `Miss` of each tip to the end of a row of results."""
     for f in range(p.tasks.shape[0]):
         position, rotation = p.left_at(place, f)
         excess = p.tips[f, 0] * Ends(p.ends[f], p.desk.q.shape[0]).scale()
@@ -308,9 +306,9 @@ def report_tips(p, place, row):
 
 @spliced
 def tree_on(block, rows, ends, tasks, n, orders):
-    """Tree with its scratch cut from a block.
+    """Make a Tree with its scratch cut from a block.
 
-    The ends of a tip end with the number of its rows and which coordinates move it (n).
+    The `ends` of each tip close with the number of its rows, then n numbers that are 1 where a coordinate moves it.
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
@@ -323,11 +321,11 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # the padding is read as well
+    for i in range(angles):  # the padding must hold valid angles, too
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
-    return Tree(
+    return TreeProblem(
         make_desk(block, n, 6 * F), rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips,
         orders, boxed,
     )  # fmt: skip
@@ -335,7 +333,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_tree(rows, ends, tasks, n, orders):
-    """The same with its own block, for code that runs on arrays and counts references."""
+    """Make a Tree that owns its scratch, for code that works on arrays (not views) and counts references."""
     block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
     block[0] = 0.0
     return tree_on(block, rows, ends, tasks, n, orders)

@@ -1,1 +1,1 @@
-"""What is asked over time: references, shapes, waypoints, trajectories."""
+"""Motions over time: references for a tip to track, their shapes and waypoints, and trajectories of the joints."""

@@ -1,7 +1,6 @@
-"""References: where the tip should be at time t, with exact velocity and acceleration.
+"""References: where a tip should be at time t, with exact velocity and acceleration, in the robot's base axes.
 
-All in the robot's base axes. A reference made from a pose (4, 4) asks for position and orientation; one made from a
-position (3,) leaves the orientation free.
+A reference made from poses (4, 4) asks for position and orientation; one made from positions (3,) leaves the orientation free.
 """
 
 import math
@@ -13,19 +12,26 @@ import numpy as np
 
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..robot.pose import PROJECT_WITHIN, check_target
+from ..robot.pose import PROJECT_WITHIN
+from ..robot.pose import checked as checked_pose
 from ..validate import number, one_of, positive, switch
 
-Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
-MAX_STEPS = 1e7
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # poses, twists and accelerations at several times
+MAX_STEPS = 1e7  # most samples of a run, which already take over a GB of memory
 
 
 class Reference(Holds):
-    """A moving target.
+    """A moving target for one tip. Its attributes are the arguments that it was made from.
 
-    function(t) with t (N,) [s] returns T_base_tip (N, 4, 4) [m], twist (N, 6) and acceleration (N, 6): linear velocity
-    (acceleration) of the tip point, then angular velocity (acceleration), base axes. With position_only the rotation of T
-    is ignored and the angular parts should be zero. duration [s] is how long a run lasts.
+    Args:
+        function: Takes times t (N,) [s]; returns T_base_tip (N, 4, 4) [m], twists (N, 6) [m/s, rad/s] and accelerations (N, 6)
+            [m/s^2, rad/s^2]: first that of the tip point, then the angular one, in base axes.
+        duration: How long a run lasts [s].
+        position_only: Leave the orientation free. The rotation of T is then ignored, and the angular parts should be zero.
+        name: A short name for messages.
+
+    Raises:
+        InvalidOption: function cannot be called, duration is not a positive number, or position_only not True or False.
     """
 
     FUNCTION = "function"
@@ -38,10 +44,7 @@ class Reference(Holds):
         position_only: bool = False,
         name: str = "custom",
     ) -> None:
-        """Wrap a function of time.
-
-        Raises InvalidOption when it is not callable, the duration is not a positive number or position_only not True or False.
-        """
+        """Wrap a function of time; the arguments stand in the docstring of the class."""
         if not callable(function):
             raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
         self.duration = positive(duration, "duration [s]")
@@ -50,7 +53,19 @@ class Reference(Holds):
         self.name = name
 
     def at(self, t: Any) -> Samples:
-        """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number; with a leading N for an array (N,)."""
+        """Evaluate the reference.
+
+        Args:
+            t: A time [s], or an array (N,) of times.
+
+        Returns:
+            T_base_tip (4, 4) [m], twist (6,) [m/s, rad/s] and acceleration (6,) [m/s^2, rad/s^2], linear part first, in base
+            axes. For an array of times each has a leading N.
+
+        Raises:
+            InvalidOption: t is not finite or has the wrong shape.
+            InvalidTarget: The function of the reference returned something else.
+        """
         times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
         if times.ndim > 1 or not np.isfinite(times).all():
             raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
@@ -65,12 +80,16 @@ class Reference(Holds):
         return (T, V, A) if np.ndim(t) else (T[0], V[0], A[0])
 
     def target(self, t: float) -> np.ndarray:
-        """Target at t as the solvers take it: (4, 4), or (3,) when the orientation is free."""
+        """Return the target at t [s] as the solvers take it: a pose (4, 4) [m], or a position (3,) if the orientation is free."""
         T = self.at(number(t, "t [s]"))[0]
         return T[:3, 3].copy() if self.position_only else T
 
     def times(self, dt: float) -> np.ndarray:
-        """Sample times 0, dt, ... up to the duration [s]. Raises InvalidOption beyond ten million of them."""
+        """Return the sample times 0, dt, ... up to the duration (N,) [s].
+
+        Raises:
+            InvalidOption: dt [s] is not positive, or makes more than ten million samples.
+        """
         steps = self.duration / positive(dt, "dt [s]")
         if steps > MAX_STEPS:
             raise InvalidOption(
@@ -79,7 +98,7 @@ class Reference(Holds):
         return np.arange(math.floor(steps + 1e-9) + 1) * dt
 
     def __repr__(self) -> str:
-        """One line: kind, duration and what is asked for."""
+        """Return a line with the name, the duration and whether poses or positions are asked for."""
         return f"Reference({self.name}, {self.duration:g} s, {'position' if self.position_only else 'pose'})"
 
 
@@ -108,7 +127,10 @@ def _constant(x: np.ndarray) -> Samples:
 
 
 def minimum_jerk(x: np.ndarray) -> Samples:
-    """Rest to rest with the least integral of squared jerk (Flash and Hogan, 1985)."""
+    """Return the time law from rest to rest that has the least integral of squared jerk, and its two derivatives.
+
+    x (N,) is the time over the duration. Source: Flash and Hogan (1985).
+    """
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
 
@@ -117,7 +139,7 @@ LAWS = {"constant": _constant, "minimum-jerk": minimum_jerk}
 
 
 def law_of(name: str) -> Callable[[np.ndarray], Samples]:
-    """Time law by name. Raises InvalidOption."""
+    """Return the time law of that name. Raises InvalidOption if there is none."""
     return LAWS[one_of(name, LAWS, "time law")]
 
 
@@ -129,7 +151,11 @@ def on_path(
     name: str,
     turn: np.ndarray | None = None,
 ) -> Reference:
-    """Reference along path(s), s in 0..1, with s = law(t / duration); turn: rotation vector in the frame R0, times s."""
+    """Make a reference that moves along path(s), s from 0 to 1, as s = law(t / duration).
+
+    R0 (3, 3) is the orientation at the start, None if it is free; turn (3,) is the rotation vector, in the frame R0, of the turn
+    made by the end.
+    """
     duration = positive(duration, "duration [s]")
     return Reference(partial(_along, path, law, duration, R0, turn), duration, position_only=R0 is None, name=name)
 
@@ -152,7 +178,7 @@ def _along(
 
 
 def still(count: int, R0: np.ndarray | None) -> Samples:
-    """Samples of a tip that rests at the origin with the rotation R0 (none: identity); shapes write their motion over it."""
+    """Make samples of a tip that rests at the origin with the rotation R0 (None: identity), for a motion to be written into."""
     T = np.zeros((count, 4, 4))
     T[:, :3, :3] = np.eye(3) if R0 is None else R0
     T[:, 3, 3] = 1.0
@@ -160,23 +186,23 @@ def still(count: int, R0: np.ndarray | None) -> Samples:
 
 
 def exp(w: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) of rotation vectors (N, 3)."""
+    """Return the rotations (N, 3, 3) of rotation vectors (N, 3)."""
     angle = np.linalg.norm(w, axis=1)[:, None, None]
     K = np.zeros((len(w), 3, 3))
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
     K -= np.swapaxes(K, 1, 2)
-    half = np.sinc(angle / (2 * np.pi))  # sin(x/2) / (x/2)
+    half = np.sinc(angle / (2 * np.pi))  # sin(angle/2) / (angle/2)
     return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * half * half * (K @ K)
 
 
 def log(R: np.ndarray) -> np.ndarray:
-    """Rotation vector (3,) of a rotation (3, 3)."""
+    """Return the rotation vector (3,) of a rotation (3, 3)."""
     import pinocchio as pin
 
     return pin.log3(np.asarray(R))
 
 
 def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
-    """Position (3,) and rotation (3, 3), None when it is free, of a target. Raises InvalidTarget."""
-    T, _ = check_target(target)
+    """Return the position (3,) and the rotation (3, 3) of a target, None if it is a position. Raises InvalidTarget."""
+    T = checked_pose(target)
     return (T, None) if T.ndim == 1 else (T[:3, 3].copy(), T[:3, :3].copy())

@@ -1,4 +1,4 @@
-"""References along simple shapes: line, circle, Lissajous figure."""
+"""References along simple shapes: a line, a circle and a Lissajous figure."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -13,11 +13,22 @@ from .reference import Reference, Samples, law_of, log, on_path, split
 
 
 def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds: int = 0) -> Reference:
-    """Straight line from start to end (both poses or both positions, base frame [m]), the orientation turning about one axis.
+    """Make a reference along a straight line, with the orientation turning evenly about one axis.
 
-    duration [s]. law: "constant" speed or "minimum-jerk" (rest to rest). rounds > 0 goes there and back that many times, with s =
-    (1 - cos) / 2, so the line is retraced and the speed is zero at both ends; law is then not used. Raises InvalidTarget,
-    InvalidOption.
+    Args:
+        start: First pose (4, 4) or position (3,), base frame [m].
+        end: Last pose or position, of the same kind.
+        duration: Time for the whole motion [s].
+        law: "constant" speed, or "minimum-jerk" from rest to rest.
+        rounds: 0 moves once from start to end. Any other number goes there and back that many times with the time law
+            (1 - cos) / 2, which is at rest at both ends; `law` is then not used.
+
+    Returns:
+        The reference.
+
+    Raises:
+        InvalidTarget: start or end is no pose or position, or they are of different kinds.
+        InvalidOption: There is no such law, or duration or rounds is out of range.
     """
     (p0, R0), (p1, R1) = split(start), split(end)
     if (R0 is None) != (R1 is None):
@@ -47,11 +58,26 @@ def circle(
     duration: float = 10.0,
     law: str = "constant",
 ) -> Reference:
-    """Circle of `radius` [m] about `normal` (base axes), counter-clockwise for turns > 0, at a fixed orientation.
+    """Make a reference along a circle, at a fixed orientation.
 
-    Give start (the tip's first pose or position; the centre lies `radius` back along the base x axis laid into the plane,
-    y where x is the normal) or center (the start is then `radius` ahead of it). All turns take duration [s]; law as in `line`.
-    Raises InvalidTarget, InvalidOption.
+    Either start or center is given. From the centre the start lies `radius` ahead along the base x axis projected into the plane
+    of the circle (along y where x is the normal).
+
+    Args:
+        start: First pose (4, 4) or position (3,) of the tip, base frame [m].
+        radius: Radius of the circle [m].
+        center: Centre of the circle, as a pose or position, base frame [m].
+        normal: (3,) direction about which the tip circles, base axes.
+        turns: Number of turns, counter-clockwise if positive.
+        duration: Time for all turns [s].
+        law: "constant" speed, or "minimum-jerk" from rest to rest.
+
+    Returns:
+        The reference.
+
+    Raises:
+        InvalidTarget: start or center is no pose or position.
+        InvalidOption: Not just one of start and center is given, there is no such law, or a number is out of range.
     """
     if (start is None) == (center is None):
         raise InvalidOption("a circle needs either start= or center=")
@@ -70,7 +96,7 @@ def _round(c: np.ndarray, radius: float, u: np.ndarray, w: np.ndarray, k: float,
 
 
 def plane(normal: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across `normal`, the first as near to base x as possible (y where x is the normal)."""
+    """Return two unit vectors across `normal` and each other, the first as near to base x as possible (y where x is normal)."""
     n = check_target(normal)[0]
     if n.shape != (3,) or not np.linalg.norm(n) > 1e-12:
         raise InvalidOption(f"normal must be a direction of 3 numbers, not {normal!r}")
@@ -90,10 +116,25 @@ def lissajous(
     duration: float = 10.0,
     law: str = "constant",
 ) -> Reference:
-    """Lissajous figure about `center` (pose or position): along each base axis amplitude times sin(2 pi cycles s + phase).
+    """Make a reference along a Lissajous figure, at a fixed orientation.
 
-    amplitudes (3,) [m], cycles (3,), phases (3,) [rad]; s goes from 0 to 1 in duration [s], law as in `line`. The default is a
-    figure of eight in the horizontal plane through the centre. Raises InvalidTarget, InvalidOption.
+    Along each base axis the tip is amplitude * sin(2 pi cycles s + phase) from the centre, where s goes from 0 to 1. The default is
+    a figure of eight in the horizontal plane through the centre.
+
+    Args:
+        center: Centre of the figure, as a pose (4, 4) or position (3,), base frame [m].
+        amplitudes: (3,) amplitudes along the base axes [m].
+        cycles: (3,) numbers of periods along the base axes.
+        phases: (3,) phases along the base axes at the start [rad].
+        duration: Time for the whole figure [s].
+        law: "constant" speed of s, or "minimum-jerk" from rest to rest.
+
+    Returns:
+        The reference.
+
+    Raises:
+        InvalidTarget: center is no pose or position.
+        InvalidOption: There is no such law, or a number is out of range.
     """
     p, R0 = split(center)
     amp, cyc, pha = (

@@ -1,4 +1,4 @@
-"""A joint motion in time: exact at every instant, sampled at a rate, and exported for controllers."""
+"""A joint motion over time that is exact at every instant, sampled at a rate, and exported for controllers."""
 
 import json
 from dataclasses import dataclass, field
@@ -15,42 +15,37 @@ from ..robot.ros import joint_trajectory
 from .reference import Reference, Samples
 from .time_law import coordinate_at
 
-DIFFERENCE = 1e-5  # [s] step of the central difference of a Jacobian along the motion: its error is quadratic in it
+DIFFERENCE = 1e-5  # s, step of the central difference of a Jacobian along the motion; its error falls with the square
 
 
 class Piece(NamedTuple):
-    """A curve and its time law, from rest to rest.
+    """A curve of the joints over a path coordinate s, and its time law from rest to rest."""
 
-    knots (M,) and coefficients (4, M-1, n): cubics in s, highest power first, from knot to knot. s, speed, t (G,): path
-    coordinate, its rate and the time [s] at the grid points of the time law; ds/dt has a constant derivative between them.
-    at (M,): place of each knot among the poses of the path, NaN in a free motion.
-    """
-
-    knots: np.ndarray
-    coefficients: np.ndarray
-    s: np.ndarray
-    speed: np.ndarray
-    t: np.ndarray
-    at: np.ndarray
+    knots: np.ndarray  # (M,) values of s between which the curve is a cubic polynomial
+    coefficients: np.ndarray  # (4, M-1, n) of the polynomials in s - knot, highest power first
+    s: np.ndarray  # (G,) path coordinate at the grid points of the time law
+    speed: np.ndarray  # (G,) ds/dt [1/s] at the grid points; it changes evenly between them
+    t: np.ndarray  # (G,) time [s] at the grid points
+    at: np.ndarray  # (M,) place of each knot among the poses of the path, NaN in a free motion
 
     @property
     def duration(self) -> float:
-        """Duration [s]."""
+        """Duration of the piece [s]."""
         return float(self.t[-1])
 
     def slower(self, factor: float) -> "Piece":
-        """The same curve in `factor` times the time."""
+        """Return the piece with the same curve in `factor` times the time."""
         return self._replace(speed=self.speed / factor, t=self.t * factor)
 
     def curve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Joint values (N, n) and their first and second derivatives with respect to s, at s (N,)."""
+        """Return joint values (N, n) [rad or m] and their first and second derivatives by s, at s (N,)."""
         k = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         x = (s - self.knots[k])[:, None]
         a, b, c, d = self.coefficients[:, k]
         return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
 
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Joint values, rates and accelerations (N, n) at times t (N,) [s] from its start, and the place among the poses (N,)."""
+        """Return joint values, rates, accelerations (N, n) and places (N,) among the poses, at t (N,) [s] from the start."""
         s, rate, gain = coordinate_at(np.clip(t, 0.0, self.t[-1]), self.t, self.s, self.speed)
         rate, gain = rate[:, None], gain[:, None]
         q, slope, bend = self.curve(s)
@@ -61,11 +56,13 @@ class Piece(NamedTuple):
 class Trajectory:
     """A motion in time of n joints, sampled at N times (read-only).
 
-    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,) among the
-    poses of the path, NaN while the robot changes from one branch of solutions to another; success; message: a sentence, which
-    says why if the motion ends early. velocity, acceleration (n,): the limits, which hold at every instant, see `at`. deviation
-    (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in PathResult. pieces: the motion itself,
-    each from rest to rest. robot: the robot that moves; collision: the CollisionModel it keeps clear of, or None.
+    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,)
+    among the poses of the path, NaN while the robot changes from one branch of solutions to another; success; message: a
+    sentence, which says why if the motion ends early. velocity, acceleration (n,): the limits, which hold at every
+    instant, see `at`. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in
+    PathResult. pieces: the motion itself, each from rest to rest. robot: the robot that moves; collision: the
+    CollisionModel it keeps clear of, or None. stops: places among the poses where the robot stops because no smooth curve
+    was found there. slower: where a tip speed was asked for, from which place to which the limits keep the tip below it.
     """
 
     robot: Any
@@ -82,14 +79,26 @@ class Trajectory:
     clearance: float | None
     pieces: tuple[Piece, ...]
     collision: Any = field(default=None, repr=False)
+    stops: tuple[float, ...] = ()
+    slower: tuple[tuple[float, float], ...] = ()
 
     @property
     def duration(self) -> float:
-        """Duration [s]."""
+        """Duration of the motion [s]."""
         return float(self.t[-1])
 
     def at(self, t: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q, dq, ddq at any t [s]: (n,) for a number, (N, n) for an array (N,); at rest before 0 and after the end."""
+        """Evaluate the motion, which rests before 0 and after its end.
+
+        Args:
+            t: A time [s], or an array (N,) of times.
+
+        Returns:
+            Joint values, rates and accelerations: (n,) for one time, (N, n) for several.
+
+        Raises:
+            InvalidOption: t is not finite or has the wrong shape.
+        """
         times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
         if times.ndim > 1 or not np.isfinite(times).all():
             raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
@@ -97,7 +106,7 @@ class Trajectory:
         return (q, dq, ddq) if np.ndim(t) else (q[0], dq[0], ddq[0])
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write one row per sample: t, then q_, dq_ and ddq_ of each joint."""
+        """Write a CSV file with one row for each sample: t, then q_, dq_ and ddq_ of each joint. Returns its path."""
         file = as_path(path, "path")
         names = self.robot.joint_names
         head = ["t", *(f"{kind}_{joint}" for kind in ("q", "dq", "ddq") for joint in names)]
@@ -105,18 +114,29 @@ class Trajectory:
         return file
 
     def to_ros(self) -> dict[str, Any]:
-        """Fields of a ROS trajectory_msgs/JointTrajectory, one point per sample; for rosidl_runtime_py's set_message_fields."""
+        """Return the fields of a ROS trajectory_msgs/JointTrajectory with one point for each sample.
+
+        The function set_message_fields of rosidl_runtime_py makes a message of them.
+        """
         names, base = self.robot.joint_names, self.robot.arms[0].base
         return joint_trajectory(names, base, self.t, self.q, self.dq, self.ddq)
 
     def to_json(self, path: str | Path) -> Path:
-        """Write the fields of `to_ros` as JSON."""
+        """Write the fields of `to_ros` to a JSON file. Returns its path."""
         file = as_path(path, "path")
         write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
         return file
 
     def to_reference(self, tip: str | None = None) -> Reference:
-        """The motion of a tip as a `Reference` for `ik.track`. tip: which of several. Raises FrameNotFound, InvalidOption."""
+        """Return the motion of a tip as a reference for `ik.track`.
+
+        Args:
+            tip: Name of the tip; needed only if the robot has several.
+
+        Raises:
+            FrameNotFound: The robot has no such tip.
+            InvalidOption: The tip must be chosen, or the trajectory does not move.
+        """
         tips = self.robot.tips
         if tip is None and len(tips) > 1:
             raise InvalidOption(f"to_reference is for one tip; choose one with tip=: {', '.join(tips)}")
@@ -128,9 +148,13 @@ class Trajectory:
         function = partial(_motion_of, self.robot.arms[f], self.robot.places[f], self.pieces)
         return Reference(function, self.duration, name=f"trajectory of {tips[f]}")
 
+    def __repr__(self) -> str:
+        """Return a line with the number of samples, the duration and the number of joints."""
+        return f"Trajectory({len(self.t)} samples, {self.duration:.4g} s, {self.q.shape[1]} joints)"
+
 
 def _motion_of(arm: Robot, columns: Any, pieces: Any, t: np.ndarray) -> Samples:
-    """Motion of the tip of an arm, whose joints are these columns."""
+    """Sample the motion of an arm's tip at t (N,) [s]; columns: the indices of the arm's joints."""
     q, dq, ddq, _ = sample(pieces, t)
     return tip_motion(arm, q[:, columns], dq[:, columns], ddq[:, columns])
 
@@ -142,13 +166,9 @@ def tip_motion(arm: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Sa
     drift = np.einsum("tij,tj->ti", ahead - behind, dq) / (2.0 * DIFFERENCE)
     return T, np.einsum("tij,tj->ti", J, dq), np.einsum("tij,tj->ti", J, ddq) + drift
 
-    def __repr__(self) -> str:
-        """One line."""
-        return f"Trajectory({len(self.t)} samples, {self.duration:.4g} s, {self.q.shape[1]} joints)"
-
 
 def sample(pieces: tuple[Piece, ...], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Joint values, rates, accelerations (N, n) and places (N,) of consecutive pieces at t (N,) [s]."""
+    """Return joint values, rates and accelerations (N, n), and places (N,), of consecutive pieces at t (N,) [s]."""
     starts = np.cumsum([0.0, *(piece.duration for piece in pieces)])
     owner = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(pieces) - 1)
     n = pieces[0].coefficients.shape[2]

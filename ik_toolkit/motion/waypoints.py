@@ -1,4 +1,4 @@
-"""References through given poses: waypoints, and files of poses over time."""
+"""References through given poses: from waypoints, and from files of poses over time."""
 
 import itertools
 import os
@@ -14,8 +14,9 @@ from ..robot.pose_files import read_poses
 from ..validate import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-SHORTEST = 1e-100  # [s] between points of a spline: its third power, and that of its inverse, are still finite
-RADIAN_AS_METRES = 0.25  # weight of a rotation against a distance when waypoints share out the time
+# s, least time between points of a spline: its third power, and that of its inverse, are still finite.
+SHORTEST = 1e-100
+RADIAN_AS_METRES = 0.25  # m/rad, weight of a rotation against a distance when waypoints share out the time
 
 
 def waypoints(
@@ -25,11 +26,22 @@ def waypoints(
     times: Sequence[float] | None = None,
     law: str = "minimum-jerk",
 ) -> Reference:
-    """Through poses (or positions) in order: "minimum-jerk" stops at each on straight legs, "spline" passes without stopping.
+    """Make a reference through poses or positions in order. Either times or duration is given.
 
-    times [s], increasing from 0, one per target; or a duration, shared by distance (1 rad counts as 0.25 m). The spline
-    (cubic, with C2 rotations) starts and ends at rest in position and needs scipy. Raises InvalidTarget, InvalidOption,
-    MissingExtra.
+    Args:
+        targets: At least two poses (4, 4), or positions (3,), base frame [m].
+        duration: Time for the whole motion [s], shared out by distance, where 1 rad counts as 0.25 m.
+        times: When each target is reached [s], increasing.
+        law: "minimum-jerk" moves along straight legs and stops at each target; "spline" passes through them along a cubic spline
+            (with twice differentiable rotations) that is at rest in position at both ends, and needs scipy.
+
+    Returns:
+        The reference, whose times begin at 0.
+
+    Raises:
+        InvalidTarget: There are too few targets, two of them are the same, they are not all of one kind, or times do not fit.
+        InvalidOption: Not just one of times and duration is given, or there is no such law.
+        MissingExtra: scipy is not installed.
     """
     if not isinstance(targets, Iterable) or getattr(targets, "ndim", 1) == 0:
         raise InvalidTarget(f"waypoints are a list of poses or positions, not {type(targets).__name__}")
@@ -56,7 +68,7 @@ def waypoints(
 
 
 def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray, now: np.ndarray) -> Samples:
-    """Straight legs between times t, with a stop at each."""
+    """Sample straight legs between targets at times t (K,), with a stop at each, at the times `now` (N,) [s]."""
     leg = np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 2)
     length = np.diff(t)[leg]
     s, s1, s2 = (x[:, None] for x in minimum_jerk((now - t[leg]) / length))
@@ -100,24 +112,34 @@ def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name:
 
 
 def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Samples:
-    """Along splines of the position and, unless None, the rotation."""
+    """Sample splines of the position and the rotation (None if it is free) at the times `now` (N,) [s]."""
     now = np.clip(now, 0.0, end)
     T, V, A = still(len(now), None)
     T[:, :3, 3], V[:, :3], A[:, :3] = position(now), position(now, 1), position(now, 2)
     if rotation is not None:
         T[:, :3, :3] = rotation(now).as_matrix()
-        # scipy gives rate and acceleration in the axes of the moving frame
+        # scipy has rate and acceleration in the axes of the moving frame, so they are turned to base axes.
         V[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 1))
         A[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 2))
     return T, V, A
 
 
 def reference_from_file(path: str | Path) -> Reference:
-    """Read a reference from CSV or NPZ: t [s] with x,y,z [m] and, for poses, qx,qy,qz,qw or roll,pitch,yaw [rad].
+    """Read a reference from a CSV or NPZ file of poses over time. Needs scipy.
 
-    CSV: a header with these names. NPZ: arrays t, xyz and, for poses, quat_xyzw. Times increase (the first becomes 0), poses are in
-    the base frame; a cubic spline goes through the samples, so velocity and acceleration are those of the spline. Needs scipy.
-    Raises InvalidTarget, with the line, for a bad file.
+    A CSV file has a header with the names t [s], x, y, z [m] and, for poses, qx, qy, qz, qw or roll, pitch, yaw [rad]. An NPZ file
+    has arrays t (N,), xyz (N, 3) and, for poses, quat_xyzw (N, 4). Poses are in the base frame. A cubic spline goes through the
+    samples; velocity and acceleration are those of the spline.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The reference; the first time of the file becomes 0.
+
+    Raises:
+        InvalidTarget: The file cannot be used; the message names the line.
+        MissingExtra: scipy is not installed.
     """
     if not isinstance(path, str | os.PathLike):
         raise InvalidTarget(f"a reference file is named by a path, not {type(path).__name__}")

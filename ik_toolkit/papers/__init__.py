@@ -1,17 +1,16 @@
-"""The papers behind the toolkit, reproduced: published numbers next to ours.
+"""Reproductions of the papers behind the toolkit, which set published numbers beside ours.
 
-PAPERS maps a name to its summary and "module:function"; the function returns a `report.Report`. Plain data with dotted names,
-so that listing the papers imports nothing.
+PAPERS lists them by name. It is plain data, so that listing the papers imports none of their modules.
 """
 
 from typing import NamedTuple
 
 
 class Paper(NamedTuple):
-    """A paper that `ik reproduce` knows."""
+    """A paper that `ik reproduce` can reproduce."""
 
-    target: str
-    summary: str
+    target: str  # "module:function" that returns a `report.Report`
+    summary: str  # a line for the list of papers
 
 
 PAPERS: dict[str, Paper] = {

@@ -1,4 +1,4 @@
-"""A report on one paper: text and tables as Markdown and JSON, figures as PNG, all from one list of parts."""
+"""A report on one paper, with text and tables as Markdown and JSON, and figures as PNG."""
 
 import importlib
 import importlib.util
@@ -17,23 +17,25 @@ from ..text import plain
 
 
 class ReportInterrupted(Portable, KeyboardInterrupt):
-    """Ctrl-C while a report is made; `report` is what there is of it."""
+    """Ctrl-C while a report is made; `report` is its finished part."""
 
     def __init__(self, report: "Report") -> None:
-        """Keep the finished part."""
+        """Keep the finished part of a report."""
         super().__init__(f"interrupted in the report '{report.title}'")
         self.report = report
 
 
 class Report:
-    """Collects the parts of a report in reading order; Ctrl-C in a `with` block of it raises ReportInterrupted.
+    """The parts of a report in reading order. Ctrl-C in a `with` block of a report raises ReportInterrupted.
 
-    name: short file-name-safe name; title: heading. `data` holds every table under its key (rows as lists, columns named)
-    and every number given to `number`: what `report.json` and `ik reproduce --json` contain.
+    Attributes:
+        name: Short name of the paper, which can be part of a file name.
+        title: Heading of the report.
+        data: What `report.json` and `ik reproduce --json` contain: every table (columns and rows) and number by its key.
     """
 
     def __init__(self, name: str, title: str) -> None:
-        """Start an empty report."""
+        """Make an empty report with a name and a title."""
         self.name = name
         self.title = title
         self.data: dict[str, Any] = {"paper": name, "title": title}
@@ -41,11 +43,11 @@ class Report:
         self._figures: list[tuple[str, Callable[[Any], Any]]] = []
 
     def __enter__(self) -> Self:
-        """From here on parts are added."""
+        """Return the report, to which the block adds parts."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
-        """Hand on what there is."""
+        """Raise ReportInterrupted with the finished part if Ctrl-C ended the block."""
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             raise ReportInterrupted(self) from None
 
@@ -75,13 +77,21 @@ class Report:
         self._parts.append(f"![{caption}]({file})\n\n*{caption}*")
 
     def markdown(self) -> str:
-        """The whole report."""
+        """Return the whole report as Markdown."""
         return "\n\n".join(self._parts) + "\n"
 
     def write(self, folder: str | Path, pictures: bool | None = None) -> list[Path]:
-        """Write report.md, report.json and the figures to `folder` (created if missing); return the files.
+        """Write report.md, report.json and the figures.
 
-        pictures: None draws them if matplotlib is installed. Raises MissingExtra if True and it is not.
+        Args:
+            folder: Where to write them; it is made if it does not exist.
+            pictures: Whether to draw figures. Default: if matplotlib is installed.
+
+        Returns:
+            The paths of the files.
+
+        Raises:
+            MissingExtra: pictures is True and matplotlib is not installed.
         """
         folder = Path(folder)
         if pictures is None:
@@ -108,14 +118,14 @@ class Report:
         return files
 
     def write_partial(self, folder: str | Path) -> list[Path]:
-        """Write what there is as report.md.partial and report.json.partial, without pictures; return the files."""
+        """Write an unfinished report to report.md.partial and report.json.partial, without figures. Returns their paths."""
         files = [Path(folder) / f"{name}{PARTIAL}" for name in ("report.md", "report.json")]
         write_whole(files[0], f"{self.markdown()}\nThe report was interrupted here.\n")
         write_whole(files[1], json.dumps(plain(self.data), indent=1) + "\n")
         return files
 
 
-WIDEST = 8.0  # inches: on a page of 740 pixels, 9-point text is then 12 pixels high
+WIDEST = 8.0  # inches, largest width of a figure, whose 9-point text is then 12 pixels high on a page of 740 pixels
 
 
 def _cell(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Timing for the reports: alternating runs, in processor time, with the spread over the rounds."""
+"""Timing for the reports: methods run in turn, and their processor time is given with its spread."""
 
 from collections.abc import Callable
 from time import process_time
@@ -6,13 +6,21 @@ from typing import Any
 
 import numpy as np
 
-Work = tuple[Callable[[], Any], int]  # function to time, and its number of solves
+Work = tuple[Callable[[], Any], int]  # a function to time, and how many solves it makes
 
 
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:
-    """Processor time (count,) [s] per solve of each work, alternating; unless `warm`, after a first round that compiles.
+    """Time several works in turn, for a number of rounds.
 
-    Processor time, because other processes on the same core are not a cost of the method.
+    It is processor time, because other processes on the same core are no cost of a method.
+
+    Args:
+        works: What to time, by name.
+        count: Number of rounds that count.
+        warm: Whether everything is compiled. If not, a first round compiles and does not count.
+
+    Returns:
+        For each name the time of a solve in each round (count,) [s].
     """
     spent: dict[str, list[float]] = {name: [] for name in works}
     for k in range(warm, count + 1):
@@ -25,5 +33,5 @@ def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, 
 
 
 def spread(values: np.ndarray, form: str = ".3g") -> str:
-    """Median [min-max] of the rounds."""
+    """Return the median and range of values as text, "MEDIAN [MIN-MAX]"."""
     return f"{np.median(values):{form}} [{np.min(values):{form}}-{np.max(values):{form}}]"

@@ -1,10 +1,10 @@
 """Solutions carried along a sequence of poses: from a solution of one pose to one of the next, by continuation.
 
-A step is the least joint motion that brings the tip along (the last configuration is the prediction, the damped steps of
-`refine.correct` the correction). It counts only where the joints move less than they may and the tip, the joints being moved
-in a straight line, stays by the straight line between the poses; otherwise it is halved. So what is joined here is one motion,
-never two solutions that happen to be close. A track is what becomes of one solution: some poses are solved from many starts,
-and each solution is continued along the whole path.
+A step is the least joint motion that brings the tip along (the last configuration is the prediction, the steps of
+`null_space.onto_target` the correction). It counts only where the joints move less than they may and the tip, the joints
+being moved in a straight line, stays by the straight line between the poses; otherwise it is halved. So what is joined here is
+one motion, never two solutions that happen to be close. A track is what becomes of one solution: some poses are solved from
+many starts, and each solution is continued along the whole path.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 
 from ..compile.jit import cached, inline, inner, spliced
 from ..kernel.algebra import V3
-from ..kernel.null_space import Bounds, correct
+from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import problem
@@ -61,7 +61,7 @@ def within(q, old, most):
 
 
 @spliced
-def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
+def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
     """Move p.desk.q from a solution of pose a to one of pose b; False where there is no continuous motion."""
     q = p.desk.q
     copy(q, old)
@@ -71,7 +71,7 @@ def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, n
         blend(flat, a, b, done + part, sheet)
         fine = p.aim(pose, o) == 0.0
         if fine:
-            e = correct(p, weights, box)
+            e = onto_target(p, weights, box, 0.0)
             fine = e.good and within(q, old, most)
         if fine:
             copy(q, new)
@@ -97,7 +97,7 @@ def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, n
 
 
 @cached
-def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
+def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Carry seeds (M, n), solutions of the poses at (M,), along all poses T (N, 4, 4) or (N, F, 4, 4), both ways.
 
     Kernel units throughout: limits (3, n) lower, upper, whether there are both; most (n,): largest step of a joint.
@@ -122,7 +122,7 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q
             copy(seeds[m], q)
             t = start
             while 0 <= t + way < N:
-                if not advance(p, o, weights, box, flat, pose, sheet, t, t + way, most, deviation, old, new):
+                if not advance_to_pose(p, o, weights, box, flat, pose, sheet, t, t + way, most, deviation, old, new):
                     break
                 t += way
                 for i in range(n):
@@ -198,7 +198,7 @@ class Tracks:
 
         def carry(a: int) -> None:
             part = slice(a, a + CHUNK)
-            extend(
+            carry_along(
                 p.rows, p.ends, p.T, p.orders, p.room, p.most, p.deviation, seeds[part], at[part],
                 columns[part], self._Q, self._span,
             )  # fmt: skip

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.chain import levers
+from ..kernel.chain import joint_levers
 from ..kernel.counted_error import FREE, POSITION
-from ..robot.pose import angles_between
+from ..robot.rotation import angles_between
 from ..solvers.task import relatives, what_counts
 from .certificate import Continuity
 from .contact import find_contacts
 from .freedom import freedom, missed
-from .interpolate import interpolate
-from .smoothing import settle as settle_rows
+from .interpolate import interpolate_poses
+from .smoothing import settle_rows as settle_rows
 
 ROUNDS = (
     12  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice
@@ -109,7 +109,7 @@ def densify(
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
         rows[~new] = curve  # also those before a row of NaN
-        rows[new], good = settle_between(plan, kinds, rows[new], interpolate(T, places[new], kinds))
+        rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
         # Give up on a segment with an unsolved row.
         given_up[np.unique(places[new][~good].astype(int))] = True
         keep = ~new | ~given_up[np.minimum(places, len(q) - 2).astype(int)]
@@ -119,22 +119,19 @@ def densify(
     return curve, at, ~open_[at[:-1].astype(int)]
 
 
-def settle(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Move rows q (M, n) onto targets T (M, F, 4, 4) with minimal motion; returns them and whether each is solved (M,)."""
     q, good = np.array(q, dtype=float), np.zeros(len(q), dtype=bool)
-    settle_rows(*plan.chain[:2], targets(plan.robot, T), q, plan.orders(kinds, True), good)
+    settle_rows(
+        *plan.chain[:2], np.ascontiguousarray(T).reshape(-1, *plan.robot.pose_shape), q, plan.orders(kinds, True), good
+    )
     return q, good
 
 
 def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `settle`, for interpolated poses: an arm that cannot reach them is brought as near as it comes."""
-    q, good = settle(plan, kinds, q, T)
+    """As `settle_on_targets`, for interpolated poses: an arm that cannot reach them is brought as near as it comes."""
+    q, good = settle_on_targets(plan, kinds, q, T)
     return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
-
-
-def targets(robot: Any, T: np.ndarray) -> np.ndarray:
-    """Targets T (M, F, 4, 4) in the kernel's form: without the axis F for a single tip."""
-    return np.ascontiguousarray(T if robot.by_tip else T[:, 0])
 
 
 # --------------------------------------------------------------------------------------------------------- between poses
@@ -163,7 +160,7 @@ def bounds(
     for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, o), strict=True)):
         if kind == FREE:
             continue
-        goal = interpolate(T[:, [f]], at, (kind,))[:, 0]
+        goal = interpolate_poses(T[:, [f]], at, (kind,))[:, 0]
         other = None if others[f] < 0 else (tips[others[f]], poses[others[f]])
         tip = Between(tips[f], poses[f], goal, other, counts.frame)
         position = o.position_tolerance + beyond[0] + tip.position(counts)
@@ -178,7 +175,7 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
     """Bounds for a chain's tip between rows of q (M, n), with joints that leave the straight line by up to sag (M-1, n)."""
     rows, move = chain.rows, np.abs(np.diff(q, axis=0)) / chain.unit
     D = np.empty((len(q), len(rows)))
-    levers(rows, chain.ends, q, chain.unit, D)
+    joint_levers(rows, chain.ends, q, chain.unit, D)
     owner = rows[:, 8].astype(int)
     ratio, stroke = np.abs(rows[:, 4]), np.abs(rows[:, 6]) * chain.scale  # one is 0: a joint rotates or slides
     turns, slides = ratio * move[:, owner], stroke * move[:, owner]

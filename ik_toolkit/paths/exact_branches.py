@@ -27,7 +27,7 @@ def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None
 
     Limits and full turns are ignored; NaN where there are fewer. None for a robot of another structure.
     """
-    s = None if robot.by_tip else read_screws(robot.chain)
+    s = read_screws(robot.chain)
     if not isinstance(s, Screws) or not s.turns.all():
         return None
     made = None

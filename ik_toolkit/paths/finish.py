@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel.counted_error import FREE, POSITION
-from ..robot.pose import angles_between
+from ..robot.rotation import angles_between
 from .certificate import Continuity
-from .continuity import check, densify, targets
-from .interpolate import interpolate
+from .continuity import check, densify
+from .interpolate import interpolate_poses
 from .path_problem import Problem
 from .path_search import Found, Search
 from .result import pieces
@@ -25,7 +25,7 @@ ROUNDING = 1e-9  # share by which a step may exceed its limit
 SHORTENED = 3  # attempts to shorten a motion, with more poses held each time
 
 
-class Motion(NamedTuple):
+class ProvenMotion(NamedTuple):
     """A finished path: rows q (N, n) [rad or m], the curve through them, and what is proven about it."""
 
     found: Found
@@ -52,7 +52,7 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 def proven(
     search: Search, found: Found, q: np.ndarray, step: tuple[float, float], tolerance: tuple[float, float], model: Any
-) -> Motion:
+) -> ProvenMotion:
     """The verified motion through rows q (N, n), with poses inserted where needed."""
     p = search.problem
     q = p.inside(q)
@@ -63,10 +63,12 @@ def proven(
     deviation, turn = proof.judged
     leaps = (deviation > tolerance[0]) | (turn > tolerance[1])
     leaps |= ~cut & (np.abs(np.diff(curve, axis=0)) > longest).any(axis=1)
-    return Motion(found, q, curve, at, proof, at[:-1][leaps].tolist())
+    return ProvenMotion(found, q, curve, at, proof, at[:-1][leaps].tolist())
 
 
-def shortened(search: Search, found: Found, q: np.ndarray, held: np.ndarray, step: tuple[float, float]) -> np.ndarray:
+def shorten_pieces(
+    search: Search, found: Found, q: np.ndarray, held: np.ndarray, step: tuple[float, float]
+) -> np.ndarray:
     """Shorten each continuous piece of q (N, n) without contact; held (N,): poses whose rows stay."""
     p, made = search.problem, q.copy()
     fixed = held.copy()
@@ -84,7 +86,7 @@ def shortened(search: Search, found: Found, q: np.ndarray, held: np.ndarray, ste
 
 def finished(
     search: Search, step: tuple[float, float], tolerance: tuple[float, float], model: Any, allowed: float, refine: bool
-) -> Motion:
+) -> ProvenMotion:
     """The best path of a search as a motion, proven as far as possible."""
     p = search.problem
     for _ in range(TRIES):
@@ -93,7 +95,7 @@ def finished(
         if refine and p.redundant:
             held = np.zeros(len(q), dtype=bool)
             for _ in range(SHORTENED):
-                motion = proven(search, found, shortened(search, found, q, held, step), step, tolerance, model)
+                motion = proven(search, found, shorten_pieces(search, found, q, held, step), step, tolerance, model)
                 failed = motion.failures
                 if not failed:
                     return motion
@@ -147,7 +149,7 @@ def smooth(
     window = WINDOW
     for _ in range(ROUNDS):
         made, good = q.copy(), np.zeros(len(q), dtype=bool)
-        arrays = (targets(robot, T), made, held, plan.orders(kinds, True))
+        arrays = (T.reshape(-1, *robot.pose_shape), made, held, plan.orders(kinds, True))
         taken, _, _ = smooth_rows(*plan.chain[:2], *arrays, *cost, step, STEPS, good)
         if not taken or not good.all():
             return q
@@ -185,7 +187,7 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
         return T, np.arange(float(len(T)))
     inner = [k + np.arange(count) / count for k, count in enumerate(pieces.tolist())]
     at = np.append(np.concatenate(inner), len(T) - 1.0)
-    return interpolate(T, at, kinds), at
+    return interpolate_poses(T, at, kinds), at
 
 
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
@@ -193,7 +195,7 @@ def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
     return sorted({int(at[k]) for k in breaks})
 
 
-def collapsed(motion: Motion, at: np.ndarray) -> Motion:
+def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
     """Turn a motion through poses at places `at` (M,) into one through the requested poses; inserted ones become knots.
 
     If it breaks between two requested poses, it stops at the first and continues at the second.
@@ -225,4 +227,4 @@ def collapsed(motion: Motion, at: np.ndarray) -> Motion:
         None if proof.lacking is None else np.where(next_to, proof.lacking[:, kept[:-1]], 0.0),
     )
     found = found._replace(q=found.q[asked], tracks=found.tracks[asked], breaks=sorted(broken))
-    return Motion(found, q, motion.curve[kept], places[kept], proof, where(motion.leaps))
+    return ProvenMotion(found, q, motion.curve[kept], places[kept], proof, where(motion.leaps))

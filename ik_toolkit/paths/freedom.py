@@ -11,7 +11,7 @@ import numpy as np
 from ..kernel.counted_error import FREE, POSE, POSITION
 from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part
-from .interpolate import interpolate
+from .interpolate import interpolate_poses
 
 SAMPLES = 8  # random configurations that show the directions
 FLAT = 1e-5  # singular value (lengths over the reach) below which a direction is none: descriptions are rounded
@@ -67,7 +67,7 @@ def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.nda
     """
     left = np.zeros((2, len(curve)))
     if freedom(plan, kinds).lacks:
-        goals, o = interpolate(T, at, kinds), plan.options
+        goals, o = interpolate_poses(T, at, kinds), plan.options
         for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
             errors = counted_errors(plan.robot, curve[k], goals[k], kinds, o)
             left[:, k] = np.max([(position, angle or 0.0) for position, angle in errors], axis=0)

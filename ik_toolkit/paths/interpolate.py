@@ -7,7 +7,7 @@ from ..kernel.counted_error import FREE, POSITION
 from ..motion.reference import exp
 
 
-def interpolate(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
+def interpolate_poses(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
     """Targets (M, F, 4, 4) at places among the poses T (N, F, 4, 4): straight in position, rotations along the geodesic."""
     k = np.minimum(at.astype(int), max(len(T) - 2, 0))
     share = at - k

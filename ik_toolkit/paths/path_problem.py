@@ -11,7 +11,7 @@ from ..solvers.batch.parts import lanes_of
 from ..solvers.enumerate import ONE_ATTEMPT
 from ..solvers.plan import Plan
 from ..solvers.protocol import Asked
-from .continuity import settle
+from .continuity import settle_on_targets
 from .freedom import freedom
 
 # [rad], [m] from CppFlow; also the shortest step in which tracks are followed: shorter ones prove nothing.
@@ -44,7 +44,7 @@ class Problem:
         """Pack the kernel arrays."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
-        self.poses = T if robot.by_tip else T[:, None]
+        self.poses = T.reshape(len(T), -1, 4, 4)
         self.at = np.arange(float(len(T))) if at is None else at
         self.deviation = np.array(deviation)
         self.single: Plan = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT)
@@ -104,5 +104,5 @@ class Problem:
 
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Q (m, n) in kernel units moved onto the poses t (m,), and whether each is reached (m,)."""
-        rows, good = settle(self.single, self.kinds, Q * self.unit, self.poses[t])
+        rows, good = settle_on_targets(self.single, self.kinds, Q * self.unit, self.poses[t])
         return rows / self.unit, good

@@ -4,18 +4,16 @@ import json
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InvalidOption, NotSolved
 from ..files import as_path, whole_file, write_table, write_whole
+from ..motion.trajectory import Trajectory
+from ..solvers.options import Options
 from ..text import plain
 from .certificate import Continuity
-
-if TYPE_CHECKING:
-    from ..motion.trajectory import Trajectory
-    from ..solvers.options import Options
 
 
 class PathStatus(Enum):
@@ -54,7 +52,8 @@ class PathResult:
     reconfigurations, and lower_bound, the proven minimum (None: not proven); unreachable poses. position_error (N,) [m] and
     orientation_error (N,) [rad] (None: free): the errors that count at the poses, the largest over the tips, by Pinocchio.
     The motion is linear in the joints between the rows of curve (M, n): q and the inserted poses; at (M,) is their place
-    among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it. robot,
+    among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it.
+    fraction: share of the path's length that one motion follows from its start (1 where it is FOLLOWED). robot,
     targets (N, F, 4, 4) [m] by tip, kinds and options: the request; max_step (rad, m), path_tolerance (m, rad),
     collision (model or None), seed; elapsed [s].
     """
@@ -62,7 +61,7 @@ class PathResult:
     robot: Any
     targets: np.ndarray
     kinds: tuple
-    options: "Options"
+    options: Options
     q: np.ndarray
     status: PathStatus
     message: str
@@ -79,6 +78,8 @@ class PathResult:
     collision: Any = field(default=None, repr=False)
     seed: int = 0
     elapsed: float = 0.0
+    fraction: float = 1.0
+    tolerance_given: bool = field(default=False, repr=False)
 
     @property
     def success(self) -> bool:
@@ -139,6 +140,7 @@ class PathResult:
                 "orientation_error": self.orientation_error,
                 "reconfigurations": [{"index": one.index, "move": one.move} for one in self.reconfigurations],
                 "lower_bound": self.lower_bound,
+                "fraction": self.fraction,
                 "unreachable": [one._asdict() for one in self.unreachable],
                 "curve": self.curve,
                 "at": self.at,
@@ -180,18 +182,37 @@ class PathResult:
         return file
 
     def retime(
-        self, velocity: Any = None, acceleration: Any = None, *, rate: float = 100.0, seed: int = 0
-    ) -> "Trajectory":
+        self,
+        velocity: Any = None,
+        acceleration: Any = None,
+        *,
+        rate: float = 100.0,
+        seed: int = 0,
+        path_tolerance: Any = None,
+        tip_speed: float | None = None,
+    ) -> Trajectory:
         """Time-optimal motion within joint speed and acceleration limits, see `Trajectory`.
 
-        velocity, acceleration: one number, or one per joint (n,) [rad or m per s, s^2]; velocity defaults to the
-        robot's own limits, accelerations must be given. rate [1/s] of the samples. At a reconfiguration the robot stops and
-        moves freely from one branch to the other; seed: of the search for that motion. Raises InvalidOption (limits missing or
-        not positive, a path that was not followed), MissingExtra.
+        The poses are samples of a motion: a smooth curve goes through them. It stops only where it must, which the result says
+        (`Trajectory.stops`). At a reconfiguration the robot stops and moves freely from one branch to the other.
+
+        Args:
+            velocity: one number, or one per joint (n,) [rad/s or m/s]; default the robot's own limits.
+            acceleration: the same [rad/s^2 or m/s^2]; must be given.
+            rate: of the samples [1/s].
+            seed: of the search for a free motion.
+            path_tolerance: how far (m, rad) a tip may leave the chords between the poses. Default: the one given to `solve_path`;
+                where none was, its default or the chords' own sagitta, which is how far an arc through the poses leaves them.
+            tip_speed: speed [m/s] of the tip along the path, kept wherever the limits allow (`Trajectory.slower` says where not).
+
+        Raises:
+            InvalidOption: limits are missing or not positive.
+            NotSolved: the path was not followed.
+            MissingExtra: without toppra or SciPy.
         """
         from .timing import retime
 
-        return retime(self, velocity, acceleration, rate, seed)
+        return retime(self, velocity, acceleration, rate, seed, path_tolerance, tip_speed)
 
     def __repr__(self) -> str:
         """One line."""
@@ -211,7 +232,7 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]
 
 
-def sentence(path: PathResult, needed: int, allowed: float) -> str:
+def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
     """One sentence. needed: reconfigurations of the best path found through all poses; allowed: largest number allowed."""
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:
@@ -219,16 +240,17 @@ def sentence(path: PathResult, needed: int, allowed: float) -> str:
         last = int(reached[-1]) if len(reached) else -1
         most = f"{allowed:g} reconfiguration{'s' * (allowed != 1)}" if allowed else "no reconfiguration"
         ends = f"with {most} the path found ends at pose {last} of {N}"
+        far = f"from the start {100.0 * path.fraction:.3g} % of its length can be followed in one motion"
         if path.unreachable:
             first, more = path.unreachable[0], len(path.unreachable) - 1
             others = f" and {more} more" if more else ""
             cut = f"; {ends}, and all of them take {needed}" if needed > allowed else ""
             return (
-                f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; move the poses, "
-                "relax the targets (free_turn, slack, mask), or widen the limits"
+                f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; {far}; move the "
+                "poses, relax the targets (free_turn, slack, mask), or widen the limits"
             )
         return (
-            f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; allow them "
+            f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; {far}; allow them "
             "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
         )
     turn, slide = path.length

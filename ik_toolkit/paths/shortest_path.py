@@ -20,7 +20,7 @@ CONTACT = 1 << 20  # a pose in contact counts as this many reconfigurations: any
 
 
 @inline
-def turned(d, endless):
+def shortest_difference(d, endless):
     """A coordinate, or a difference of two; of an endless joint without full turns."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
@@ -33,7 +33,7 @@ def step(Q, t, a, u, b, most, endless, price, near, enough):
     """
     total, over = 0.0, 0.0
     for i in range(most.shape[0]):
-        d = abs(turned(float(Q[u, b, i]) - float(Q[t, a, i]), endless[i]))
+        d = abs(shortest_difference(float(Q[u, b, i]) - float(Q[t, a, i]), endless[i]))
         if d > most[i]:
             if near > 0:
                 return np.inf
@@ -67,7 +67,7 @@ def window(keys, size, low):
 
 
 @cached
-def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first, counts, costs, parents, prior):
+def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis, first, counts, costs, parents, prior):
     """Fill counts (N, K), costs (N, K), parents (N, K) and prior (N,) from layer `first` on; those before stand.
 
     Q (N, K, n): tracks, whole from span[k, 0] to span[k, 1]; state (N, K): DEAD, UNTESTED, FREE, TOUCHING; most (n,): largest
@@ -110,12 +110,12 @@ def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first
                 ):
                     best = a
             for j in range(size):
-                keys[j] = turned(float(Q[last, near[j], axis]), round)
+                keys[j] = shortest_difference(float(Q[last, near[j], axis]), round)
             ranks = np.argsort(keys[:size])
             for j in range(size):
                 order[j] = near[ranks[j]]
             for j in range(size):
-                keys[j] = turned(float(Q[last, order[j], axis]), round)
+                keys[j] = shortest_difference(float(Q[last, order[j], axis]), round)
         some = False
         for b in range(K):
             parents[t, b] = NONE
@@ -132,11 +132,11 @@ def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first
                         if counts[last, b] < count or c < cost:
                             if not barred(blocked, bar, stop, b, b):
                                 count, cost, parent = counts[last, b], c, b
-                    at = turned(float(Q[t, b, axis]), round)
-                    low = window(keys, size, turned(at - reach, round))
+                    at = shortest_difference(float(Q[t, b, axis]), round)
+                    low = window(keys, size, shortest_difference(at - reach, round))
                     for j in range(low, size if round == 0.0 else low + size):
                         j -= size if j >= size else 0  # on an endless joint the first comes after the last
-                        if turned(keys[j] - at, round) > reach:
+                        if shortest_difference(keys[j] - at, round) > reach:
                             break
                         a = order[j]
                         if a == b or counts[last, a] > count or (counts[last, a] == count and costs[last, a] >= cost):
@@ -201,7 +201,7 @@ class Program:
         if self.changed >= len(self.Q):
             return
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
-        link(
+        link_layers(
             self.Q, self.span, self.state, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
             self.changed, self.counts, self.costs, self.parents, self.prior,
         )  # fmt: skip

@@ -13,9 +13,8 @@ import math
 
 import numpy as np
 
-from ..compile.jit import cached, inline, inner, spliced
-from ..kernel.limits import hold
-from ..kernel.null_space import DAMPING, REFERENCE, make_bounds, move
+from ..compile.jit import cached, inner, spliced
+from ..kernel.null_space import REFERENCE, make_bounds, onto_target
 from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
 from ..kernel.search import problem
 
@@ -24,30 +23,11 @@ TASK_WEIGHT = (
 )
 RIDGE = 1e-9  # keeps the system definite where no difference reaches
 ARRIVED = 1e-24  # squared error (lengths over reach) below which a correction is rounding
-CORRECTIONS = 8  # steps back onto a target; convergence is quadratic
 PASSES = 4  # solves of a step with ever more joints held at their limits
 GAIN = 1e-4  # a relative improvement below this ends the search
 GROW, SHRINK = 1.6, 0.3  # of the longest move, after a step that was taken and one that was not
 SHORTEST = 1e-4  # [rad or kernel unit] longest move below which the search ends
 ON_LIMIT = 1e-12  # this near to a limit a joint stands on it
-
-
-@inline
-def bring_back(p, weights, box):
-    """Correct p.desk.q onto the target; returns the last look."""
-    s = p.desk
-    for k in range(CORRECTIONS):
-        e = p.evaluate(s.q)
-        if e.ee <= ARRIVED or k == CORRECTIONS - 1:
-            break
-        p.jacobian(e)
-        copy(weights, s.w)
-        for _ in range(2):
-            p.damped(e, DAMPING)
-            if not hold(s.q, s.dq, s.w, box):
-                break
-        move(s.q, s.dq, 1.0, box)
-    return e
 
 
 @inner
@@ -174,7 +154,7 @@ def moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
             s.q[i] = min(max(now[k, i] + factor * x[k * n + i], box.lower(i)), box.upper(i))
         if not fixed[k]:
             p.aim(T[k], o)
-            fine = bring_back(p, weights, box).good or not good[k]
+            fine = onto_target(p, weights, box, ARRIVED).good or not good[k]
             if not fine:
                 break
         for i in range(n):
@@ -209,7 +189,7 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
         good[k] = True
         if not fixed[k]:
             p.aim(T[k], o)
-            good[k] = bring_back(p, weights, box).good
+            good[k] = onto_target(p, weights, box, ARRIVED).good
         copy(p.desk.q, now[k])
     before, wide = cost_of(now, first, second, rounding, step)
     cost, taken, fresh = before, 0, True
@@ -246,8 +226,8 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
 
 
 @cached
-def settle(rows, ends, T, Q, orders, good):
-    """Bring each of Q (N, n) [rad or m] onto its target, in place; rows, ends, T, orders, good as of `smooth`."""
+def settle_rows(rows, ends, T, Q, orders, good):
+    """Bring each of Q (N, n) [rad or m] onto its target, in place; rows, ends, T, orders, good as of `smooth_rows`."""
     N, n = Q.shape
     o = read(Orders, orders)
     begin = HEAD + TASK * (ends.size // ends.shape[-1])
@@ -258,7 +238,7 @@ def settle(rows, ends, T, Q, orders, good):
         for i in range(n):
             p.desk.q[i] = Q[k, i] / full.unit(i)
         p.aim(T[k], o)
-        good[k] = bring_back(p, orders[begin : begin + n], box).good
+        good[k] = onto_target(p, orders[begin : begin + n], box, ARRIVED).good
         for i in range(n):
             Q[k, i] = p.desk.q[i] * full.unit(i)
 

@@ -19,17 +19,18 @@ from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
-from ..solvers.batch.targets import blocks, known, mended
+from ..solvers.batch.targets import blocks, freed, known, mended
 from ..solvers.collision_free import collision_model
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
 from .finish import collapsed, finished, gaps, inserted
+from .fraction import fraction
 from .freedom import freedom
 from .path_problem import STEP, Problem
 from .path_search import Search
-from .result import PathResult, PathStatus, Reconfiguration, sentence
+from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
 TOLERANCE = (1e-3, math.radians(1.0))  # [m], [rad] deviation of a tip between poses
 OTHER_WAYS = 4  # more searches, with rotations of 180 degrees taken the other way round where the path breaks there
@@ -95,6 +96,7 @@ def solve_path(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
             )
     check_progress(progress, "a fraction and a text")
+    poses, options = freed(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
     robot = solver.robot  # the variant with narrower limits, where they are given
     T, kinds = _read(robot, poses)
@@ -102,14 +104,14 @@ def solve_path(
     asked = avoided(avoid_collisions)
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
-    turns = HalfTurns(T if robot.by_tip else T[:, None], kinds, solver.options.orientation_tolerance)
+    turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh() -> Search:
         poses, at = turns.poses(), None
         if not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
-        problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0, at)
+        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 
@@ -127,7 +129,8 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # not every choice of rotation directions was tried
         search.progress(0.9, "shortening and verifying the path")
-        return _result(search, allowed, step, tolerance, model, seed, began)
+        made = _result(search, allowed, step, tolerance, model, seed, began)
+        return replace(made, tolerance_given=path_tolerance is not None)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
@@ -177,7 +180,7 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
     if isinstance(poses, Reference):
         made = poses.at(poses.times(DT))[0]
         poses = made[:, :3, 3] if poses.position_only else made
-    given = known(poses)
+    given = known(poses, robot.base)
     chunks: Iterator[Any] = iter([given]) if given is not None else iter(poses)
     parts = list(blocks(chunks, robot))
     if not sum(part.rows for part in parts):
@@ -237,9 +240,9 @@ def _result(
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
         at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=least,
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
-        elapsed=perf_counter() - began,
+        elapsed=perf_counter() - began, fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
-    result = replace(result, message=sentence(result, needed, allowed))
+    result = replace(result, message=path_sentence(result, needed, allowed))
     o = problem.single.options
     broken = first_open(problem.robot, q, o.position_tolerance, o.orientation_tolerance) if result.success else None
     if broken is None:

@@ -1,62 +1,46 @@
-"""Time-optimal motion along a path: TOPP-RA (Pham and Pham, 2018) on exactly the curve that is verified.
-
-A motion that is linear between its rows has jumps in joint speed at the corners, so a cubic spline replaces it. That is another
-curve, so it is verified again: between two knots a joint leaves the straight line by at most h^2 / 8 times its largest second
-derivative, which moves the tip by at most that times the lever arm. Where that is too much, solved poses are inserted.
-"""
+"""Time-optimal motion along a path: the time law on exactly the curve that is verified (see `smooth_curve`)."""
 
 import itertools
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra, floats, whole
+from ..errors import InvalidOption, floats, whole
 from ..motion.time_law import time_law, times_of
 from ..motion.trajectory import Piece, Trajectory, sample
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..validate import positive
-from .contact import find_contacts
-from .continuity import bounds, settle_between
-from .free_motion import connect
-from .freedom import missed
-from .interpolate import interpolate
+from .contact import connect
+from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
-ROUNDS = 12  # rounds of inserting poses: each halves the amount by which corners are cut
-LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are merged
 GRID = 200  # least number of grid points of the time law
 FINER = 3  # how often the grid may be doubled when limits are exceeded between its points by more than TOO_FAST
 TOO_FAST = 1.02
 ROUNDED = 1e-9  # share by which the time law is slowed down to allow for rounding
-SUBDIVIDED = 4  # straight segments that replace the spline between two knots in the collision test
 MOST_SAMPLES = 1e7
 NOWHERE = np.full(2, np.nan)  # places among the poses during a free motion: none
+KEPT = 0.99  # share of the tip speed asked for, from which it counts as kept
+NUDGE = 1e-6  # share of a curve by which its coordinate is moved to measure the speed of a tip
+TOLD = 3  # places listed in a message
 
 
-class Proof(NamedTuple):
-    """Bounds [m] and [rad] on a tip's deviation from the poses, the clearance [m], and whether they hold for the smooth curve.
-
-    If not, they are those of the piecewise linear motion, which is already verified.
-    """
-
-    deviation: float
-    turn: float
-    clearance: float
-    smooth: bool
-
-
-def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int) -> Trajectory:
+def retime(
+    result: Any, velocity: Any, acceleration: Any, rate: float, seed: int, path_tolerance: Any, tip_speed: Any
+) -> Trajectory:
     """See `PathResult.retime`."""
     robot = result.robot
     limits = _limits(robot, velocity, acceleration)
     rate, seed = positive(rate, "rate [1/s]"), whole(seed, "seed", 0)
+    asked = math.inf if tip_speed is None else positive(tip_speed, "tip_speed [m/s]")
     result.raise_for_status()
     row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), result.options)
+    allowed = _allowed(result, path_tolerance)
     made: list[Piece] = []
-    missing, message = "", ""
+    missing, stops = "", []
     runs, deviation, turn, clearance = result.pieces, 0.0, 0.0, math.inf
     for k, run in enumerate(runs):
         if k:
@@ -66,16 +50,16 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
                 missing = f"it ends at pose {pose - 1}: no collision-free motion to the other branch, at pose {pose}, was found"
                 break
             made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
-        curve, at, found = _proven(plan, result, result.curve[run], result.at[run])
-        deviation, turn = max(deviation, found.deviation), max(turn, found.turn)
-        clearance = min(clearance, found.clearance)
-        if found.smooth:
-            made.append(_spline(curve, at, robot, limits))
-        elif len(curve) > 1:
-            run_at = result.at[run]
-            rows = zip(itertools.pairwise(result.curve[run]), itertools.pairwise(run_at), strict=True)
-            made += [_straight(*ends, np.array(places), limits) for ends, places in rows]
-            message = "no collision-free smooth curve follows the poses, so the robot stops at every row; "
+        for j, (found, piece, rows) in enumerate(_pieces(plan, result, allowed, run, limits, asked)):
+            if j:
+                stops.append(float(result.at[rows.start]))
+            off, turned, free = (
+                (*result.deviation, math.inf if result.clearance is None else result.clearance)
+                if found is None
+                else (found.deviation, found.turn, found.clearance)
+            )
+            deviation, turn, clearance = max(deviation, off), max(turn, turned), min(clearance, free)
+            made.append(piece)
     pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
     if not pieces:  # a single pose
         pieces = (_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits),)
@@ -85,11 +69,86 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
             f"rate = {rate:g} gives {total * rate:.3g} samples in {total:.4g} s; at most {MOST_SAMPLES:g}"
         )
     t = np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
-    message += missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
+    slow = () if tip_speed is None else _slower(robot, pieces, asked)
+    message = missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
+    if stops:
+        message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
+    if tip_speed is not None:
+        ranges = [f"{a:.4g} to {b:.4g}" for a, b in slow]
+        message += f"; the tip keeps {asked:.4g} m/s" + (f" but from pose {_listed(ranges)}" if slow else "")
     safe = None if result.collision is None else clearance
     return Trajectory(
-        robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces, result.collision
+        robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces, result.collision,
+        tuple(stops), slow,
+    )  # fmt: skip
+
+
+def _listed(places: list[Any]) -> str:
+    """The first of some places, and how many more there are."""
+    more = len(places) - TOLD
+    return ", ".join(f"{one:g}" if isinstance(one, float) else one for one in places[:TOLD]) + (
+        f" and {more} more" if more > 0 else ""
     )
+
+
+def _allowed(result: Any, path_tolerance: Any) -> np.ndarray:
+    """How far [m] and [rad] (2, N-1) a tip may leave each chord between poses. Raises InvalidOption."""
+    count = max(len(result.targets) - 1, 1)
+    if path_tolerance is None and result.tolerance_given:
+        path_tolerance = result.path_tolerance
+    if path_tolerance is not None:
+        pair = floats(path_tolerance, "path_tolerance must be two numbers (m, rad)", InvalidOption)
+        if pair.shape != (2,) or not (pair > 0.0).all():
+            raise InvalidOption(f"path_tolerance must be two positive numbers (m, rad), not {path_tolerance!r:.60}")
+        return np.maximum(np.tile(pair[:, None], count), np.array(result.deviation)[:, None])
+    least = np.maximum(result.path_tolerance, result.deviation)
+    return np.maximum(np.tile(least[:, None], count), sagittas(result.targets, result.kinds) if count > 1 else 0.0)
+
+
+def _pieces(
+    plan: Plan, result: Any, allowed: np.ndarray, run: slice, limits: tuple[np.ndarray, np.ndarray], tip_speed: float
+) -> list[tuple[Curve | None, Piece, slice]]:
+    """Smooth pieces, from rest to rest, of a continuous run of rows: one if possible, else between the corners, else every row."""
+    if run.stop - run.start < 2:
+        return []
+    found = smooth_curve(plan, result, allowed, run)
+    if found is not None:
+        return [(found, _spline(found, plan.robot, limits, tip_speed), run)]
+    places = np.flatnonzero(corners(result.targets, result.kinds))
+    cuts = [int(k) for k in np.searchsorted(result.at, places) if run.start < k < run.stop - 1]
+    if cuts:
+        bounds = [run.start, *cuts, run.stop - 1]
+        parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
+        return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
+    return [
+        (None, _straight(*result.curve[k : k + 2], result.at[k : k + 2], limits), slice(k, k + 2))
+        for k in range(run.start, run.stop - 1)
+    ]
+
+
+def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
+    """Path length [m] of the fastest tip per unit of the coordinate of a piece, at s (G,)."""
+    h = NUDGE * (piece.knots[-1] - piece.knots[0])
+    low, high = np.maximum(s - h, piece.knots[0]), np.minimum(s + h, piece.knots[-1])
+    rates = []
+    for arm, place in zip(robot.arms, robot.places, strict=True):
+        before, after = (arm.chain.forward(np.ascontiguousarray(piece.curve(x)[0][:, place]))[0] for x in (low, high))
+        rates.append(np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1) / (high - low))
+    return np.max(rates, axis=0)
+
+
+def _slower(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[float, float], ...]:
+    """From which place to which the tip is slower than asked for; free motions are not looked at."""
+    found: list[tuple[float, float]] = []
+    for piece in pieces:
+        if np.isnan(piece.at).any():
+            continue
+        slow = piece.speed * _tip_rates(robot, piece, piece.s) < KEPT * asked
+        places = np.interp(piece.s, piece.knots, piece.at)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
+        for a, b in edges.reshape(-1, 2).tolist():
+            found.append((float(places[max(a - 1, 0)]), float(places[min(b, len(places) - 1)])))
+    return tuple(found)
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -115,107 +174,19 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
     return made[0], made[1]
 
 
-# ------------------------------------------------------------------------------------------------------------ the curve
-def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, Proof]:
-    """Rows and places of a piece, with poses inserted until the spline through them is verified, and its proof."""
-    robot = plan.robot
-    curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
-    if len(curve) < 2:
-        return curve, at, Proof(0.0, 0.0, math.inf, False)
-    allowed = np.maximum(result.path_tolerance, result.deviation)
-    for _ in range(ROUNDS):
-        knots = _coordinate(curve, robot.chain.unit)
-        cubics = _cubics(robot, curve, knots)
-        beyond = missed(plan, result.kinds, curve, at, result.targets)
-        deviation, turn = bounds(plan, result.kinds, curve, at, result.targets, _sag(knots, cubics), beyond)
-        broken = (deviation > allowed[0]) | (turn > allowed[1])
-        clearance = 0.0
-        if not broken.any():
-            clearance, broken = _touching(result.collision, knots, cubics, curve)
-        if not broken.any():
-            return curve, at, Proof(float(deviation.max()), float(turn.max()), clearance, True)
-        near = np.flatnonzero(broken | np.append(broken[1:], False) | np.append(False, broken[:-1]))
-        middle = 0.5 * (since[near + 1] + at[near + 1])
-        rows, good = settle_between(
-            plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), interpolate(result.targets, middle, result.kinds)
-        )
-        if not good.all():
-            break
-        since = np.insert(since, near + 1, since[near + 1])
-        since[near + 1 + np.arange(1, len(near) + 1)] = middle
-        curve, at, since = _distinct(np.insert(curve, near + 1, rows, axis=0), np.insert(at, near + 1, middle), since)
-    clearance = math.inf if result.clearance is None else result.clearance
-    deviation, turn = result.deviation
-    return curve, at, Proof(deviation, turn, clearance, False)
-
-
-def _distinct(curve: np.ndarray, at: np.ndarray, since: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, their places, and the places where the motion to them begins, without rows equal to the one before."""
-    moved = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
-    return curve[moved], at[moved], since[moved]
-
-
-def _coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Path length in joint space up to each row."""
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)))
-
-
-def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Coefficients (4, M-1, n) of the natural cubic spline through the rows of a curve (M, n).
-
-    A joint that would overshoot its limits gets the monotone spline, which stays between neighbouring rows.
-    """
-    try:
-        from scipy.interpolate import CubicSpline, PchipInterpolator
-    except ImportError:
-        raise MissingExtra("scipy", "paths") from None
-    cubics = CubicSpline(knots, curve, bc_type="natural").c
-    a, b, c, d = cubics
-    with np.errstate(divide="ignore", invalid="ignore"):  # turning points: the roots of 3 a x^2 + 2 b x + c
-        root = np.sqrt(b * b - 3.0 * a * c)
-        turning = np.nan_to_num([(-b - root) / (3.0 * a), (-b + root) / (3.0 * a), -0.5 * c / b])
-    x = np.where((turning > 0.0) & (turning < np.diff(knots)[:, None]), turning, 0.0)
-    swing = ((a * x + b) * x + c) * x + d
-    beyond = ((swing > robot.upper) | (swing < robot.lower)).any(axis=(0, 1))
-    if beyond.any():
-        cubics = np.where(beyond, PchipInterpolator(knots, curve).c, cubics)
-    return cubics
-
-
-def _sag(knots: np.ndarray, cubics: np.ndarray) -> np.ndarray:
-    """Upper bound (M-1, n) on each joint's deviation of a spline from the straight line between two knots."""
-    h = np.diff(knots)[:, None]
-    bend = np.maximum(np.abs(2.0 * cubics[1]), np.abs(2.0 * cubics[1] + 6.0 * cubics[0] * h))
-    return 0.125 * h * h * bend
-
-
-def _touching(collision: Any, knots: np.ndarray, cubics: np.ndarray, curve: np.ndarray) -> tuple[float, np.ndarray]:
-    """Clearance [m] of a spline, and which segments (M-1,) touch or cannot be proven free."""
-    touching = np.zeros(len(curve) - 1, dtype=bool)
-    if collision is None:
-        return math.inf, touching
-    share = np.arange(SUBDIVIDED) / SUBDIVIDED
-    x = (share * np.diff(knots)[:, None])[..., None]
-    a, b, c, d = cubics[:, :, None]
-    rows = np.vstack([(((a * x + b) * x + c) * x + d).reshape(-1, curve.shape[1]), curve[-1:]])
-    at = np.append((np.arange(len(touching))[:, None] + share).ravel(), len(touching))
-    sag = np.repeat(_sag(knots, cubics), SUBDIVIDED, axis=0) / SUBDIVIDED**2
-    clearance, contacts, unproven = find_contacts(collision, rows, at, np.ones(len(rows) - 1, dtype=bool), sag)
-    places = np.array([*(contact.place for contact in contacts), *unproven])
-    touching[np.minimum(places.astype(int), len(touching) - 1)] = True
-    return clearance, touching
-
-
 # ------------------------------------------------------------------------------------------------------------- the times
-def _spline(curve: np.ndarray, at: np.ndarray, robot: Joints, limits: tuple[np.ndarray, np.ndarray]) -> Piece:
-    """Time-optimal spline through the rows of a curve; the limits also hold between the grid points."""
-    knots = _coordinate(curve, robot.chain.unit)
-    piece = Piece(knots, _cubics(robot, curve, knots), knots, knots, knots, at)
+def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
+    """Time-optimal motion along a curve; the limits also hold between the grid points."""
+    knots = found.knots
+    piece = Piece(knots, found.cubics, knots, knots, knots, found.at)
     between = max(1, math.ceil(GRID / (len(knots) - 1)))
     for _ in range(FINER + 1):
         grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
+        top = np.full(len(grid), np.inf)
+        if tip_speed < math.inf:
+            top = tip_speed / np.maximum(_tip_rates(robot, piece, grid), 1e-9)
         _, slope, bend = piece.curve(grid)
-        speed, _ = time_law(slope, bend, grid, *limits, start=0.0, end=0.0)
+        speed, _ = time_law(slope, bend, grid, *limits, top=top, start=0.0, end=0.0)
         made = piece._replace(s=grid, speed=speed, t=times_of(grid, speed))
         factor = _excess(made, limits)
         if factor <= TOO_FAST:

@@ -1,7 +1,8 @@
-"""Moving bases and joints with several degrees of freedom: both become ordinary joints of one coordinate each.
+"""Turns moving bases and joints with several degrees of freedom into ordinary joints of one coordinate each.
 
-A floating base is three prismatic and three revolute joints, Rz(yaw) Ry(pitch) Rx(roll), so limits, solvers, batches, paths and
-tracking need not know about it. For a model with a free-flyer or ball joint, `Given` converts configurations to its form and back.
+A floating base becomes three prismatic and three revolute joints, Rz(yaw) Ry(pitch) Rx(roll), so limits, solvers,
+batches, paths and tracking need not know about it. For a model with a free-flyer or ball joint, `Given` converts
+configurations to the model's form and back.
 """
 
 import math
@@ -12,18 +13,20 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, floats, near_match
-from .pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
+from .pose import check_target
+from .rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
-PITCH = math.radians(85.0)  # limit of a floating base, either way: at 90 degrees yaw and roll share one axis
-BALL_PITCH = math.pi / 2  # limit of a ball joint: every rotation can be reached
-ENDLESS = 1e16  # stands for "no limit" (see NO_LIMIT in probe.py)
+# The pitch of a floating base is at most 85 degrees either way, because at 90 degrees yaw and roll share one axis.
+PITCH = math.radians(85.0)
+BALL_PITCH = math.pi / 2  # A ball joint pitches at most this much [rad], so that every rotation can be reached.
+ENDLESS = 1e16  # A limit of this size means that there is none (see NO_LIMIT in probe.py).
 AXES = {
     "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ,
     "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,
 }  # fmt: skip
 SLIDES, TURNS = ("x", "y", "z"), ("yaw", "pitch", "roll")
 BASES = {"planar": ("x", "y", "yaw"), "floating": (*SLIDES, *TURNS)}
-PARTS = {  # Pinocchio's multi-DOF joints -> the coordinates that replace them
+PARTS = {  # These coordinates replace each of Pinocchio's joints with several degrees of freedom.
     "JointModelFreeFlyer": BASES["floating"],
     "JointModelPlanar": BASES["planar"],
     "JointModelTranslation": SLIDES,
@@ -31,11 +34,11 @@ PARTS = {  # Pinocchio's multi-DOF joints -> the coordinates that replace them
     "JointModelSphericalZYX": TURNS,
 }
 ROAMS = ("JointModelFreeFlyer", "JointModelPlanar")
-ROOT = "base"  # prefix of the base coordinates: base_x, ..., base_roll
+ROOT = "base"  # The names of base coordinates begin with this: base_x, ..., base_roll.
 
 
-class Block(NamedTuple):
-    """A multi-DOF joint of the given model: its kind, index in q, and the joints that replace it."""
+class UnfoldedJoint(NamedTuple):
+    """A joint of the given model with several degrees of freedom: its kind, index in q, and the joints that replace it."""
 
     kind: str
     idx_q: int
@@ -43,10 +46,10 @@ class Block(NamedTuple):
 
 
 class Given(NamedTuple):
-    """The original model and its multi-DOF joints."""
+    """The model as the user gave it, and its joints with several degrees of freedom."""
 
     model: pin.Model
-    blocks: tuple[Block, ...]
+    blocks: tuple[UnfoldedJoint, ...]
 
     def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
         """Convert a configuration of `model`, which has an ordinary joint for each coordinate, to the given model."""
@@ -70,7 +73,7 @@ class Given(NamedTuple):
         return full
 
     def _same(self, model: pin.Model) -> list[tuple[int, int, int]]:
-        """Indices in q of the given model and of `model` of the joints that both have, and the number of values of each."""
+        """Return, for the joints that both models have, their indices in q of the given model and of `model`, and their sizes."""
         pairs = [
             (self.model.joints[j], model.joints[model.getJointId(name)])
             for j, name in enumerate(self.model.names)
@@ -79,7 +82,7 @@ class Given(NamedTuple):
         return [(own.idx_q, other.idx_q, own.nq) for own, other in pairs]
 
 
-def _size(block: Block) -> int:
+def _size(block: UnfoldedJoint) -> int:
     return {"JointModelFreeFlyer": 7, "JointModelPlanar": 4, "JointModelSpherical": 4}.get(block.kind, 3)
 
 
@@ -103,7 +106,7 @@ def _unpacked(kind: str, q: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- models
 def _add(model: pin.Model, parent: int, prefix: str, part: str, placement: pin.SE3, pitch: float) -> int:
-    """Append the joint PREFIX_PART of one coordinate and return its index."""
+    """Append the joint PREFIX_PART of one coordinate to a model and return its index."""
     name = f"{prefix}_{part}"
     if model.existJointName(name):
         raise ModelError(f"the robot already has a joint '{name}', a name that its base needs")
@@ -119,13 +122,13 @@ def _several(model: pin.Model) -> list[int]:
 
 
 def root_joint(model: pin.Model) -> int:
-    """The free-flyer or planar joint that carries the whole model, or 0."""
+    """Return the free-flyer or planar joint that carries the whole model, or 0 if there is none."""
     first = [j for j in range(1, model.njoints) if model.parents[j] == 0]
     return first[0] if len(first) == 1 and model.joints[first[0]].shortname() in ROAMS else 0
 
 
 def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
-    """Names of the last floating or planar joint above a tip and of the link that it carries, if there is one."""
+    """Return the names of the last floating or planar joint above a tip and of the link that it carries, if there is one."""
     joint = next((frame.parentJoint for frame in model.frames if frame.name == tip), 0)
     above = model.supports[joint]
     roams = [j for j in above if j and model.joints[j].shortname() in ROAMS]
@@ -138,7 +141,7 @@ def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
 
 
 def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
-    """The model with one joint per coordinate of its multi-DOF joints, and the conversion back (None: it has no such joints).
+    """Give a model one joint for each coordinate; also return the conversion back, or None if the model has such joints only.
 
     Frames keep their names. A model with mimic joints, which Pinocchio cannot copy, is unfolded at its root only.
     """
@@ -148,7 +151,7 @@ def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
         return model, None
     prefix = {j: ROOT if j == root else model.names[j] for j in several}
     blocks = tuple(
-        Block(
+        UnfoldedJoint(
             model.joints[j].shortname(),
             model.joints[j].idx_q,
             tuple(f"{prefix[j]}_{part}" for part in PARTS[model.joints[j].shortname()]),
@@ -169,7 +172,7 @@ def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
     return made, Given(model, blocks)
 
 
-def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[Block]) -> None:
+def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[UnfoldedJoint]) -> None:
     """Give the prismatic joints the limits [m] of the given model, if it has any."""
     lower, upper = np.array(made.lowerPositionLimit), np.array(made.upperPositionLimit)
     for block in blocks:
@@ -182,7 +185,7 @@ def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[Block]) -> 
 
 
 def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
-    """A copy in which the multi-DOF joints that have a prefix are replaced."""
+    """Copy a model and replace the joints that have a prefix by joints of one coordinate."""
     made = pin.Model()
     joints, frames = {0: 0}, {0: 0}
     for j in range(1, model.njoints):
@@ -216,7 +219,10 @@ def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
 
 
 def stand(model: pin.Model, on_base: Any) -> pin.Model:
-    """The model on a base: 'planar', 'floating' or a pose (4, 4) of its root in the world. Raises InvalidOption, InvalidTarget."""
+    """Put a model on a base: 'planar', 'floating' or a pose (4, 4) of its root in the world.
+
+    Raises InvalidOption, InvalidTarget.
+    """
     made, last, T = pin.Model(), 0, pin.SE3.Identity()
     if isinstance(on_base, str):
         if on_base not in BASES:
@@ -238,7 +244,7 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
 class Footing(NamedTuple):
     """A model whose joints have one coordinate each, the conversion back to the given model, and its base coordinates.
 
-    original: the given model, if it was another one.
+    `original` is the given model, or None if it needed no change.
     """
 
     model: pin.Model
@@ -248,7 +254,7 @@ class Footing(NamedTuple):
     slides: tuple[str, ...]
 
 
-def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
+def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
     """Unfold a model, put it on a base and set the base limits. Raises InvalidOption, InvalidTarget, ModelError."""
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
@@ -261,12 +267,12 @@ def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Fo
     if base_limits is not None:
         if not slides:
             raise InvalidOption("base_limits are for a moving base: on_base='planar' or 'floating', or a free-flyer")
-        limit(made, base_limits, slides, [name for name in names if name not in slides])
+        set_base_limits(made, base_limits, slides, [name for name in names if name not in slides])
     return Footing(made, None if made is model else model, given, tuple(names), slides)
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Move shapes that were placed on the original model to the links of the other one."""
+    """Move shapes that were placed on the original model to the links of another one."""
     for shape in geometry.geometryObjects:
         old = original.frames[shape.parentFrame]
         k = model.getFrameId(old.name, old.type)
@@ -275,11 +281,11 @@ def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -
         shape.parentFrame, shape.parentJoint = k, new.parentJoint
 
 
-def limit(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:
-    """Write the base limits into a model. slides, turns: names of its coordinates. Raises InvalidOption.
+def set_base_limits(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:
+    """Write the limits of a base, whose coordinates are named slides and turns, into a model. Raises InvalidOption.
 
-    base_limits: one (lower, upper) [m] for all slides; one pair per slide or per coordinate; or a dict of pairs by name
-    ('base_x' or 'x').
+    base_limits is one (lower, upper) [m] for all slides, one pair for each slide or each coordinate, or a dict of pairs
+    by name ('base_x' or 'x').
     """
     names = [*slides, *turns]
     if isinstance(base_limits, Mapping):

@@ -1,7 +1,8 @@
-"""What a description demands of its joints besides limits and mimic: loops, and relations that no mimic joint can express.
+"""Loops, and relations between joints that no mimic joint can express, as a description demands them of its joints.
 
-No solver keeps them. They are evaluated at a finished q, with Pinocchio on the whole model: joints off the path are first moved
-to close the loops that the joints of q take part in, and what stays open is said. Robots without constraints pay nothing.
+No solver keeps them. They are evaluated at a finished q, with Pinocchio on the whole model: joints off the path are
+first moved to close the loops that the joints of q take part in, and what stays open is reported. Robots without
+constraints have no cost.
 """
 
 import functools
@@ -13,11 +14,11 @@ import pinocchio as pin
 
 from ..errors import ModelError
 from .formats.mimic import mimic_limits
-from .probe import Path, limits
+from .probe import JointPath, limits
 
-STEPS, TRIES = 40, 5  # Gauss-Newton steps and starts for closing a loop with the joints off the path
-CLOSED = 1e-10  # residual [m or rad] at which closing ends
-SLOW = 1e-4  # share of the residual that a step must take off it for another one
+STEPS, TRIES = 40, 5  # Number of Gauss-Newton steps, and of starts, for closing a loop with the joints off the path.
+CLOSED = 1e-10  # Closing ends at this residual [m or rad].
+SLOW = 1e-4  # A step must remove this share of the residual, or it is the last one.
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
@@ -30,18 +31,18 @@ class End(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Two frames that coincide; weld: in rotation too."""
+    """Two frames that must coincide, for a weld in rotation too."""
 
     name: str
     ends: tuple[End, End]
     weld: bool
 
 
-class Length(NamedTuple):
-    """A number that depends on q: sum of joint values times factors, and of distances between points times factors.
+class LinearLength(NamedTuple):
+    """A number that depends on q: the sum of joint values times factors, and of distances between points times factors.
 
-    zero: the value from which it is counted; metres: its unit (else radians); known: False for a tendon around a shape, whose
-    length is not computed here.
+    It counts from `zero` and is in metres or radians. It is not `known` for a tendon around a shape, whose length is
+    not computed.
     """
 
     joints: tuple[tuple[str, float], ...]
@@ -52,11 +53,11 @@ class Length(NamedTuple):
 
 
 class Relation(NamedTuple):
-    """low <= y - (c0 + c1 x + c2 x^2 + ...) <= high, without x: low <= y - c0 <= high; both counted from their zero."""
+    """A relation low <= y - (c0 + c1 x + c2 x^2 + ...) <= high, where y and x count from their zero; without x, y - c0."""
 
     name: str
-    y: Length
-    x: Length | None
+    y: LinearLength
+    x: LinearLength | None
     curve: tuple[float, ...]
     low: float = 0.0
     high: float = 0.0
@@ -66,14 +67,14 @@ Constraint = Loop | Relation
 
 
 class Kept(NamedTuple):
-    """Whether constraints hold at a q within the tolerances, and a sentence part on each that the joints of q can break."""
+    """Whether constraints hold at a q within the tolerances, and part of a sentence on each that the joints of q can break."""
 
     holds: bool
     text: str
 
 
 def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> Kept:
-    """What q (n,) does to the constraints of its robot; position [m], orientation [rad]: tolerances."""
+    """Return what q (n,) does to the constraints of its robot, with tolerances `position` [m] and `orientation` [rad]."""
     if not robot.constraints:
         return Kept(True, "")
     closure = robot.memo.get("closure")
@@ -83,7 +84,7 @@ def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: floa
 
 
 def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -> tuple[int, str] | None:
-    """Number of the first row of Q (N, n) that breaks a constraint, and what it does; None if none does. NaN rows are skipped."""
+    """Return the number of the first row of Q (N, n) that breaks a constraint, and what it does, or None; NaN rows are skipped."""
     if robot.constraints:
         for k in np.flatnonzero(np.isfinite(Q).all(axis=1)):
             kept = constraints_at(robot, Q[k], position, orientation)
@@ -92,7 +93,7 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
     return None
 
 
-class Group(NamedTuple):
+class CoupledConstraints(NamedTuple):
     """Constraints that share joints off the path, and those joints: ids, limits (m,)."""
 
     constraints: list[Constraint]
@@ -105,7 +106,7 @@ class Closure:
     """The constraints of a robot that the joints of q can break."""
 
     def __init__(self, robot: Any) -> None:
-        """Find out which joints each constraint depends on."""
+        """Find the joints on which each constraint depends."""
         self.robot, self.model = robot, robot.model
         model = self.model
         lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
@@ -125,21 +126,21 @@ class Closure:
             groups.append((own, depends))
         self.groups = [self._group(own, sorted(ids - moving - locked)) for own, ids in groups if ids & moving]
 
-    def _group(self, constraints: list[Constraint], joints: list[int]) -> Group:
+    def _group(self, constraints: list[Constraint], joints: list[int]) -> CoupledConstraints:
         model = self.model
         place = {j: i for i, j in enumerate(joints)}
         owner = {j: place[leader] for j, (leader, ratio, _) in self.ratio.items() if leader in place and ratio != 0.0}
         idx_q = np.array([model.joints[j].idx_q for j in joints], dtype=int)
         circle = np.array([model.joints[j].nq == 2 for j in joints], dtype=bool)
-        path = Path([], 0, joints, len(joints), owner, idx_q, circle)
+        path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
             lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
-        except ModelError:  # a joint that has no legal position cannot help
+        except ModelError:  # A joint that has no legal position cannot help.
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
-        return Group(constraints, joints, lower, upper)
+        return CoupledConstraints(constraints, joints, lower, upper)
 
     def _joints(self, constraint: Constraint) -> Iterator[int]:
-        """Ids of the joints whose motion changes a constraint."""
+        """Yield the ids of the joints whose motion changes a constraint."""
         if isinstance(constraint, Loop):
             yield from self._between(*constraint.ends)
             return
@@ -162,7 +163,7 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> Kept:
-        """See `constraints_at`; full (nq,) is changed: joints off the path go where they close the loops."""
+        """Evaluate the constraints (see `constraints_at`); in full (nq,) joints off the path move to where they close the loops."""
         holds, said = True, []
         for group in self.groups:
             moved = self._close(group, full, min(position, orientation))
@@ -176,7 +177,7 @@ class Closure:
         return Kept(holds, "; ".join(said))
 
     def _open(self, constraint: Constraint, off: np.ndarray, position: float, orientation: float) -> str:
-        """How far a constraint is open, in words; '' within the tolerances."""
+        """Say how far a constraint is open, or '' if it is within the tolerances."""
         if np.isnan(off).any():
             return "unknown"
         length = isinstance(constraint, Loop) or constraint.y.metres
@@ -187,12 +188,12 @@ class Closure:
         return " and ".join(parts)
 
     def residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is left of a constraint [m, rad] at a full configuration (nq,), and its derivative with respect to v (., nv)."""
+        """Return the residual of a constraint [m, rad] at a configuration (nq,), and its derivative with respect to v (., nv)."""
         pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
         return self._residual(constraint, full)
 
     def _residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same at the configuration at which Jacobians were last computed."""
+        """Return residual and derivative of a constraint at the configuration at which Jacobians were last computed."""
         if isinstance(constraint, Relation):
             return self._relation(constraint, full)
         (p, J, R), (s, K, S) = (self._point(end) for end in constraint.ends)
@@ -203,7 +204,7 @@ class Closure:
         return np.concatenate([off, turn]), np.vstack([slope, pin.Jlog3(S.T @ R) @ R.T @ (J[3:] - K[3:])])
 
     def _point(self, end: End) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Place of a point, its Jacobian (6, nv), and its rotation, in the axes of the model."""
+        """Return the place of a point, its Jacobian (6, nv), and its rotation, in the axes of the model."""
         data, i = self.robot.arms[0].data, self._frame(end)
         at = pin.updateFramePlacement(self.model, data, i)
         J = pin.getFrameJacobian(self.model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1).copy()
@@ -222,7 +223,7 @@ class Closure:
             slope = 0.0 * slope
         return np.array([beyond]), slope[None]
 
-    def _length(self, one: Length, full: np.ndarray) -> tuple[float, np.ndarray]:
+    def _length(self, one: LinearLength, full: np.ndarray) -> tuple[float, np.ndarray]:
         model, slope = self.model, np.zeros(self.model.nv)
         total = -one.zero if one.known else np.nan
         for name, factor in one.joints:
@@ -242,8 +243,8 @@ class Closure:
         return float(np.arctan2(full[i + 1], full[i])) if self.model.joints[j].nq == 2 else float(full[i])
 
     # -------------------------------------------------------------------------------------------- closing
-    def _close(self, group: Group, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
-        """Move the joints of a group in `full` (nq,) so that its constraints are open the least: name and value of each."""
+    def _close(self, group: CoupledConstraints, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
+        """Move the joints of a group in `full` (nq,) so that its constraints are open the least; return name and value of each."""
         if not group.joints:
             return []
         rest = np.array([self._value(j, full) for j in group.joints]).clip(group.lower, group.upper)
@@ -259,14 +260,14 @@ class Closure:
         self._write(group, full, best)
         return [(self.model.names[j], float(x)) for j, x in zip(group.joints, best, strict=True)]
 
-    def _write(self, group: Group, full: np.ndarray, x: np.ndarray) -> None:
+    def _write(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> None:
         for j, value in zip(group.joints, x, strict=True):
             joint = self.model.joints[j]
             i = joint.idx_q
             full[i : i + joint.nq] = (np.cos(value), np.sin(value)) if joint.nq == 2 else value
 
-    def _stack(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals of a group, and their derivatives with respect to its joints."""
+    def _stack(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals of a group, and their derivatives with respect to its joints."""
         self._write(group, full, x)
         pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
         columns = [self.model.joints[j].idx_v for j in group.joints]
@@ -276,8 +277,8 @@ class Closure:
             return np.zeros(1), np.zeros((1, len(x)))
         return np.concatenate([off for off, _ in parts]), np.vstack([slope[:, columns] for _, slope in parts])
 
-    def _descend(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
-        """Levenberg-Marquardt within the limits: where it ends (m,), and the residual's norm there."""
+    def _descend(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
+        """Descend by Levenberg-Marquardt within the limits; return the values (m,) at its end, and the residual's norm there."""
         damping = 1e-6
         off, J = self._stack(group, full, x)
         for _ in range(STEPS):
@@ -304,7 +305,7 @@ class Closure:
 
 
 def _scaling(model: pin.Model, j: int) -> tuple[float, float]:
-    """Ratio and offset of a joint that follows another; 1 and 0 of one that does not."""
+    """Return ratio and offset of a joint that follows another, 1 and 0 for one that does not."""
     if j not in list(model.mimicking_joints):
         return 1.0, 0.0
     joint = model.joints[j].extract()
@@ -318,7 +319,7 @@ def _kind(constraint: Constraint) -> str:
 
 
 def _state(constraint: Constraint, open_by: str, moved: Sequence[tuple[str, float]]) -> str:
-    """Words on a constraint that is open by so much, or kept ('')."""
+    """Describe a constraint that is open by so much, or kept ('')."""
     values = ", ".join(f"{name} = {value:.6g}" for name, value in moved)
     if open_by == "unknown":
         return "may not be kept: a tendon around a shape is not computed here"

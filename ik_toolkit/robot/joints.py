@@ -24,37 +24,54 @@ from ..kernel.records import POINTS
 from ..readonly import ReadOnly
 from .base import Given
 from .formats.srdf import Srdf
+from .mobility import mobility_of
 from .narrow import narrowed
-from .probe import Path
+from .probe import JointPath
+from .ros import read_joint_state
 
 LOG = logging.getLogger("ik_toolkit")
-ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # rows of each tip's Jacobian
+# Maps a word to rows of a tip's Jacobian.
+ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}
 
 
 class Named(dict[str, np.ndarray]):
     """Configurations q (n,) [rad or m] by name; an unknown name raises ConfigurationNotFound."""
 
     def __missing__(self, name: str) -> np.ndarray:
-        """Raise ConfigurationNotFound."""
+        """Raise ConfigurationNotFound, because there is no configuration of this name."""
         raise ConfigurationNotFound(
             f"the robot has no configuration named '{str(name)[:200]}'.{near_match(name, self)}"
         )
 
 
 def values_by_joint(locked: Mapping[str, float] | None) -> dict[str, float]:
-    """What `locked` holds, as a dict; None holds nothing. Raises InvalidConfiguration."""
+    """Return `locked` as a dict from joint names to values; None is an empty one. Raises InvalidConfiguration."""
     if not isinstance(locked, Mapping | None):
         raise InvalidConfiguration(f"locked takes a dict from joint names to values [rad or m], not {locked!r:.60}")
     return dict(locked or {})
 
 
 class Joints(ReadOnly):
-    """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration.
+    """Coordinates q (n,) of a model: what Robot and Tree have in common.
 
-    Robots and trees have `arms`, one Robot per tip; `tips`, their names; `places`, index arrays that select each arm's
-    coordinates from q; and `memo`, a dict that caches things made for this robot (a bound solver, its collision shapes), each
-    under its own key. Copies and pickles start with an empty one. Attributes cannot be assigned (ReadOnlyAttribute), except for
-    the name: solvers are made from them.
+    Attributes cannot be assigned (ReadOnlyAttribute), except for the name, because solvers are made from them.
+
+    Attributes:
+        name: Name of the robot.
+        model: The pin.Model, in which mimic joints follow their leaders.
+        joint_names: Names of the joints of q (n,), one for each moving joint of the paths from base to tip.
+        joint_kinds: 'revolute', 'continuous' or 'prismatic' for each joint.
+        lower, upper: Limits (n,) [rad or m], infinite for joints without limits.
+        home: Configuration (n,) [rad or m] at which searches start.
+        velocity_limits: Limits (n,) [rad/s or m/s].
+        rest: Values (nq,) of the joints off the path.
+        tips: Names of the tips.
+        arms: A Robot for each tip.
+        places: For each arm, the indices in q of its joints.
+        srdf: Contents of the SRDF.
+        notes: Sentences on parts of the description that were changed or left out.
+        chain: The arrays of the compiled kernel.
+        memo: Cache of things made for this robot, by key; copies and pickles start with an empty one.
     """
 
     _LOOSE = ("name",)
@@ -75,7 +92,7 @@ class Joints(ReadOnly):
         "on_base": "load it with on_base=",
         "base_limits": "load it with base_limits=",
         "package_dirs": "load it with package_dirs=",
-        "": "load the robot again as it should be",
+        "": "load the robot again with the settings you want",
     }
 
     name: str
@@ -94,25 +111,25 @@ class Joints(ReadOnly):
     memo: dict[Any, Any]
     notes: tuple[str, ...]
     srdf: Srdf
-    by_tip = False  # whether targets are given by tip, as for a tree, even with a single tip
-    _path: Path
+    by_tip = False  # True if targets are given by tip, as for a tree, even with a single tip.
+    _path: JointPath
     _given: Given | None
     _original: pin.Model | None
-    _wide: Any = None  # the robot of which this is a variant with narrower limits
+    _wide: Any = None  # The robot of which this is a variant with narrower limits.
 
     def _note(self, notes: Iterable[str]) -> None:
-        """Keep notes on the description, and log those that are new."""
+        """Store notes on the description, and log those that are new."""
         new = [note for note in notes if note not in self.notes]
         self.notes = (*self.notes, *new)
         for note in new:
             LOG.warning("%s: %s", self.name, note)
 
     def _route(self) -> str:
-        """Base and tips, for display."""
+        """Return base and tips, for display."""
         raise NotImplementedError
 
     def jacobian(self, q: Any) -> np.ndarray:
-        """Jacobian (6 tips, n) at q (n,), base axes, linear rows of a tip first."""
+        """Compute the Jacobian (6 tips, n) [m or rad per rad or m] at q (n,) in base axes, linear rows of each tip first."""
         raise NotImplementedError
 
     @property
@@ -134,7 +151,7 @@ class Joints(ReadOnly):
     def named(self) -> Named:
         """Configurations by name: those of the SRDF that set any joint of q (the others stay at home), and always "home".
 
-        Where several groups of the SRDF use a name, see `Srdf.state`.
+        If several groups of the SRDF use a name, `Srdf.state` says which counts.
         """
         found = Named(home=self.home.copy())
         for name in self.srdf.states:
@@ -143,6 +160,29 @@ class Joints(ReadOnly):
                 found[name] = self.home.copy()
                 found[name][[self.joint_names.index(joint) for joint in given]] = list(given.values())
         return found
+
+    @property
+    def pose_shape(self) -> tuple[int, ...]:
+        """Shape of the poses of all tips as the kernel takes them: (4, 4), of several tips (F, 4, 4)."""
+        return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
+
+    def each_tip(self, given: Any) -> dict[str, Any]:
+        """What is given for the tips (a target, what `fk` returns) by tip: a tree's is, a Robot's is that of its tip."""
+        return given if self.by_tip else {self.tips[0]: given}
+
+    def for_tips(self, each: Mapping[str, Any]) -> Any:
+        """The other way round: what belongs to each tip in the form that calls take for this robot."""
+        return each if self.by_tip else each[self.tips[0]]
+
+    def tip_poses(self, q: np.ndarray) -> list[pin.SE3]:
+        """T_base_tip of each tip at a checked q (n,), in the order of `tips`, by Pinocchio."""
+        return [arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)]
+
+    @functools.cached_property
+    def mobility(self) -> Any:
+        """What the tip can never do, however the joints stand: a `Mobility`; of a Tree a dict of them by tip."""
+        found = {arm.tip: mobility_of(arm) for arm in self.arms}
+        return self.for_tips(found)
 
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""
@@ -153,32 +193,72 @@ class Joints(ReadOnly):
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
         """Return q as a float64 copy (n,); raises InvalidConfiguration if it has the wrong size or is not finite."""
         array = self._values(q, name)
-        if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # also true for NaN
+        if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # The comparison is false for NaN.
             if not np.isfinite(array).all():
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
             meant = (self.lower <= array) & (array <= self.upper) & (self.upper - self.lower < np.inf)
-            # A value inside the limits is not a mistake, and often our own.
+            # Values inside the limits are never taken for degrees.
             values = zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array).tolist(), strict=True)
             far = {joint: x for joint, kind, x in values if kind != "prismatic" and abs(x) > FEW_TURNS}
             if far:
                 doubt_angles(name, far)
         return array
 
-    def _values(self, q: Any, name: str = "q") -> np.ndarray:
-        """As `check_q`, for any numbers."""
+    def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
+        """Joint values in any form as an array (n,), which is not checked, and a notice ('' or what was ignored).
+
+        Args:
+            q: numbers (n,); the name of a configuration (see `named`); or values by joint, as a dict or a ROS JointState, of
+                which other joints are ignored.
+            name: of the argument, for messages.
+
+        Raises:
+            InvalidConfiguration: a joint is missing, or these are no numbers.
+            ConfigurationNotFound: no configuration has this name.
+        """
+        notice = ""
+        if isinstance(q, str):
+            q = self.named[q]
+        elif not isinstance(q, np.ndarray | list | tuple):
+            by_joint = q if isinstance(q, Mapping) else read_joint_state(q, name)
+            if by_joint is not None:
+                missing = [joint for joint in self.joint_names if joint not in by_joint]
+                others = [str(joint) for joint in by_joint if joint not in self.joint_names]
+                if missing:
+                    meant = near_match(missing[0], others) if others else ""
+                    raise InvalidConfiguration(f"{name} has no value for joint {', '.join(missing)}.{meant}")
+                if others:
+                    notice = (
+                        f"{name}: joint{'s' * (len(others) > 1)} {', '.join(others)} ignored, not of this robot's q"
+                    )
+                q = [by_joint[joint] for joint in self.joint_names]
+
         array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
         if array.shape != (self.n,):
             raise InvalidConfiguration(
                 f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
             )
-        return array
+        return array, notice
+
+    def _values(self, q: Any, name: str = "q") -> np.ndarray:
+        """Return joint values in any form as `check_q` does, finite or not."""
+        return self.read_q(q, name)[0]
 
     def locked(self, joints: Mapping[str, float]) -> Self:
-        """Return a copy with joints held at values [rad or m] and left out of q.
+        """Return a copy with joints held at values and left out of q.
 
-        A value outside its joint's limits is used as it is, with a warning in the log "ik_toolkit". Raises JointNotFound,
-        InvalidConfiguration.
+        A value outside its joint's limits is used as it is, with a warning in the log "ik_toolkit".
+
+        Args:
+            joints: Values [rad or m] by joint name.
+
+        Returns:
+            A robot with fewer coordinates.
+
+        Raises:
+            JointNotFound: A joint does not exist or does not move.
+            InvalidConfiguration: A value is no finite number.
         """
         joints = values_by_joint(joints)
         made = self._locked(joints)
@@ -192,20 +272,29 @@ class Joints(ReadOnly):
         return made
 
     def _locked(self, joints: Mapping[str, float]) -> Self:
-        """The copy of `locked`."""
+        """Make the copy that `locked` returns."""
         raise NotImplementedError
 
     def narrowed(self, limits: Any) -> Self:
-        """Return a variant with narrower limits; the same as `limits=` of a call, which makes and keeps one.
+        """Return a variant with narrower limits, the one that the option `limits=` of a call makes and keeps.
 
-        limits: a dict from joint names to (lower, upper) [rad or m], None for an end that stays, or a pair of arrays (lower,
-        upper), each (n,) or None. Home is moved inside. A model of collisions made for the robot serves its variants too.
-        Raises InvalidOption (wider than the robot's own, reversed, not a number), JointNotFound.
+        A collision model made for the robot serves its variants too.
+
+        Args:
+            limits: A dict from joint names to (lower, upper) [rad or m], None for an end that stays, or a pair of
+                arrays (lower, upper), each (n,) or None.
+
+        Returns:
+            The variant, whose home is moved inside the limits.
+
+        Raises:
+            InvalidOption: A limit is wider than the robot's own, reversed, or no number.
+            JointNotFound: A joint does not exist.
         """
         return narrowed(self, limits)
 
     def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> Self:
-        """The variant of `narrowed` for ranges of all joints."""
+        """Make the variant that `narrowed` returns, for ranges of all joints."""
         raise NotImplementedError
 
     def check_home(self, home: Any) -> np.ndarray:
@@ -217,11 +306,22 @@ class Joints(ReadOnly):
         return q
 
     def manipulability(self, q: Any, rows: Any = "pose") -> float:
-        """Manipulability sqrt(det(J J^T)) at q (n,): proportional to the volume of the velocity ellipsoid; 0 where singular.
+        """Compute the manipulability sqrt(det(J J^T)) (Yoshikawa 1985), proportional to the volume of the velocity ellipsoid.
 
-        rows: 'position' [the three linear rows, m per rad or m], 'orientation', 'pose' (all six, in metres and radians), or the
-        indices of the rows x, y, z, rx, ry, rz in base axes: (0, 1) for a planar arm. With several tips, the rows of all are
-        stacked. With fewer joints than rows it is 0 everywhere. Yoshikawa 1985. Raises InvalidConfiguration, InvalidOption.
+        It is 0 at a singular q, and everywhere if there are fewer joints than rows.
+
+        Args:
+            q: Configuration (n,) [rad or m].
+            rows: Rows of the Jacobian in base axes: 'position' (the three linear ones, m per rad or m), 'orientation',
+                'pose' (all six, in metres and radians), or indices of x, y, z, rx, ry, rz: (0, 1) for a planar arm. The
+                rows of several tips are stacked.
+
+        Returns:
+            The manipulability, in the units of the rows.
+
+        Raises:
+            InvalidConfiguration: q does not fit the robot.
+            InvalidOption: `rows` names no rows.
         """
         try:
             picked = ROWS[rows] if isinstance(rows, str) else [int(range(6)[i]) for i in rows]
@@ -237,26 +337,34 @@ class Joints(ReadOnly):
         return float(np.prod(np.linalg.svd(J, compute_uv=False))) if len(J) <= self.n else 0.0
 
     def outside(self, q: Any) -> list[str]:
-        """Names of the joints whose value in q (n,) lies outside its limits, or is NaN. Raises InvalidConfiguration."""
+        """Return the names of joints whose value in q (n,) is outside its limits, or NaN. Raises InvalidConfiguration."""
         q = self._values(q)
         return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]
 
     def at_limits(self, q: Any) -> list[str]:
-        """Names of the joints whose value in q (n,) is at a limit (within 1e-9) or beyond. Raises InvalidConfiguration."""
+        """Return the names of joints whose value in q (n,) is at a limit (within 1e-9) or beyond. Raises InvalidConfiguration."""
         q = self._values(q)
         near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
         return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
 
     @functools.cached_property
     def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower end and span (n,) of random q."""
+        """Lower end and span (n,) [rad or m] of random q."""
         n, ends = self.n, np.atleast_2d(self.chain.ends)[0, POINTS:]
         return ends[4 * n : 5 * n] * self.chain.unit, ends[5 * n : 6 * n] * self.chain.unit
 
     def random_q(self, rng: np.random.Generator, count: int | None = None) -> np.ndarray:
-        """Uniform random q (n,), or (count, n), inside the limits (one turn, or one reach, where there are none).
+        """Draw uniform random q inside the limits (one turn, or one reach, where there are none).
 
-        Raises InvalidOption: rng is no generator, or count no whole number of at least 0.
+        Args:
+            rng: Generator of random numbers.
+            count: Number of rows, or None for a single q.
+
+        Returns:
+            q (n,), or (count, n) [rad or m].
+
+        Raises:
+            InvalidOption: rng is no generator, or count no whole number of at least 0.
         """
         low, span = self._sampling
         size = self.n if count is None else (whole(count, "count", 0), self.n)
@@ -265,7 +373,7 @@ class Joints(ReadOnly):
         return (low + span * rng.random(size)).clip(self.lower, self.upper)
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
-        """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's).
+        """Return the full configuration (nq,) of the model for q (n,) [rad or m]; joints off the path keep `rest`, or the robot's.
 
         If the given model has a free-flyer, ball or planar joint, the result is in that model's form, with quaternions.
         """
@@ -297,7 +405,7 @@ class Joints(ReadOnly):
         return full
 
     def from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
-        """Return q (n,) of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
+        """Return q (n,) [rad or m] of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
         full = self._full(q_full, "a full configuration")
         idx, circle = self._path.idx_q, self._path.circle
         q = full[idx].copy()
@@ -305,7 +413,7 @@ class Joints(ReadOnly):
         return q
 
     def _repr_html_(self) -> str:
-        """Joint table for notebooks."""
+        """Return a table of the joints for notebooks."""
         head = "<tr><th>joint</th><th>kind</th><th>lower</th><th>upper</th><th>home</th></tr>"
         rows = "".join(
             f"<tr><td>{html.escape(j)}</td><td>{k}</td><td>{a:.4g}</td><td>{b:.4g}</td><td>{h:.4g}</td></tr>"

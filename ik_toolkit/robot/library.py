@@ -1,4 +1,4 @@
-"""Names -> robot descriptions: the robots we ship, files, URDF text, example-robot-data and robot_descriptions."""
+"""Finds robot descriptions by name: the robots we ship, files, URDF text, example-robot-data and robot_descriptions."""
 
 import contextlib
 import functools
@@ -18,22 +18,21 @@ from .formats.urdf import is_text
 from .packages import MANIFESTS
 
 DATA_PACKAGE = "example-robot-data"
-DESCRIBED = "robot_descriptions:"  # prefix for names of that package
-MENAGERIE = "mujoco-menagerie:"  # prefix for folder names of the MuJoCo Menagerie
-# Environment variable with the path of a copy; the mujoco-menagerie package reads it, too.
+DESCRIBED = "robot_descriptions:"  # Names of the package robot_descriptions begin with this.
+MENAGERIE = "mujoco-menagerie:"  # Folder names of the MuJoCo Menagerie begin with this.
+# The environment variable MENAGERIE_ROOT has the path of a copy; the mujoco-menagerie package reads it too.
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
 
 @dataclass(frozen=True)
 class RobotEntry:
-    """What a robot name stands for.
+    """The description that a robot name stands for.
 
-    name; path (file, None for URDF text); source (what to read: the path, or the URDF text); base and tip (link names;
-    tip is None when several exist or nothing is known); tips (all the known ones); home (n,) [rad or m] in the order of
-    the joints from base to tip (union of the paths, in the order of `tips`, where there are several), or None;
-    package_dirs (folders in which package:// names are looked up); paper, table and description (where the numbers come
-    from); dh_file; sample (columns n, o, a and p [m] of the pose that the paper computes, as printed, and their source `from`);
-    xacro_args (values of a xacro file's arguments).
+    `source` is what to read: `path`, or the URDF text if path is None. `tip` is None if several exist or none is known;
+    `tips` are all the known ones. `home` (n,) [rad or m] is in the order of the joints from base to tip (for several
+    tips the union of their paths, in the order of `tips`), or None. Packages are searched in `package_dirs`. `paper`,
+    `table` and `description` say where the numbers come from. `sample` has columns n, o, a and p [m] of the pose that
+    the paper computes, as printed, and their source `from`. `xacro_args` are values of a xacro file's arguments.
     """
 
     name: str
@@ -56,7 +55,7 @@ class RobotEntry:
         return self.tips[0] if len(self.tips) == 1 else None
 
 
-# name -> (file below robots/, tips). Fixed-base arms (and arms on a fixed body) of example-robot-data 6.
+# Each name maps to a file below robots/ and its tips: the arms of example-robot-data 6 that have a fixed base.
 DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "panda": ("panda_description/urdf/panda.urdf", ("panda_hand_tcp",)),
     "ur3": ("ur_description/urdf/ur3_robot.urdf", ("tool0",)),
@@ -86,7 +85,7 @@ DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def urdf_folder() -> Path:
-    """Folder of the shipped robots: inside the installed package, or beside it in a checkout."""
+    """Return the folder of the shipped robots: inside the installed package, or beside it in a checkout."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "urdf", package.parent / "urdf"):
         if (folder / "robots.toml").is_file():
@@ -96,7 +95,7 @@ def urdf_folder() -> Path:
 
 @functools.cache
 def shipped_robots() -> dict[str, RobotEntry]:
-    """Name -> entry of the robots shipped with the toolkit, in the order of robots.toml."""
+    """Return the entries of the robots shipped with the toolkit by name, in the order of robots.toml."""
     folder = urdf_folder()
     rows = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
     entries = {}
@@ -129,9 +128,9 @@ def _data_root() -> Path | None:
 
 
 def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
-    """URDF path and package_dirs of an arm of the example-robot-data wheel (version 6: data only).
+    """Return URDF path and package_dirs of an arm of the example-robot-data wheel (version 6, which has data only).
 
-    Raises RobotNotFound: unknown name (near match, all names). MissingExtra.
+    Raises RobotNotFound for an unknown name, with a near match and all names, MissingExtra without the wheel.
     """
     if name not in DATA_ROBOTS:
         raise RobotNotFound(f"{DATA_PACKAGE} has no arm '{name}'.{near_match(name, DATA_ROBOTS)}")
@@ -146,7 +145,7 @@ def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
 
 @functools.cache
 def data_files() -> dict[str, Path]:
-    """Name -> file of everything else in example-robot-data: the file name, with its folder's name in front if it is taken."""
+    """Map names to all other files of example-robot-data: a file's name, after its folder's name if it is taken."""
     root = _data_root()
     if root is None:
         return {}
@@ -163,13 +162,13 @@ def data_files() -> dict[str, Path]:
 
 
 def list_robots(everything: bool = False) -> list[RobotEntry]:
-    """List the shipped robots, then the arms of example-robot-data when that is installed; everything: all of its files."""
+    """List the shipped robots, then the arms of example-robot-data if it is installed, or with `everything` all of its files."""
     data = [find(name) for name in (*DATA_ROBOTS, *(data_files() if everything else ()))] if _data_root() else []
     return [*shipped_robots().values(), *data]
 
 
 def _described(name: str) -> RobotEntry:
-    """Entry for a name of the robot_descriptions package, from its cache. Raises RobotNotFound, MissingExtra, ModelError."""
+    """Find a name of the robot_descriptions package in its cache. Raises RobotNotFound, MissingExtra, ModelError."""
     if importlib.util.find_spec("robot_descriptions") is None:
         raise MissingExtra("robot_descriptions", "robots")
     from robot_descriptions import DESCRIPTIONS
@@ -178,9 +177,10 @@ def _described(name: str) -> RobotEntry:
         near = [known for known in DESCRIPTIONS if known.startswith(name)]
         raise RobotNotFound(f"robot_descriptions has no '{name}'.{near_match(name, near or DESCRIPTIONS)}")
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # of a download
+        # A download prints its progress, which is hidden.
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             module = importlib.import_module(f"robot_descriptions.{name}")
-    except Exception as error:  # git can raise anything
+    except Exception as error:  # git can raise any exception.
         said = (
             (str(error).strip().splitlines() or [type(error).__name__])[-1]
             .strip()
@@ -201,7 +201,7 @@ def _described(name: str) -> RobotEntry:
 
 
 def _menagerie(name: str) -> Path:
-    """Model file of the MuJoCo Menagerie, from a copy on disk or from its package's cache. Raises RobotNotFound."""
+    """Find a model file of the MuJoCo Menagerie, in a copy on disk or in its package's cache. Raises RobotNotFound."""
     advice = "pip install mujoco-menagerie, or set MENAGERIE_ROOT to a copy of the repository"
     root = os.environ.get(MENAGERIE_ROOT)
     if root:
@@ -217,9 +217,10 @@ def _menagerie(name: str) -> Path:
     if name not in names:
         raise RobotNotFound(f"MuJoCo's menagerie has no '{name[:200]}'.{near_match(name, names)}")
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # of a download
+        # A download prints its progress, which is hidden.
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             return Path(package.get(name).xml(package.get(name).default_model))
-    except Exception as error:  # a download can raise anything
+    except Exception as error:  # A download can raise any exception.
         said = (str(error).strip().splitlines() or [type(error).__name__])[-1][:200]
         raise RobotNotFound(
             f"'{name}' is not in the cache of mujoco-menagerie, and it could not be fetched ({said}); with a network, run: "
@@ -228,7 +229,7 @@ def _menagerie(name: str) -> Path:
 
 
 def _only_model(source: str | Path) -> Path | None:
-    """The only description in a folder, or the one named after it; scenes, which put a robot on a floor, do not count."""
+    """Return the only description in a folder, or the one named after it; scenes, which put a robot on a floor, do not count."""
     try:
         folder = Path(source).expanduser()
         if not str(source) or not folder.is_dir():
@@ -249,7 +250,7 @@ def _only_model(source: str | Path) -> Path | None:
 
 
 def find(source: str | Path) -> RobotEntry:
-    """Entry for a shipped name, a file path (relative, absolute, ~), URDF text, or an example-robot-data name.
+    """Find the entry of a shipped name, a file path (relative, absolute, ~), URDF text, or an example-robot-data name.
 
     Raises RobotNotFound with a near match and the existing names, MissingExtra.
     """
@@ -295,9 +296,9 @@ def find(source: str | Path) -> RobotEntry:
 
 
 def _file(source: str | Path) -> Path | None:
-    """Absolute path if source names something that exists, else None (also for impossible file names)."""
+    """Return the absolute path of a source that is a file, otherwise None (also for impossible file names)."""
     try:
         path = Path(source).expanduser()
         return path.absolute() if str(source) and path.is_file() else None
-    except (OSError, ValueError, RuntimeError):  # too long, a NUL inside, no home folder
+    except (OSError, ValueError, RuntimeError):  # The name may be too long or have a NUL, or there is no home folder.
         return None

@@ -1,4 +1,4 @@
-"""Anything a user may name as a robot -> its URDF text and Pinocchio model."""
+"""Reads anything a user may name as a robot into its URDF text and Pinocchio model."""
 
 import logging
 from collections.abc import Iterable, Mapping
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ..errors import InvalidOption, ModelError
 from .base import carried
 from .constraints import Constraint
-from .formats.mjcf import to_urdf
+from .formats.mjcf import mjcf_to_urdf
 from .formats.urdf import HasMacros, IsMjcf, safe_read, source_text
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
@@ -20,9 +20,10 @@ LOG = logging.getLogger("ik_toolkit")
 
 
 class Urdf(NamedTuple):
-    """URDF text of a source; file: base of relative paths; notes, states, constraints: contents of MJCF (see `Read`).
+    """The URDF text of a source.
 
-    made: whether the text, and with it the lines that findings give, is not the file's own (xacro, MJCF).
+    `file` is the base of relative paths; `notes`, `states` and `constraints` are contents of MJCF (see `mjcf.Read`).
+    `made` tells that the text, and so the lines that findings give, is not the file's own (xacro, MJCF).
     """
 
     text: str
@@ -40,12 +41,16 @@ def urdf_of(
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> Urdf:
-    """URDF text of a URDF, xacro or MJCF source; elsewhere: another file may use the arguments. Raises as `Robot.load` does."""
+    """Return the URDF text of a URDF, xacro or MJCF source. Raises what `Robot.load` raises.
+
+    `elsewhere` tells that another file may use the xacro arguments.
+    """
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
         text = safe_read(entry.source)
         if entry.path is not None and entry.path.suffix == ".xacro" and "<xacro:" in text:
-            raise HasMacros("it calls macros")  # left over only in a file that says it is a URDF
+            # A file that says it is a URDF may have a call of a macro left over, other files may not.
+            raise HasMacros("it calls macros")
         if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
     except HasMacros:
@@ -56,20 +61,23 @@ def urdf_of(
     except IsMjcf:
         if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
-        flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
+        flat = mjcf_to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
         return Urdf(
             safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, flat.constraints, made=True
         )
     return Urdf(text, entry.path, folders)
 
 
-def read(
+def read_source(
     source: str | Path,
     package_dirs: Iterable[str | Path],
     xacro_args: Mapping[str, Any] | None = None,
     elsewhere: bool = False,
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
+    """Read a robot; return its library entry, and the model, name, text and folders that `Robot` needs.
+
+    Raises what `Robot.load` raises.
+    """
     entry = find(source)
     text, file, folders, notes, states, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
     notes = (*notes, *require_loadable(text, lines=not written))
@@ -87,17 +95,17 @@ def read(
 def read_both(
     source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None, srdf: Any
 ) -> tuple[RobotEntry, dict[str, Any], Any]:
-    """What `read` returns, and the SRDF, as text where it is named as a xacro file, which may use the arguments too."""
-    entry, made = read(source, package_dirs, xacro_args, has_macros(srdf))
+    """Read a source as `read` does, and the SRDF: as text if it is named as a xacro file, which may use the arguments too."""
+    entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
     return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
 
 
 def default_base(
     entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Base frame to use: the one given, the known one, or the link above the tip that a free joint without limits carries.
+    """Return the base frame to use: the one given, the known one, or a link above the tip on a free joint without limits.
 
-    made: what `read` returns; its notes then say that the joint is held.
+    `made` is the result of `read`, whose notes then say that the joint is held.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -111,7 +119,10 @@ def default_base(
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:
-    """Folders from a list, or from a single name (which would otherwise be read letter by letter). Raises InvalidOption."""
+    """Return folders from a list, or from a single name (which would otherwise be read letter by letter).
+
+    Raises InvalidOption.
+    """
     try:
         return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
     except TypeError:

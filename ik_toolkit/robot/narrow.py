@@ -1,4 +1,4 @@
-"""Limits narrower than a robot's own: what may be asked for, and the variant of the robot that has them."""
+"""Checks limits narrower than a robot's own, and makes the variant of the robot that has them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import InvalidOption, JointNotFound, floats, near_match
 
-KEPT = 32  # narrowed variants that a robot keeps, so that a loop with the same limits does not make them again
+KEPT = 32  # A robot keeps this many narrowed variants, so that a loop with the same limits does not make them again.
 ASKED = (
     "limits must be True, False, a dict from joint names to (lower, upper) [rad or m] (None: as it is), or a pair of arrays "
     "(lower, upper) with one value per joint"
@@ -15,7 +15,7 @@ ASKED = (
 
 
 def narrowed(robot: Any, limits: Any) -> Any:
-    """The variant of a robot or tree with narrower limits, the same one each time; see `Joints.narrowed`."""
+    """Return the variant of a robot or tree with narrower limits, the same one each time (see `Joints.narrowed`)."""
     kept = robot.memo.setdefault("narrowed", {})
     try:
         if isinstance(limits, Mapping):
@@ -23,7 +23,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
         else:
             key = tuple((x.dtype, x.shape, x.tobytes()) for x in limits)
         found = kept.get(key)
-    except (AttributeError, TypeError):  # lists among them
+    except (AttributeError, TypeError):  # A list of numbers instead of arrays raises one of these and is not kept.
         key = found = None
     if found is None:
         lower, upper = _ends(robot, limits)
@@ -35,7 +35,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
 
 
 def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, Any]) -> Any:
-    """The robot within lower, upper (n,): itself, one of those it keeps, or a new one."""
+    """Return the robot within lower, upper (n,): itself, a variant that it keeps, or a new one."""
     _check(robot, lower, upper)
     if np.array_equal(lower, robot.lower) and np.array_equal(upper, robot.upper):
         return robot
@@ -48,14 +48,14 @@ def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, A
 
 
 def with_limits(robot: Any, limits: Any) -> tuple[Any, bool]:
-    """The robot to solve for and whether its limits count: what the option `limits` of every call stands for."""
+    """Return the robot to solve for, and whether joints stay inside its limits, as the option `limits` asks."""
     if isinstance(limits, bool | np.bool_):
         return robot, bool(limits)
     return narrowed(robot, limits), True
 
 
 def _ends(robot: Any, limits: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper ends (n,) as asked for."""
+    """Return the lower and upper limits (n,) [rad or m] that the caller asks for."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
     if isinstance(limits, Mapping):
         for joint, pair in limits.items():

@@ -1,4 +1,4 @@
-"""Find a ROS package: next to the file, in given folders, on ROS's search paths, and in installed data packages.
+"""Finds a ROS package: next to the file, in given folders, on ROS's search paths, and in installed data packages.
 
 It imports nothing from the toolkit because the subprocess that expands xacro also loads it.
 """
@@ -10,11 +10,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 
-MANIFESTS = ("package.xml", "manifest.xml")  # a folder with one of these is a ROS package
+MANIFESTS = ("package.xml", "manifest.xml")  # A folder with one of these files is a ROS package.
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,255}")
-LEVELS = 8  # parent folders of a file that are searched for neighbouring packages
-INSIDE, FOLDERS = 3, 2_000  # depth below a given folder, and number of folders, that are searched for a manifest
-DATA = {  # distribution -> folders inside it that contain packages
+LEVELS = 8  # Number of parent folders of a file that are searched for neighbouring packages.
+INSIDE, FOLDERS = 3, 2_000  # Depth below a given folder, and number of folders, that are searched for a manifest.
+DATA = {  # Maps a Python distribution to its folders of ROS packages.
     "example-robot-data": ("cmeel.prefix/share/example-robot-data/robots", "cmeel.prefix/share"),
     "rtb-data": ("rtbdata/xacro",),
 }
@@ -26,10 +26,11 @@ def find_package(
     package_dirs: Iterable[str | Path] = (),
     environment: Mapping[str, str] = os.environ,
 ) -> Path | None:
-    """Folder of a ROS package, symbolic links resolved, or None. Its name is that in its package.xml, or the folder's.
+    """Find the folder of a ROS package, with symbolic links resolved, or return None.
 
-    package_dirs: folders that are packages or contain some; start: the referring file (its parent folders and the packages next to
-    them are searched); then ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and data packages installed by pip.
+    The name of a package is that in its package.xml, or the folder's. package_dirs are folders that are packages or
+    contain some; start is the referring file, whose parent folders are searched, and the packages next to them; then
+    come ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and data packages installed by pip.
     """
     if not NAME.fullmatch(name) or set(name) == {"."}:
         return None
@@ -42,10 +43,11 @@ def find_package(
 def _places(
     name: str, start: Path | None, package_dirs: Iterable[str | Path], environment: Mapping[str, str]
 ) -> Iterator[tuple[Path, bool]]:
-    """Candidate folders, best first, and whether each counts as a package without a manifest."""
+    """Yield candidate folders, best first, and whether each counts as a package without a manifest."""
     given = [Path(folder).expanduser() for folder in package_dirs]
     for folder in given:
-        yield folder / name, (folder / name).resolve().is_relative_to(folder.resolve())  # no link that leads out
+        # A symbolic link that leads out of the folder does not count.
+        yield folder / name, (folder / name).resolve().is_relative_to(folder.resolve())
         if folder.name == name:
             yield folder, True
     for folder in given:
@@ -72,7 +74,7 @@ def _places(
 
 
 def _below(folder: Path, depth: int) -> Iterator[Path]:
-    """A folder and those below it, the upper ones first, down to a depth and below no package; hidden ones are left out."""
+    """Yield a folder and those below it, the upper ones first, down to a depth and below no package; hidden ones are left out."""
     level = [folder]
     for k in range(depth + 1):
         yield from level
@@ -81,7 +83,7 @@ def _below(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def _folders(folder: Path) -> list[Path]:
-    """Folders in a folder, by name."""
+    """Return the folders in a folder, by name."""
     try:
         with os.scandir(folder) as found:
             names = sorted(one.name for one in islice(found, FOLDERS) if one.is_dir() and not one.name.startswith("."))
@@ -91,7 +93,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def _named(folder: Path, name: str) -> bool:
-    """Whether a folder's manifest gives it this name."""
+    """Return whether a folder's manifest gives it this name."""
     try:
         with (folder / MANIFESTS[0]).open(encoding="utf-8", errors="replace") as file:
             return re.search(rf"<name>\s*{re.escape(name)}\s*</name>", file.read(65_536)) is not None

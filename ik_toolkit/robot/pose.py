@@ -1,5 +1,6 @@
 """Poses: build them from user input and reject anything that is not one."""
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,25 +8,35 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ..errors import FEW_TURNS, InvalidTarget, doubt_angles, floats
+from ..errors import FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
+from .ros import read_pose
+from .rotation import nearest_rotation, numbers, quat_matrix, rpy_matrix, turn_onto
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
 PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+AXES |= {f"-{name}": tuple(-x for x in axis) for name, axis in AXES.items()}
+FORMS = "a 4x4 pose, a pin.SE3, a ROS pose or a position of 3 numbers"
 
 
 @dataclass(frozen=True, eq=False)
 class AxisTarget:
     """A position with one tip axis along a direction: five of the six degrees of freedom; rotation about the axis is free.
 
-    T_base_tip (4, 4) [m]: one pose that satisfies it; axis (3,): vector in the tip frame, normalised. Raises InvalidTarget.
+    Args:
+        T_base_tip: One pose (4, 4) [m] that satisfies the target.
+        axis: Vector (3,) in the tip frame, which is normalised.
+
+    Raises:
+        InvalidTarget: The pose is none, or the axis is zero.
     """
 
     T_base_tip: np.ndarray
     axis: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Validate both and keep copies."""
+        """Validate pose and axis, and store copies."""
         T, _ = check_target(self.T_base_tip)
         if T.ndim == 1:
             raise InvalidTarget("the T_base_tip of an AxisTarget is a 4x4 pose, not a position")
@@ -34,98 +45,20 @@ class AxisTarget:
 
 
 def _unit(value: Any, name: str) -> np.ndarray:
-    vector = _numbers(value, 3, name)
+    vector = numbers(named_axis(value, name, InvalidTarget), 3, name)
     length = float(np.linalg.norm(vector))
     if not length > 1e-9:
         raise InvalidTarget(f"{name} must not be the zero vector")
     return vector / length
 
 
-def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) that takes one unit vector onto another."""
-    cos = float(axis @ direction)
-    if cos < 0.0:  # 1 + cos loses its digits near 180 degrees: use two reflections through a third vector instead
-        between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
-        u, v = axis - between, direction - between
-        return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
-    K = np.outer(direction, axis) - np.outer(axis, direction)  # cross product matrix of axis x direction
-    return np.eye(3) + K + K @ K / (1.0 + cos)
-
-
-def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
-    """Rotation (3, 3) nearest to R and how far R was from it (largest deviation of a singular value from 1)."""
-    U, S, Vt = np.linalg.svd(R)
-    D = np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(U @ Vt)))])
-    return U @ D @ Vt, float(np.abs(S * np.diag(D) - 1.0).max())
-
-
-def _numbers(value: Any, size: int, name: str) -> np.ndarray:
-    array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
-    if array.shape != (size,):
-        raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
-    if not np.isfinite(array).all():
-        raise InvalidTarget(f"{name} must be finite numbers: {array.tolist()}")
-    return array
-
-
-def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Angles (N,) [rad] between rotations A and B (N, 3, 3)."""
-    chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
-    return 2.0 * np.arcsin(np.minimum(chord, 1.0))
-
-
-def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def matrix_rpy(R: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw [rad] of a rotation (3, 3); yaw = 0 where pitch is +-90 degrees.
-
-    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90 degrees.
-    """
-    cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding error
-    s, c = math.sin(yaw), math.cos(yaw)
-    roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
-    return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
-
-
-def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
-    """Rotation (3, 3) of a quaternion (4,) in this order (normalised here)."""
-    q = _numbers(quat, 4, f"quat_{order}")
-    length = math.sqrt(float(q @ q))
-    if not length > 1e-6:
-        raise InvalidTarget(f"quat_{order} has length {length:.3g}: not a rotation")
-    x, y, z, w = np.roll(q / length, -1 if order == "wxyz" else 0).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def matrix_quat(R: np.ndarray) -> np.ndarray:
-    """Quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
-    K = np.array(
-        [
-            [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
-            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0, 0],
-            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0],
-            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
-        ]
-    )
-    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle
-    return q if q[3] >= 0 else -q
+def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
+    """The axis (3,) that 'x', 'y', 'z', '-x', '-y' or '-z' names; anything but a text as it is. Raises `error`."""
+    if not isinstance(value, str):
+        return value
+    if value.strip().lower() not in AXES:
+        raise error(f"{name} must be {', '.join(AXES)} or three numbers, not {value!r:.60}")
+    return AXES[value.strip().lower()]
 
 
 Numbers = Sequence[float] | np.ndarray
@@ -166,11 +99,22 @@ def pose(
     axis: Numbers = (0.0, 0.0, 1.0),
     direction: Numbers | None = None,
 ) -> AxisTarget | np.ndarray:
-    """Return a target: T_base_tip (4, 4), or a position (3,) when no rotation is given (orientation free).
+    """Make a target from a position and, if the orientation counts, a rotation or direction.
 
-    xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, quat_wxyz, or rotation (3, 3). With a
-    direction (3,) in the base frame it is an AxisTarget: the tip's axis (3,) (default its z) points along it, rotation about it
-    is free. Raises InvalidTarget for anything not finite, of the wrong size or not a rotation.
+    Args:
+        xyz: Position [m] of the tip in the base frame, by default the origin.
+        rpy: Roll, pitch and yaw [rad] in URDF's order: Rz(yaw) Ry(pitch) Rx(roll).
+        quat_xyzw: Quaternion with the scalar last.
+        quat_wxyz: Quaternion with the scalar first.
+        rotation: Rotation matrix (3, 3), T_base_tip.
+        axis: Axis (3,) in the tip frame that points along `direction`, by default z.
+        direction: Direction (3,) in the base frame; rotation about it is free.
+
+    Returns:
+        T_base_tip (4, 4), an AxisTarget if a direction is given, or the position (3,) if no rotation is given.
+
+    Raises:
+        InvalidTarget: A value is not finite, of the wrong size or no rotation, or several rotations are given.
     """
     turned = sum(part is not None for part in (rpy, quat_xyzw, quat_wxyz, rotation))
     if direction is not None:
@@ -181,13 +125,13 @@ def pose(
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
         T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
-        T[:3, 3] = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+        T[:3, 3] = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
         return AxisTarget(T, tuple(tip_axis.tolist()))
     if turned > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw, quat_wxyz and rotation, not several")
-    position = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+    position = numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
     if rpy is not None:
-        angles = _numbers(rpy, 3, "rpy")
+        angles = numbers(rpy, 3, "rpy")
         if np.abs(angles).max() > FEW_TURNS:
             doubt_angles("rpy", {"": float(angles[np.abs(angles).argmax()])})
         R = rpy_matrix(angles)
@@ -204,21 +148,50 @@ def pose(
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = position
-    return check_target(T)[0]
+    return checked(T)
+
+
+@overload
+def approach(target: AxisTarget, distance: float, axis: Numbers | str | None = None) -> AxisTarget: ...
+@overload
+def approach(target: Any, distance: float, axis: Numbers | str | None = None) -> Matrix: ...
+def approach(target: Any, distance: float, axis: Numbers | str | None = None) -> AxisTarget | np.ndarray:
+    """Return the pose before (or behind) a target, backed off along a tip axis: where a straight approach begins.
+
+    Args:
+        target: T_base_tip (4, 4), a pin.SE3 or ROS pose, or an AxisTarget.
+        distance: how far [m] the tip stands back, against the direction of the axis; negative: beyond the target.
+        axis: of the tip, "z" or three numbers; default that of an AxisTarget, else z.
+
+    Returns:
+        A target of the same kind: an AxisTarget, or T_base_tip (4, 4).
+
+    Raises:
+        InvalidTarget: no pose (a position has no axes), a distance that is not a finite number, or a zero axis.
+    """
+    free = isinstance(target, AxisTarget)
+    T = target.T_base_tip.copy() if free else check_target(target)[0]
+    if T.ndim == 1:
+        raise InvalidTarget("a position has no tip axis to back off along; give a pose, or ik.pose(xyz, direction=...)")
+    step = numbers([distance], 1, "distance")[0] * _unit(
+        (target.axis if free else "z") if axis is None else axis, "axis"
+    )
+    T[:3, 3] -= T[:3, :3] @ step
+    return AxisTarget(T, target.axis) if free else T
 
 
 def _axes(T: np.ndarray, target: np.ndarray, frame: str) -> np.ndarray:
-    """Rotation (3, 3) from base axes to the axes of `frame`."""
+    """Return the rotation (3, 3) from base axes to the axes of `frame`."""
     if frame == "base" or (frame == "target" and target.ndim == 1):
         return np.eye(3)
     return (T if frame == "tip" else target)[:3, :3].T
 
 
 def raw_error(T: np.ndarray, target: np.ndarray, frame: str = "base") -> np.ndarray:
-    """Error (6,) of a tip pose T (4, 4) from a target (4, 4) or (3,): target - tip [m], then the remaining rotation vector [rad].
+    """Compute the error (6,) of a tip pose T (4, 4) from a target (4, 4) or (3,): target - tip [m], then the rotation vector [rad].
 
-    Along the axes of `frame`: 'base' (of T and target), 'tip' or 'target' (of a position, which has no axes: 'base'). The
-    rotation vector r is that of the rotation exp(r) T = target; NaN for a position, which has none.
+    It is along the axes of `frame`: 'base' (of T and target), 'tip' or 'target' ('base' for a position, which has no
+    axes). The rotation vector r is that of the rotation exp(r) T = target; for a position, which has none, it is NaN.
     """
     import pinocchio as pin
 
@@ -241,11 +214,12 @@ def errors(
     free_turn: Sequence[float] | None = None,
     frame: str = "base",
 ) -> tuple[np.ndarray, float, float | None]:
-    """Error of a tip pose T (4, 4) from a target (4, 4) or (3,): the raw error (6,), and the norms of what counts [m], [rad].
+    """Compute the error of a tip pose T (4, 4) from a target (4, 4) or (3,): the raw error (6,), and the norms of what counts.
 
-    First, rotation about the tip axis free_turn (3,) is ignored: the rotation vector becomes that of the smallest rotation that
-    aligns the axis with the target's. Then each error is reduced by its slack (6,) and multiplied by its mask weight (6,). All
-    along the axes of `frame`, see `raw_error`. The orientation norm is None for a position.
+    First, rotation about the tip axis free_turn (3,) is ignored: the rotation vector becomes that of the smallest
+    rotation that aligns the axis with the target's. Then each error is reduced by its slack (6,) and multiplied by its
+    mask weight (6,), along the axes of `frame` (see `raw_error`). The norms are in [m] and [rad]; the latter is None
+    for a position.
     """
     raw = raw_error(T, target, frame)
     e = raw.copy()
@@ -273,8 +247,11 @@ def _near(position: np.ndarray) -> np.ndarray:
 
 
 def as_matrix(pose: Any) -> np.ndarray:
-    """Pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation. Raises InvalidTarget."""
-    T = check_target(pose)[0]
+    """Return a pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation.
+
+    Raises InvalidTarget.
+    """
+    T = checked(pose)
     if T.ndim == 2:
         return T
     made = np.eye(4)
@@ -282,25 +259,40 @@ def as_matrix(pose: Any) -> np.ndarray:
     return made
 
 
-def check_target(target: Any) -> tuple[np.ndarray, str]:
+def as_array(target: Any, base: str = "") -> Any:
+    """The array of a pin.SE3 or of a ROS message, see `ros.read_pose`; anything else as it is. Raises InvalidTarget."""
+    if isinstance(target, np.ndarray | list | tuple):
+        return target
+    if hasattr(target, "homogeneous"):
+        return target.homogeneous
+    found = read_pose(target, base)
+    if found is None:
+        return target
+    position, quat = found
+    if quat is None:
+        return position
+    if not np.isfinite([*position, *quat]).all():
+        return np.full((4, 4), np.nan)  # a pose that its reader refuses: a tracker goes on without it
+    return pose(position, quat_xyzw=quat)
+
+
+def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
 
-    Accepts a (4, 4) array, a (3,) position or anything with a `homogeneous` attribute (pin.SE3). A rotation within 1e-2 of
-    orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget otherwise.
+    Accepts a (4, 4) array, a (3,) position, anything with a `homogeneous` attribute (pin.SE3) and ROS messages, whose frame
+    must be `base` where both are given. A rotation within 1e-2 of orthonormal is projected to the nearest one, and the notice
+    says so. Raises InvalidTarget otherwise.
     """
-    matrix = getattr(target, "homogeneous", target)
-    T = floats(matrix, "a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers", InvalidTarget)
+    T = floats(as_array(target, base), f"a target must be {FORMS}", InvalidTarget)
     if T.shape == (3,):
-        return _near(_numbers(T, 3, "target position")), ""
+        return _near(numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
         many = (
             "; solve_batch takes many targets, solve_path gives one motion through them"
             if T.shape[1:] in ((4, 4), (3,))
             else ""
         )
-        raise InvalidTarget(
-            f"a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}{many}"
-        )
+        raise InvalidTarget(f"a target must be {FORMS}, not an array of shape {T.shape}{many}")
     if not np.isfinite(T).all():
         raise InvalidTarget("the target pose has entries that are not finite numbers")
     if np.abs(T[3] - LAST).max() > LAST_ROW:
@@ -322,7 +314,15 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
     return T, notice
 
 
+def checked(target: Any) -> np.ndarray:
+    """The target of `check_target`, whose notice goes to the log "ik_toolkit": for calls that return nothing but the target."""
+    T, notice = check_target(target)
+    if notice:
+        logging.getLogger("ik_toolkit").warning("%s", notice)
+    return T
+
+
 def length(value: float) -> str:
-    """Length [m] as text with a suitable unit."""
+    """Write a length [m] with a suitable unit."""
     size, unit = next((x for x in ((1.0, "m"), (1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
     return f"{value / size:.3g} {unit}"

@@ -1,8 +1,10 @@
 """Poses from CSV, NPZ or JSON files: positions with or without rotations, and with times where requested.
 
-CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or all of roll,pitch,yaw (URDF order), and t [s] where times are
-requested, in any order; other columns are ignored. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t`
-(N,); without times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists under these names, or just a list of targets.
+CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or three angles, and t [s] where times are requested, in any
+order; other columns are ignored. The angles are roll,pitch,yaw about x, y and z (also called rx,ry,rz), or a,b,c one after
+another; see `Convention`. Columns are separated by commas, semicolons or tabs; where not by commas, decimals may be written
+with a comma. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times also `targets` (N,
+4, 4) or (N, 3). JSON: an object with lists under these names, or just a list of targets.
 
 For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or
 (N, 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without
@@ -10,11 +12,8 @@ data is free.
 """
 
 import csv
-import io
-import json
-import math
 import zipfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count, islice
 from pathlib import Path
@@ -22,23 +21,44 @@ from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
-from ..errors import IKError, InvalidTarget, near_match
-from ..files import without_mark
-from .pose import rpy_matrix
+from ..errors import FEW_TURNS, InvalidOption, InvalidTarget, doubt_angles, near_match
+from ..files import NAMES, NUMBERS, check_arrays, read_json, without_mark
+from .rotation import euler_matrix
 
 LINES = 16384  # rows read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
+ABOUT, IN_ORDER = ("rx", "ry", "rz"), ("a", "b", "c")  # other names of angles: about x, y and z, or one after another
+ORIENTATIONS = (QUAT, RPY, ABOUT, IN_ORDER)
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m] of a unit
+MARKS = (",", ";", "\t")  # what may separate columns
 ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w
-# Largest arrays of a file together [bytes]: the first, and the second for each byte of the file; poses compress to a fifth at best.
-UNPACKED, EXPANSION = 2**26, 20
-NAMES = 2**18  # bytes of an array of names
-NUMBERS, TEXTS = "fiu", "U"  # kinds of dtype that are read as numbers, and as names
-HEADER = 2**16  # bytes of an array's header, which numpy takes into memory before it looks at it
-JSON_BYTES = 20_000_000  # lists take up to 20 times as much, and a second for 5 MB
 LONGEST_LINE = 2**20  # characters
 
 
-class Block(NamedTuple):
+class Convention(NamedTuple):
+    """In what a file gives its numbers.
+
+    length_unit: of positions, one of LENGTHS. deg: angles are in degrees, not radians. euler: the axes about which the three
+    angles turn one after another, each about the axes as they then are; None is "zyx" (the roll, pitch and yaw of URDF).
+    """
+
+    length_unit: str = "m"
+    deg: bool = False
+    euler: str | None = None
+
+    def check(self) -> "Convention":
+        """The same. Raises InvalidOption for an unknown unit or sequence of axes."""
+        if self.length_unit not in LENGTHS:
+            raise InvalidOption(f"the unit of length is {', '.join(LENGTHS)}, not {self.length_unit!r:.20}")
+        axes = self.euler
+        if axes is not None and (len(axes) != 3 or not {*axes} <= {*"xyz"} or axes[0] == axes[1] or axes[1] == axes[2]):
+            raise InvalidOption(
+                f"euler names three axes of which no two neighbours are the same, such as zyx or zyz, not {axes!r:.20}"
+            )
+        return self
+
+
+class PoseRows(NamedTuple):
     """Rows read at a time: t (m,) [s] or None, poses (m, 4, 4) or positions (m, 3); for several tips a dict of these by tip."""
 
     t: np.ndarray | None
@@ -46,47 +66,59 @@ class Block(NamedTuple):
 
 
 def read_poses(
-    path: Path, what: str, *, times: bool = False, deg: bool = False, tips: Sequence[str] = ()
-) -> tuple[int, Iterator[Block]]:
+    path: Path, what: str, *, times: bool = False, given: Convention = Convention(), tips: Sequence[str] = ()
+) -> tuple[int, Iterator[PoseRows]]:
     """Number of rows and the blocks of a file: one block for NPZ, many for CSV. `what` names the contents in messages.
 
-    times: t is required as well. deg: roll, pitch and yaw are in degrees, not radians. tips: names of the tips whose poses the
-    file holds; none: poses without a name. Raises InvalidTarget naming the line, for a CSV also while its blocks are read.
+    times: t is required as well. given: units and angles of the file. tips: names of the tips whose poses the file holds; none:
+    poses without a name. Raises InvalidTarget naming the line, for a CSV also while its blocks are read; InvalidOption.
     """
+    scale = LENGTHS[given.check().length_unit]
     if not path.is_file():
         raise InvalidTarget(f"there is no {what} file '{path}'")
     try:
         if path.suffix.lower() in (".npz", ".json"):
             if tips:
-                poses = _read_arrays_by_tip(path, tips)
-                return len(next(iter(poses.values()))), iter([Block(None, poses)])
+                poses = _read_tip_arrays(path, tips)
+                made = {tip: _scaled(array, scale) for tip, array in poses.items()}
+                return len(next(iter(poses.values()))), iter([PoseRows(None, made)])
             block = _read_arrays(path, times)
-            return len(block.poses), iter([block])
+            return len(block.poses), iter([block._replace(poses=_scaled(block.poses, scale))])
         if path.suffix.lower() != ".csv":
             raise InvalidTarget(f"a {what} file is .csv, .npz or .json, not '{path.name}'")
         with path.open("rb") as stream:
             rows = max(sum(block.count(b"\n") for block in iter(lambda: stream.read(1 << 20), b"")) - 1, 0)
-        columns = _tip_columns(path, tips) if tips else {"": _header(path, times)}
-        return rows, _read_csv(path, columns, len(_first_line(path)), times, deg)
+        header, mark = _first_line(path)
+        columns = (
+            _tip_columns(path.name, header, tips, given) if tips else {"": _header(path.name, header, times, given)}
+        )
+        return rows, _read_csv(path, columns, len(header), mark, times, given)
     except InvalidTarget:
         raise
     except Exception as error:  # damaged files raise many types: zip, zlib, lzma, npy and csv errors
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
 
 
+def _scaled(poses: np.ndarray, scale: float) -> np.ndarray:
+    """Poses (N, ..., 4, 4) or positions (N, ..., 3) in metres."""
+    if scale != 1.0:
+        (poses[..., :3, 3] if poses.shape[-2:] == (4, 4) else poses)[...] *= scale
+    return poses
+
+
 def _said(error: Exception) -> str:
-    """Message of a decoder's error, in one short line."""
+    """Shorten the message of a decoder's error to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def _short(text: str) -> str:
-    """Text from a file, shortened for a message."""
+    """Shorten a text from a file for a message."""
     return text if len(text) <= 80 else f"{text[:80]}..."
 
 
 @contextmanager
 def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
-    """Arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
+    """Yield the arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
     if path.suffix.lower() == ".json":
         content = read_json(path, InvalidTarget)
         content = content if isinstance(content, dict) else {"targets": content}
@@ -99,18 +131,8 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
         yield file
 
 
-def read_json(path: Path, error: type[IKError]) -> Any:
-    """Content of a JSON file. Raises `error`, which names the file, if it is too large or too deep, ValueError if it is no JSON."""
-    if path.stat().st_size > JSON_BYTES:
-        raise error(f"'{path.name}' is larger than {JSON_BYTES / 1e6:.0f} MB; save it as NPZ or CSV")
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except RecursionError:
-        raise error(f"'{path.name}': its lists are nested too deep") from None
-
-
 def _array(path: Path, name: str, value: Any) -> np.ndarray:
-    """Numbers (or names) from JSON."""
+    """Return numbers (or names) from JSON as an array."""
     if name == "tips":
         if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < NAMES // 4 for one in value):
             raise InvalidTarget(f"'{path.name}': tips must be a list of names")
@@ -121,13 +143,13 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
     raise InvalidTarget(f"'{path.name}': {name} must be lists of numbers, not {' '.join(repr(value).split())[:120]}")
 
 
-def _read_arrays(path: Path, times: bool) -> Block:
+def _read_arrays(path: Path, times: bool) -> PoseRows:
     with _arrays(path, ("targets", "t", "xyz", *ORDERS)) as file:
         if "targets" in file and not times:
             targets = file["targets"]
             if targets.ndim not in (2, 3):
                 raise InvalidTarget(f"'{path.name}': targets has the shape (N, 4, 4) or (N, 3), not {targets.shape}")
-            return Block(None, targets)
+            return PoseRows(None, targets)
         for name in ("t", "xyz") if times else ("xyz",):
             if name not in file:
                 wanted = f"'{name}'" if times else "'targets' or 'xyz'"
@@ -143,10 +165,10 @@ def _read_arrays(path: Path, times: bool) -> Block:
         raise InvalidTarget(f"'{path.name}': xyz has the shape (N, 3) and {' or '.join(given or ORDERS)} (N, 4)")
     if quat is not None:
         quat = quat[:, ORDERS[given[0]]]
-    return Block(t, xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row"))
+    return PoseRows(t, xyz if quat is None else _poses(xyz, quat, range(len(xyz)), path.name, "row"))
 
 
-def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
+def _read_tip_arrays(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
     """Targets (N, 4, 4) or (N, 3) of each tip."""
     with _arrays(path, ("targets", "tips", *tips)) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
@@ -178,42 +200,8 @@ def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray
     return {tip: targets[:, f] for f, tip in enumerate(order)}
 
 
-def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: type[IKError]) -> None:
-    """Look at the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
-
-    Of the arrays called `names`: those in `texts` hold names, all others real numbers (no dates, complex numbers, truth values or
-    objects); none is larger than its data, and together they take no more than a file of this size can hold.
-    """
-    packed, together = path.stat().st_size, 0
-    with zipfile.ZipFile(path) as archive:
-        members = [member for member in archive.infolist() if member.filename.removesuffix(".npy") in names]
-        for member in members:
-            name = member.filename.removesuffix(".npy")
-            with archive.open(member) as stream:
-                start = io.BytesIO(stream.read(HEADER))
-                version = np.lib.format.read_magic(start)
-                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                shape, _, dtype = read(start)
-            what, kinds = ("names", TEXTS) if name in texts else ("real numbers", NUMBERS)
-            if dtype.kind not in kinds:
-                raise error(f"'{path.name}': the array {name} holds values of the type {dtype}, not {what}")
-            promised = math.prod(shape) * dtype.itemsize
-            if promised > member.file_size:
-                raise error(
-                    f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
-                )
-            together += member.file_size
-            if name in texts and promised > NAMES:
-                raise error(f"'{path.name}': the array {name} takes {promised:,} bytes, too many for names")
-            if together > UNPACKED + EXPANSION * packed:
-                raise error(
-                    f"'{path.name}': {member.filename} unpacks to {together / 1e6:,.1f} MB from {packed / 1e6:,.1f} MB; save it "
-                    "with numpy.savez, without compression"
-                )
-
-
 def _lines(stream: TextIO, name: str) -> Iterator[str]:
-    """Lines of a file. Raises InvalidTarget for one that is too long to be a row."""
+    """Yield the lines of a file. Raises InvalidTarget for one that is too long to be a row."""
     for k in count(1):
         line = stream.readline(LONGEST_LINE + 1)
         if len(line) > LONGEST_LINE:
@@ -223,107 +211,127 @@ def _lines(stream: TextIO, name: str) -> Iterator[str]:
         yield line
 
 
-def _first_line(path: Path) -> list[str]:
-    """Names of the columns."""
+def _first_line(path: Path) -> tuple[list[str], str]:
+    """Names of the columns, and what separates them."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
-        return [without_mark(cell.strip()) for cell in next(csv.reader(_lines(stream, path.name)), [])]
+        line = next(_lines(stream, path.name), "")
+    mark = max(MARKS, key=line.count)
+    return [without_mark(cell.strip()) for cell in next(csv.reader([line], delimiter=mark), [])], mark
 
 
-def _header(path: Path, times: bool) -> list[int]:
-    """Indices of the columns used: t if requested, then 3, 7 (with quaternion) or 6 (with roll, pitch, yaw)."""
-    return _places([cell.lower() for cell in _first_line(path)], path.name, ["t"] if times else [], "")
+def _header(name: str, header: list[str], times: bool, given: Convention) -> list[int]:
+    """Indices of the columns used: t if requested, then 3, 7 (with quaternion) or 6 (with angles, in the order of their turns)."""
+    return _places([cell.lower() for cell in header], name, ["t"] if times else [], "", given)
 
 
-def _places(header: list[str], file: str, needed: list[str], prefix: str) -> list[int]:
-    """Indices of the columns of one pose, whose names begin with `prefix`, preceded by those in `needed`."""
-    position, every_quat, every_rpy = (tuple(prefix + name for name in names) for names in (POSITION, QUAT, RPY))
+def _places(header: list[str], file: str, needed: list[str], prefix: str, given: Convention) -> list[int]:
+    """Return the indices of the columns of one pose, whose names begin with `prefix`, after those in `needed`."""
+    position, *kinds = (tuple(prefix + name for name in names) for names in (POSITION, *ORIENTATIONS))
     needed = [*needed, *position]
     first = ",".join(needed)
-    forms = f"{first}, {first},{','.join(every_quat)} or {first},{','.join(every_rpy)}"
+    forms = f"{first}, {first},{','.join(kinds[0])} or {first},{','.join(kinds[1])}"
     missing = [name for name in needed if name not in header]
     if missing:
         raise InvalidTarget(
             f"'{file}' has no column {', '.join(missing)}; its first line must be {forms}, not {_short(','.join(header))}"
-            f"{_other_separator(header)}"
         )
-    quat, rpy = ([name for name in names if name in header] for names in (every_quat, every_rpy))
-    if (quat and rpy) or len(quat) not in (0, 4) or len(rpy) not in (0, 3):
-        raise InvalidTarget(f"'{file}' has the columns {', '.join([*quat, *rpy])}; the first line must be {forms}")
-    names = (*needed, *quat, *rpy)
+    found = {names: have for names in kinds if (have := [name for name in names if name in header])}
+    if kinds[3] in found and given.euler is None and len(found[kinds[3]]) < 3:
+        del found[kinds[3]]  # a column that happens to be called a, b or c
+    turned = next(iter(found), ())
+    if len(found) > 1 or (found and len(found[turned]) < len(turned)):
+        every = ", ".join(name for have in found.values() for name in have)
+        raise InvalidTarget(f"'{file}' has the columns {every}; the first line must be {forms}")
+    if turned in kinds[2:] and given.euler is None:
+        raise InvalidTarget(
+            f"'{file}' has the columns {', '.join(turned)}: say with --euler about which axes the angles turn, such as zyx (URDF's "
+            f"roll, pitch, yaw are {','.join(kinds[1])})"
+        )
+    order = given.euler or "zyx"
+    if turned in kinds[1:3]:
+        if len({*order}) < 3:
+            raise InvalidTarget(f"'{file}': angles of the sequence {order} are in the columns {','.join(kinds[3])}")
+        turned = tuple(turned["xyz".index(axis)] for axis in order)
+    names = (*needed, *turned)
     twice = [name for name in names if header.count(name) > 1]
     if twice:
         raise InvalidTarget(f"'{file}' has the column {', '.join(twice)} more than once")
     return [header.index(name) for name in names]
 
 
-def _other_separator(header: list[str]) -> str:
-    """Sentence tail for a first line whose names are separated by something else."""
-    other = next(
-        (name for mark, name in ((";", "semicolons"), ("\t", "tabs")) if len(header) == 1 and mark in header[0]), ""
-    )
-    return f" (not {other}: columns are separated by commas, and decimals written with a point)" if other else ""
+def _tip_columns(file: str, columns: list[str], tips: Sequence[str], given: Convention) -> dict[str, list[int]]:
+    """Return the indices of the columns TIP.x, ... of each tip that has any.
 
-
-def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
-    """Indices of the columns TIP.x, ... of each tip that has any. Raises InvalidTarget: no tip has any, or a name is wrong."""
-    header = []
-    for cell in _first_line(path):
+    Raises InvalidTarget if none has, or a name is wrong.
+    """
+    header, every = [], {name for names in (POSITION, *ORIENTATIONS) for name in names}
+    for cell in columns:
         tip, dot, name = cell.rpartition(".")
         header.append(f"{tip}{dot}{name.lower()}")
-        if dot and name.lower() in (*POSITION, *QUAT, *RPY) and tip not in tips:
+        if dot and name.lower() in every and tip not in tips:
             raise InvalidTarget(
-                f"'{path.name}', column '{cell}': '{tip}' is not one of the tips solved for, {', '.join(tips)}."
+                f"'{file}', column '{cell}': '{tip}' is not one of the tips solved for, {', '.join(tips)}."
                 f"{near_match(tip, tips)}"
             )
     found = {
-        tip: _places(header, path.name, [], f"{tip}.")
+        tip: _places(header, file, [], f"{tip}.", given)
         for tip in tips
-        if any(f"{tip}.{name}" in header for name in (*POSITION, *QUAT, *RPY))
+        if any(f"{tip}.{name}" in header for name in every)
     }
     if not found:
         forms = ",".join(f"{tip}.{name}" for tip in tips for name in POSITION)
         raise InvalidTarget(
-            f"'{path.name}' has no columns of {', '.join(tips)}; its first line is {forms}, with .qx,.qy,.qz,.qw or "
-            f".roll,.pitch,.yaw of a tip for its poses, not {_short(','.join(header))}{_other_separator(header)}"
+            f"'{file}' has no columns of {', '.join(tips)}; its first line is {forms}, with .qx,.qy,.qz,.qw or "
+            f".roll,.pitch,.yaw of a tip for its poses, not {_short(','.join(header))}"
         )
     return found
 
 
-def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool, deg: bool) -> Iterator[Block]:
-    """Blocks of a file; columns: indices by tip ('' for poses without a name); width: columns of the first line."""
+def _read_csv(
+    path: Path, columns: dict[str, list[int]], width: int, mark: str, times: bool, given: Convention
+) -> Iterator[PoseRows]:
+    """Yield the blocks of a file with columns by tip ('' for poses without a name); its first line has `width` columns."""
     every = [place for places in columns.values() for place in places]
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             numbered = ((k, line) for k, line in enumerate(_lines(stream, path.name), 1) if k > 1 and line.strip())
             while block := list(islice(numbered, LINES)):
                 lines = [k for k, _ in block]
-                values = _numbers([line for _, line in block], every, width, lines, path.name)
+                values = _numbers([line for _, line in block], every, width, mark, lines, path.name)
                 t, values = (values[:, 0], values[:, 1:]) if times else (None, values)
                 made, first = {}, 0
                 for tip, places in columns.items():
                     last = first + len(places) - times
-                    made[tip] = _part(values[:, first:last], lines, path.name, deg, f"{tip}." if tip else "")
+                    made[tip] = _part(values[:, first:last], lines, path.name, given, f"{tip}." if tip else "")
                     first = last
-                yield Block(t, made[""] if "" in made else made)
+                yield PoseRows(t, made[""] if "" in made else made)
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
 
 
-def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: str) -> np.ndarray:
-    """Positions (m, 3), or poses from them and a quaternion or roll, pitch, yaw (m, 7 or 6); `prefix` of the column names."""
-    xyz, angles = values[:, :3], values[:, 3:]
-    if not angles.shape[1]:
+def _part(values: np.ndarray, lines: list[int], name: str, given: Convention, prefix: str) -> np.ndarray:
+    """Positions (m, 3), or poses from them and a quaternion or angles (m, 7 or 6); `prefix` of the column names."""
+    xyz, turned = LENGTHS[given.length_unit] * values[:, :3], values[:, 3:]
+    if not turned.shape[1]:
         return xyz
-    kind = QUAT if angles.shape[1] == 4 else RPY
-    return _poses(xyz, np.radians(angles) if deg and kind is RPY else angles, kind, lines, name, "line", prefix)
+    if turned.shape[1] == 4:
+        return _poses(xyz, turned, lines, name, "line", prefix)
+    angles = np.radians(turned) if given.deg else turned
+    if not given.deg and np.abs(angles).max(initial=0.0) > FEW_TURNS:
+        doubt_angles(f"the angles of '{name}'", {"": float(angles.flat[np.abs(angles).argmax()])})
+    T = np.tile(np.eye(4), (len(xyz), 1, 1))
+    T[:, :3, 3], T[:, :3, :3] = xyz, euler_matrix(given.euler or "zyx", angles)
+    return T
 
 
-def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int], name: str) -> np.ndarray:
-    """Finite numbers (m, columns) from lines of text, each with `width` columns."""
+def _numbers(texts: list[str], columns: list[int], width: int, mark: str, lines: list[int], name: str) -> np.ndarray:
+    """Finite numbers (m, columns) from lines of text, each with `width` columns separated by `mark`."""
+    if mark != ",":
+        texts = [text.replace(",", ".") for text in texts]
     try:
-        if any(text.count(",") != width - 1 for text in texts):  # or a comma in quotes
+        if any(text.count(mark) != width - 1 for text in texts):  # or a separator in quotes
             raise ValueError
-        values = np.loadtxt(texts, delimiter=",", usecols=columns, ndmin=2, comments=None, quotechar='"')
+        values = np.loadtxt(texts, delimiter=mark, usecols=columns, ndmin=2, comments=None, quotechar='"')
         if len(values) == len(texts) and np.isfinite(values).all():
             return values
     except ValueError:
@@ -331,11 +339,11 @@ def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int],
     rows = []
     for k, text in zip(lines, texts, strict=True):  # find the line at fault
         try:
-            row = next(csv.reader([text], strict=True))
+            row = next(csv.reader([text], delimiter=mark, strict=True))
         except csv.Error as error:
             raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; unclosed quote?") from None
         if len(row) != width:
-            hint = "; are decimals written with a comma?" if len(row) > width else ""
+            hint = "; are decimals written with a comma?" if len(row) > width and mark == "," else ""
             more = "more" if len(row) > width else "fewer"
             raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, {more} than in the header{hint}")
         for column in columns:
@@ -350,31 +358,21 @@ def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int],
 
 
 def _poses(
-    xyz: np.ndarray,
-    angles: np.ndarray,
-    kind: Sequence[str],
-    lines: Sequence[int],
-    name: str,
-    word: str,
-    prefix: str = "",
+    xyz: np.ndarray, quat: np.ndarray, lines: Sequence[int], name: str, word: str, prefix: str = ""
 ) -> np.ndarray:
-    """Poses (m, 4, 4) from positions and quaternions or roll, pitch, yaw."""
+    """Poses (m, 4, 4) from positions and quaternions x, y, z, w (m, 4)."""
+    length = np.linalg.norm(quat, axis=1)
+    bad = ~(np.abs(length - 1.0) < 1e-2)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InvalidTarget(
+            f"'{name}', {word} {lines[k]}: the quaternion {','.join(prefix + x for x in QUAT)} has length {length[k]:.4g}, not 1"
+        )
     T = np.tile(np.eye(4), (len(xyz), 1, 1))
     T[:, :3, 3] = xyz
-    if kind is QUAT:
-        length = np.linalg.norm(angles, axis=1)
-        bad = ~(np.abs(length - 1.0) < 1e-2)
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise InvalidTarget(
-                f"'{name}', {word} {lines[k]}: the quaternion {','.join(prefix + x for x in QUAT)} has length "
-                f"{length[k]:.4g}, not 1"
-            )
-        x, w = angles[:, :3] / length[:, None], 2.0 * angles[:, 3:] / length[:, None]
-        T[:, :3, :3] = 2.0 * x[:, :, None] * x[:, None, :]
-        T[:, [0, 1, 2], [0, 1, 2]] += 0.5 * w * w - 1.0
-        T[:, [1, 2, 0], [0, 1, 2]] += w * x[:, [2, 0, 1]]
-        T[:, [0, 1, 2], [1, 2, 0]] -= w * x[:, [2, 0, 1]]
-    else:
-        T[:, :3, :3] = np.moveaxis(rpy_matrix(angles.T), 2, 0)
+    x, w = quat[:, :3] / length[:, None], 2.0 * quat[:, 3:] / length[:, None]
+    T[:, :3, :3] = 2.0 * x[:, :, None] * x[:, None, :]
+    T[:, [0, 1, 2], [0, 1, 2]] += 0.5 * w * w - 1.0
+    T[:, [1, 2, 0], [0, 1, 2]] += w * x[:, [2, 0, 1]]
+    T[:, [0, 1, 2], [1, 2, 0]] -= w * x[:, [2, 0, 1]]
     return T

@@ -1,9 +1,9 @@
-"""Pinocchio model -> kernel chain. Nothing here depends on joint type names: each joint's screw is read from the model.
+"""Makes a kernel chain of a Pinocchio model by reading each joint's screw from the model, whatever its type is called.
 
-A joint's pose in its parent is placement . M(0) . exp(S q) with a constant S: its motion subspace, which holds the axis and
-a mimic multiplier, while M(0) holds a mimic offset. Both are used directly, so no angle is ever extracted from a matrix and
-none can wrap. Revolute, prismatic, continuous, unaligned and mimic joints need no special code; a joint that moves along
-anything but one fixed screw is rejected by name.
+A joint's pose in its parent is placement . M(0) . exp(S q) with a constant S: its motion subspace, which holds the axis
+and a mimic multiplier, while M(0) holds a mimic offset. Both are used directly, so no angle is ever extracted from a
+matrix and none can wrap. Revolute, prismatic, continuous, unaligned and mimic joints need no special code; a joint that
+moves along anything but one fixed screw is rejected by name.
 """
 
 import math
@@ -16,43 +16,50 @@ import pinocchio as pin
 from ..errors import ModelError
 from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .formats.urdf_values import reversed_advice
-from .pose import turn_onto
+from .rotation import turn_onto
 
-SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
-FAR = 1e-5  # of the distance from the model's origin: lengths below AGREE times this are lost in Pinocchio's own rounding there
-AGREE = 1e-9  # largest difference allowed there [rad, or fraction of the robot's size]: a thousandth of the default tolerance
-HELD = 2.5e-16  # relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed
-# Limits of this size [m, rad or per s] are not limits: files write 1e16 or 1e308 for "none", and so does our own code (ENDLESS).
+SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
+# Pinocchio's rounding of lengths is up to AGREE times FAR times the distance from the model's origin.
+FAR = 1e-5
+# A chain may differ from Pinocchio by this [rad, or of the robot's size]: a thousandth of the default tolerance.
+AGREE = 1e-9
+# Relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed.
+HELD = 2.5e-16
+# A limit of 1e15 or more [m, rad or per s] is no limit: files write 1e16 or 1e308 for "none", and so do we (ENDLESS).
 NO_LIMIT = 1e15
-# What the arithmetic holds; a limit beyond is read as this much, which the notes say. Near 1e7 rad one ulp of an angle reaches
-# AGREE, and near 1e9 m one ulp of a length a tenth of the default tolerance.
+# A limit beyond 1e6 [rad or m] is read as 1e6, which the notes say.
+# Near 1e7 rad one ulp of an angle reaches AGREE.
+# Near 1e9 m one ulp of a length reaches a tenth of the default tolerance.
 LARGEST_ANGLE, LARGEST_STROKE = 1e6, 1e6
-PARALLEL = 1e-14  # sine between two axes below which they are parallel up to the rounding of a few matrix products
-SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
+# Two axes are parallel, up to the rounding of a few matrix products, if the sine between them is below PARALLEL.
+PARALLEL = 1e-14
+SINGULAR = 0.02  # A configuration is no good as home if its smallest singular value (lengths over reach) is below this.
 
 
-class Path(NamedTuple):
+class JointPath(NamedTuple):
     """The joints between base and tip, and the places of their coordinates in Pinocchio's configuration."""
 
-    joints: list[int]  # joint ids, base to tip
-    up: int  # number of leading joints that run from the base towards the root, up to the last link it shares with the tip
-    leaders: list[int]  # joint id per coordinate, in order of first use
-    own: int  # number of leading coordinates that move the tip's branch; those after it move the base's for another tip only
-    owner: dict[int, int]  # joint id -> coordinate, of all joints of the model; a joint not listed here does not move
-    idx_q: np.ndarray  # (n,)
-    circle: np.ndarray  # (n,) whether stored as (cos, sin)
+    joints: list[int]  # Ids of the joints, from base to tip.
+    # Number of leading joints that run from the base towards the root, up to the last link that it shares with the tip.
+    up: int
+    leaders: list[int]  # Id of the joint of each coordinate, in order of first use.
+    # Number of leading coordinates that move the tip's branch; the others move the base's branch, for another tip only.
+    own: int
+    owner: dict[int, int]  # Each joint of the model that moves maps to its coordinate.
+    idx_q: np.ndarray  # Indices (n,) of the coordinates in q.
+    circle: np.ndarray  # Whether each coordinate (n,) is stored as (cos, sin).
 
 
 class Motionless(ModelError):
-    """No joint moves the tip."""
+    """The error of a robot in which no joint moves the tip."""
 
 
-def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> Path:
-    """Joints from the base frame to the tip frame (frame ids).
+def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> JointPath:
+    """Find the joints from the base frame to the tip frame, which are frame ids.
 
-    The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints of that
-    branch do not move unless they follow (or lead) one of these, or one of `others`: joints that move for another tip.
-    Raises Motionless, ModelError.
+    The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints
+    of that branch do not move unless they follow (or lead) one of these, or one of `others`: joints that move for
+    another tip. Raises Motionless, ModelError.
     """
 
     def above(frame: int) -> list[int]:
@@ -94,11 +101,11 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: S
     }
     idx_q = np.array([model.joints[j].idx_q for j in leaders])
     circle = np.array([model.joints[j].nq == 2 for j in leaders])
-    return Path(joints, len(up), leaders, own, owner, idx_q, circle)
+    return JointPath(joints, len(up), leaders, own, owner, idx_q, circle)
 
 
 def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
-    """Range of a leader q for which its follower ratio * q + offset, as rounded, stays inside low..high."""
+    """Return the range of a leader q for which its follower ratio * q + offset, as rounded, stays inside low..high."""
 
     def end(value: float, inward: float) -> float:
         if abs(value) >= NO_LIMIT:
@@ -112,13 +119,13 @@ def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple
 
 
 def limits(
-    model: pin.Model, path: Path, followers: Mapping[str, tuple[str, float, float, float, float]]
+    model: pin.Model, path: JointPath, followers: Mapping[str, tuple[str, float, float, float, float]]
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Lower and upper limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
+    """Return the limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
-    They are what the description says, whatever the size of the robot. followers: as returned by `mimic_limits`; each keeps its
-    leader inside its own limits, on the path or off it: it moves either way. Raises ModelError where that leaves a joint no legal
-    position.
+    They are what the description says, whatever the size of the robot. Each of `followers` (see `mimic_limits`) keeps
+    its leader inside its own limits, on the path or off it, because it moves in either case. Raises ModelError if that
+    leaves a joint no legal position.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -132,7 +139,7 @@ def limits(
         narrowed.setdefault(i, []).append(f"'{joint}' ({low:g} to {high:g}) from {first:g} to {last:g}")
         lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
-        if 0.0 < lower[i] - upper[i] <= rounding:  # equal up to rounding
+        if 0.0 < lower[i] - upper[i] <= rounding:  # The two are equal up to rounding.
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
     turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
     for i in np.flatnonzero(~(lower <= upper)).tolist():
@@ -151,7 +158,8 @@ def limits(
             raise ModelError(
                 f"joint '{name}' moves from {low:g} to {high:g} {unit}; values above {most:g} are not computed"
             )
-        lower[i] = -np.inf if low <= -NO_LIMIT else max(low, -most) + 0.0  # adding 0 turns -0.0 into 0.0 (see random_q)
+        # Adding 0 turns -0.0 into 0.0 (see random_q).
+        lower[i] = -np.inf if low <= -NO_LIMIT else max(low, -most) + 0.0
         upper[i] = np.inf if high >= NO_LIMIT else min(high, most) + 0.0
         if (np.abs([lower[i], upper[i]]) < np.abs([low, high])).any():
             notes.append(
@@ -161,8 +169,8 @@ def limits(
     return lower, upper, notes
 
 
-def middle(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
-    """Mid-range (n,), or as near 0 as the limits allow: for joints without two limits and where not `centred` (n,)."""
+def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
+    """Return mid-range (n,), or as near 0 as the limits allow for joints without two limits and those not `centred` (n,)."""
     found = np.clip(0.0, lower, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper) & centred
     found[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
@@ -170,7 +178,7 @@ def middle(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndar
 
 
 def kinds(chain: Chain) -> tuple[str, ...]:
-    """What each coordinate is: 'revolute', 'continuous' (without limits) or 'prismatic'."""
+    """Return the kind of each coordinate: 'revolute', 'continuous' (without limits) or 'prismatic'."""
     turns = np.isin(np.arange(chain.n), chain.rows[chain.rows[:, 9] > 0.0, 8])
     endless = np.isinf(chain.lower) & np.isinf(chain.upper)
     return tuple(
@@ -179,10 +187,10 @@ def kinds(chain: Chain) -> tuple[str, ...]:
     )
 
 
-def speeds(model: pin.Model, path: Path, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
-    """Velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
+def speed_limits(model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
+    """Return the velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
 
-    followers: as returned by `mimic_speeds`: each keeps its leader slow enough for its own limit.
+    Each of `followers` (see `mimic_speeds`) keeps its leader slow enough for its own limit.
     """
     own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
     most = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
@@ -194,10 +202,10 @@ def speeds(model: pin.Model, path: Path, followers: Mapping[str, tuple[float, fl
 
 
 def _split(R: np.ndarray) -> tuple[float, float, float]:
-    """Angles a, b, c of R = Rz(a) Rx(b) Rz(c).
+    """Return the angles a, b, c of R = Rz(a) Rx(b) Rz(c).
 
-    Between nearly parallel axes a is determined by rounding only, so c is computed from Rz(a)^T R and not from R alone: the
-    product then equals R to rounding whatever a is.
+    Between nearly parallel axes a is determined by rounding only, so c is computed from Rz(a)^T R and not from R alone:
+    the product then equals R to rounding whatever a is.
     """
     s = math.hypot(R[0, 2], R[1, 2])
     if s <= PARALLEL:
@@ -212,7 +220,7 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
-    """Whether a joint is revolute (else prismatic), its motion per unit of its coordinate [rad or m], and its axis in its frame."""
+    """Return whether a joint turns (or slides), its motion per unit of its coordinate [rad or m], and its axis in its frame."""
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
     if slides and turns:
@@ -228,7 +236,7 @@ def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.nda
 
 def probe(
     model: pin.Model,
-    path: Path,
+    path: JointPath,
     rest: np.ndarray,
     base: int,
     tip: int,
@@ -239,13 +247,15 @@ def probe(
 ) -> Chain:
     """Build the chain of `path`; joints off it and locked ones keep their values in `rest` (nq,).
 
-    base, tip: frame ids; tool: pose of the working point in the tip frame; lower, upper, home (n,) [rad or m].
+    base and tip are frame ids, tool is the pose of the working point in the tip frame; lower, upper and home (n,) are
+    in [rad or m].
     """
     data, zero = model.createData(), rest.copy()
     for i, circle in zip(path.idx_q, path.circle, strict=True):
         zero[i : i + 1 + int(circle)] = (1.0, 0.0) if circle else 0.0
     pin.forwardKinematics(model, data, zero)
-    before = model.frames[base].placement.inverse()  # from the axis of the previous moving joint to the next one
+    # The transform from the axis of the previous moving joint to the next one.
+    before = model.frames[base].placement.inverse()
     rows = []
     places = []
     for count, j in enumerate(path.joints):
@@ -259,7 +269,7 @@ def probe(
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[0] = 1.0  # cosine of the rotation about x: none before the first joint
+        row[0] = 1.0  # This is the cosine of the rotation about x, which does not exist before the first joint.
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:
@@ -279,9 +289,9 @@ def probe(
 
 
 def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
-    """Configurations at which a chain is compared (SAMPLES, n) [rad or m]: uniform over the limits, and each limit once.
+    """Return configurations (SAMPLES, n) [rad or m] at which a chain is compared: uniform over the limits, and each limit once.
 
-    Five turns, or one reach, either way where there are no limits; slides (n,): which coordinates are in metres.
+    Without limits they cover five turns, or one reach, either way; slides (n,) tells which coordinates are in metres.
     """
     lower, upper, n = chain.lower, chain.upper, chain.n
     half = np.where(slides, chain.reach, WINDING)
@@ -295,12 +305,13 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
     return Q
 
 
-def difference(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
-    """Largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q), see `configurations`.
+def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
+    """Return the largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q).
 
-    Lengths are divided by the robot's size, the largest of its reach, its largest offset and FAR times the distance `far` [m] of
-    its base from the model's origin (a wrist's offsets may be rounding); a Jacobian column by the ratio of its joints. The result
-    is at least the compiled kernel's rounding error at the largest angle, HELD times that angle.
+    Lengths are divided by the robot's size, the largest of its reach, its largest offset and FAR times the distance
+    `far` [m] of its base from the model's origin (a wrist's offsets may be rounding); a Jacobian column is divided by
+    the ratio of its joints. The result is at least the compiled kernel's rounding error at the largest angle, HELD
+    times that angle.
     """
     Q = configurations(chain, slides)
     poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)
@@ -318,9 +329,9 @@ def difference(chain: Chain, slides: np.ndarray, kinematics: Callable, far: floa
 
 
 def good_start(chain: Chain, lower: np.ndarray, upper: np.ndarray, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Mid-range (n,) or, if that is singular, the first of some fixed offsets from it that is well conditioned.
+    """Return mid-range (n,) or, if that is singular, the first of some fixed offsets from it that is well conditioned.
 
-    moves (n,): 1 for joints that may be offset.
+    moves (n,) is 1 for joints that may be offset.
     """
     span = np.where(np.isfinite(upper - lower), upper - lower, 2.0)
     offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, len(middle))) * np.minimum(span, 2.0) * moves

@@ -1,7 +1,7 @@
-"""The robot: a Pinocchio model with a base and a tip frame. The only object that knows URDF.
+"""The robot: a Pinocchio model with a base and a tip frame.
 
-Pinocchio is the authority for what every joint, frame and limit is and computes FK and Jacobians for users; the kernel's
-flat chain is probed from it.
+Pinocchio decides what every joint, frame and limit is and computes FK and Jacobians for users; the kernel's flat chain is read
+from it.
 """
 
 import math
@@ -25,34 +25,33 @@ from ..errors import (
 )
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
-from .base import settle
+from .base import on_own_base
 from .constraints import Constraint
 from .formats.mimic import followers, mimic_limits, mimic_speeds
-from .formats.srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
+from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf, srdf_of
 from .formats.urdf import is_text
 from .formats.urdf_model import build_model
 from .geometry.shape import Shape, is_shape
 from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read_both
 from .pose import as_matrix, check_target
-from .probe import AGREE, difference, find_path, good_start, kinds, limits, middle, probe, speeds
+from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
 
-# Attributes that a copy must not share: caches and thread-local state.
-CACHES = ("_local", "_sampling", "_circles", "memo", "_sealed")
-LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # frame types a base or a tip may have
+CACHES = ("_local", "_sampling", "_circles", "memo", "_sealed")  # A copy must not share these caches.
+LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # A base or a tip has one of these types.
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
 
 class Robot(Joints):
-    """A robot arm: model, base, tip, limits and home.
+    """A robot arm with one tip: model, base, tip, limits and home. It has the attributes of `Joints`, and these.
 
-    Attributes: name; model (pin.Model, mimic joints followed); base, tip (frame names); joint_names (n,), one per moving
-    joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
-    m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
-    of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path
-    (file or None), package_dirs; on_base, base_limits; srdf (contents of its SRDF); notes (parts of the description that
-    were changed or left out); tips, arms, places and reach, as in a Tree; memo and named (see Joints).
+    Attributes:
+        base, tip: Names of the frames between which poses are given.
+        locked_joints: Values [rad or m] at which joints are held, by name.
+        tool, tool_shapes: T_tip_tool (pin.SE3), and collision shapes with their poses in the tip frame.
+        urdf, path, package_dirs: Text and file of the description, each or None, and folders of ROS packages.
+        on_base, base_limits: As given to `load`.
     """
 
     def __init__(
@@ -75,14 +74,11 @@ class Robot(Joints):
         constraints: Sequence[Constraint] = (),
         others: Sequence[str] = (),
     ) -> None:
-        """Wrap an existing model.
+        """Wrap an existing Pinocchio model; arguments that are not named here are those of `load`.
 
-        tip (or its other name ee_link), base: frame names (base default: the root; tip may be omitted when only one candidate
-        exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
-        constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is treated as a floating base,
-        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. others: joints that move for other tips
-        (see Tree); those that move the base's branch are coordinates too. Raises FrameNotFound, JointNotFound, ModelError,
-        InvalidConfiguration, InvalidOption.
+        home (n,) [rad or m] is a good, non-singular start, by default mid-range. A free-flyer of the model counts as a floating
+        base and needs base_limits. others are joints that move for other tips (see Tree); those that move the base's branch are
+        coordinates too. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
         if not isinstance(model, pin.Model):
@@ -99,15 +95,15 @@ class Robot(Joints):
         self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
         root = "universe" if on_base is not None else root_link(self.model)
         self.base = root if base is None else self._frame(base)
-        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)  # no joint is split yet
-        self.tool, self.tool_shapes = pin.SE3.Identity(), ()  # shapes with their poses from the tip frame
+        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
+        self.tool, self.tool_shapes = pin.SE3.Identity(), ()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
-        self._ranges: Mapping[str, tuple[float, float]] = {}  # narrower limits asked for, by joint
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # Limits set by `narrowed`, by joint.
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in (followers(urdf).rest if urdf else {}).items():
             self._set_rest(joint, value, False)
-        held = held_joints(
+        held = passive_joints(
             self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
         )
         for joint, (value, counts) in held.items():
@@ -130,23 +126,34 @@ class Robot(Joints):
         srdf: str | Path | Srdf | bool | None = None,
         group: str | None = None,
     ) -> "Robot":
-        """Load a robot: a shipped name, the path of a URDF or xacro file, URDF text, or an example-robot-data name.
+        """Load a robot by name, from a file or from text; meshes are not read.
 
-        tip, or ee_link: one frame, link or joint (default: guessed by its name, and reported); for several see `Tree.load`.
-        xacro_args: values of a xacro file's arguments by name. on_base: a pose (4, 4) of the robot's root in the world, in
-        which poses are then given; 'planar' puts base_x, base_y, base_yaw before q, 'floating' base_x, base_y, base_z,
-        base_yaw, base_pitch, base_roll (Rz Ry Rx). base_limits: (lower, upper) [m] of the base's prismatic joints, one pair
-        for all, one pair each, or a dict by name; rotations are unlimited unless given, except pitch (+-85 degrees).
-        srdf: an SRDF (file or text; default: the one next to the file, see `srdf_beside`; False: none). group: an SRDF group,
-        which sets base and tip (only the tip with on_base). Meshes are never read. Raises RobotNotFound, ModelError (broken
-        or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra
-        (xacro).
+        Args:
+            source: A shipped name, the path of a URDF, xacro or MJCF file, its text, or a name of example-robot-data.
+            tip: A frame, link or joint; by default guessed by its name, and reported. `Tree.load` takes several.
+            ee_link: Another name of the argument tip.
+            base: Frame in which poses are given; by default the root.
+            package_dirs: Folders in which ROS packages are searched.
+            locked: Values [rad or m] at which joints are held, by name; they are left out of q.
+            xacro_args: Values of a xacro file's arguments, by name.
+            on_base: Pose (4, 4) of the root in the world, in which poses are then given; 'planar' puts base_x, base_y, base_yaw
+                before q, 'floating' base_x, base_y, base_z, base_yaw, base_pitch, base_roll (Rz Ry Rx).
+            base_limits: (lower, upper) [m] of the base's prismatic joints, one pair for all, one pair each, or a dict by name.
+                Rotations are unlimited unless given, except pitch (+-85 degrees).
+            srdf: File or text of an SRDF, by default the one next to the file (see `srdf_beside`); False uses none.
+            group: SRDF group that sets base and tip, with on_base only the tip.
+
+        Raises:
+            RobotNotFound, FrameNotFound, JointNotFound: A name is unknown; the message lists what exists.
+            ModelError: The file is malformed or hostile.
+            InvalidOption, InvalidConfiguration: An argument is wrong.
+            MissingExtra: xacro or mujoco is needed and not installed.
         """
         tip = one_word(tip, ee_link)
         entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
-            start, end = one_tip(made["srdf"], group, made["model"], tip)
+            start, end = group_chain(made["srdf"], group, made["model"], tip)
             tip, base = end, base if base or on_base is not None else start
         if tip is None and len(entry.tips) > 1:
             raise FrameNotFound(
@@ -177,32 +184,25 @@ class Robot(Joints):
             raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
         return cls.load(source, **options)
 
-    # ------------------------------------------------------------------------------------------------ construction
     def _frame(self, name: str) -> str:
         if not isinstance(name, str):
-            several = (
-                "; for several tips use ik.Tree.load(source, tips=[...])" if isinstance(name, list | tuple) else ""
-            )
+            several = "; for several tips use ik.Tree.load(source, tips=[...])" * isinstance(name, list | tuple)
             raise InvalidOption(f"tip and base must each be the name of one frame, not {name!r}{several}")
         self._frame_id(name)
         return name
 
     def _frame_id(self, name: str) -> int:
-        """Place of a link, or of the frame of a joint, which is that of the link it moves. Raises FrameNotFound."""
-        found = [
-            (f.type not in LINKS, i) for i, f in enumerate(self.model.frames) if f.name == name and f.type in FRAMES
-        ]
+        """Return the index of a link, or of a joint's frame, which is that of the link it moves. Raises FrameNotFound."""
+        frames = enumerate(self.model.frames)
+        found = [(f.type not in LINKS, i) for i, f in frames if f.name == name and f.type in FRAMES]
         if not found:
             bodies = [f.name for f in self.model.frames if f.type in LINKS]
             raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
         return min(found)[1]
 
     def _set_rest(self, joint: str, value: float, counts: bool = True) -> None:
-        names = [
-            n
-            for j, n in enumerate(self.model.names)
-            if j and self.model.joints[j].nq in (1, 2) and self.model.joints[j].nv == 1
-        ]
+        joints = self.model.joints
+        names = [n for j, n in enumerate(self.model.names) if j and joints[j].nq in (1, 2) and joints[j].nv == 1]
         if joint not in names:
             raise JointNotFound(
                 f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_match(joint, names)}"
@@ -219,7 +219,7 @@ class Robot(Joints):
 
     def _settle(self, model: pin.Model) -> None:
         """Adopt a model and place it on its base."""
-        self.model, self._original, self._given, self._of_base, self._slides = settle(
+        self.model, self._original, self._given, self._of_base, self._slides = on_own_base(
             model, self.on_base, self.base_limits
         )
 
@@ -248,15 +248,16 @@ class Robot(Joints):
         for i, joint in enumerate(self.joint_names):
             lower[i], upper[i] = self._ranges.get(joint, (lower[i], upper[i]))
         self.lower, self.upper = lower, upper
-        self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
+        self.velocity_limits = speed_limits(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         based = np.array([joint in self._of_base for joint in self.joint_names])
-        self.home = start = middle(lower, upper, ~based)
+        self.home = start = mid_range(lower, upper, ~based)
         self._ids = base_id, tip_id
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
         self.joint_kinds = kinds(self.chain)
         self._local = threading.local()
         self._compare()
-        if home is not None and len(home) == self.n - based.sum():  # home of the robot without its moving base
+        # A home without the coordinates of a moving base is completed by the base's start.
+        if home is not None and len(home) == self.n - based.sum():
             home = np.concatenate([start[based], home])
         self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, start, ~based)
         at = POINTS + 6 * self.n
@@ -266,11 +267,11 @@ class Robot(Joints):
         self._seal()
 
     def _compare(self) -> None:
-        """Reject a robot whose chain disagrees with Pinocchio: its results would be silently wrong."""
+        """Reject a robot whose chain disagrees with Pinocchio, because its results would be silently wrong."""
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
-        off = difference(self.chain, self.slides, self._kinematics, far)
-        if not off <= AGREE:  # NaN is refused too
+        off = chain_deviation(self.chain, self.slides, self._kinematics, far)
+        if not off <= AGREE:  # NaN is refused too.
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
                 f"Pinocchio's by {off:.2g}, so results would be wrong; please report this with its URDF"
@@ -281,38 +282,39 @@ class Robot(Joints):
         """The robot itself; a Tree has one Robot per tip."""
         return (self,)
 
-    # ------------------------------------------------------------------------------------------------ kinematics
     @property
     def data(self) -> pin.Data:
-        """Pinocchio workspace of the calling thread."""
+        """Pinocchio's workspace of the calling thread."""
         data = getattr(self._local, "data", None)
         if data is None:
             data = self._local.data = self.model.createData()
         return data
 
     def fk(self, q: Any) -> pin.SE3:
-        """T_base_tip: pose of the tip in the base frame [m], computed by Pinocchio."""
+        """Compute T_base_tip [m], the pose of the tip in the base frame, at q (n,) [rad or m] by Pinocchio."""
         return self._fk(self.check_q(q))
 
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
         pin.forwardKinematics(self.model, data, self._fill(self.rest.copy(), q))
-        base = pin.updateFramePlacement(self.model, data, self._ids[0])  # moves when a follower's leader lies above it
+        # A joint between root and base may mimic one on the path, so the base can move.
+        base = pin.updateFramePlacement(self.model, data, self._ids[0])
         return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
 
     def jacobian(self, q: Any) -> np.ndarray:
-        """Jacobian (6, n) of the tip point in base axes, linear rows first [m or rad per rad or m], by Pinocchio."""
+        """Compute the Jacobian (6, n) of the tip in base axes, linear rows first [m or rad per rad or m], by Pinocchio."""
         return self._kinematics(self.check_q(q))[1]
 
     def _kinematics(self, q: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
-        """Pose and Jacobian (see `fk` and `jacobian`) at q (n,)."""
+        """Compute pose and Jacobian (see `fk` and `jacobian`) at q (n,) [rad or m]."""
         model, data = self.model, self.data
         pin.computeJointJacobians(model, data, self._fill(self.rest.copy(), q))
         base, tip = (pin.updateFramePlacement(model, data, i) for i in self._ids)
         columns = [model.joints[j].idx_v for j in self._path.leaders]
         point = tip.act(self.tool.translation)
         J = np.zeros((6, self.n))
-        for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):  # of the tip relative to the base
+        # The Jacobian of the tip relative to the base is the difference of both.
+        for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):
             K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)[:, columns]
             K[:3] -= pin.skew(point - frame.translation) @ K[3:]
             J += sign * K
@@ -320,12 +322,12 @@ class Robot(Joints):
         return base.actInv(tip) * self.tool, np.vstack([R @ J[:3], R @ J[3:]])
 
     def errors(self, q: Any, target: Any) -> tuple[float, float | None]:
-        """Position error [m] and rotation angle [rad] of the tip at q (n,) from a target, by Pinocchio.
+        """Compute the distance [m] and rotation angle [rad] of the tip at q (n,) [rad or m] from a target by Pinocchio.
 
-        target: a pose (4, 4) or pin.SE3 in the base frame, or a position (3,), for which the angle is None. Raises
+        The target is a pose (4, 4) or pin.SE3 in the base frame, or a position (3,) [m], for which the angle is None. Raises
         InvalidConfiguration, InvalidTarget.
         """
-        return self._errors(self.check_q(q), check_target(target)[0])
+        return self._errors(self.check_q(q), check_target(target, self.base)[0])
 
     def _errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
         T = self._fk(q)
@@ -334,9 +336,8 @@ class Robot(Joints):
         rotation = pin.log3(T.rotation.T @ target[:3, :3])
         return math.hypot(*(target[:3, 3] - T.translation).tolist()), math.hypot(*rotation.tolist())
 
-    # ------------------------------------------------------------------------------------------------ variants
     def _variant(self) -> "Robot":
-        """Copy that shares the model and has none of the caches."""
+        """Return a copy that shares the model and has none of the caches."""
         other = Robot.__new__(Robot)
         other.__dict__.update({key: value for key, value in self.__dict__.items() if key not in CACHES})
         return other
@@ -359,10 +360,9 @@ class Robot(Joints):
         return other
 
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
-        """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors then refer to the tool
-        frame.
+        """Return a copy whose targets, fk and errors refer to a tool frame, at T_tip_tool (4, 4) in the tip frame.
 
-        shape: its collision shape, at T_tip_shape (4, 4) in the old tip frame, or at T_tip_tool.
+        shape is the tool's collision shape, at T_tip_shape (4, 4) in the tip frame, by default at T_tip_tool.
         """
         T = as_matrix(T_tip_tool)
         other = self._variant()
@@ -385,7 +385,7 @@ class Robot(Joints):
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore, with fresh thread-local workspace."""
+        """Restore the robot, with a new workspace for each thread."""
         self.__dict__.update(state)
         if self.model is None and self.urdf is not None:
             self._settle(build_model(self.urdf))
@@ -393,7 +393,7 @@ class Robot(Joints):
         self._seal()
 
     def __repr__(self) -> str:
-        """One line: name, path and joints."""
+        """Describe the robot in one line: name, path and joints."""
         return f"Robot('{self.name}', {self.base} -> {self.tip}, {self.n} joints: {', '.join(self.joint_names)})"
 
     def _route(self) -> str:

@@ -1,4 +1,4 @@
-"""Guess a robot's tip frame when none is given, from the names that arm descriptions commonly use."""
+"""Guesses a robot's tip frame when none is given, from the names that arm descriptions commonly use."""
 
 import logging
 import re
@@ -11,14 +11,14 @@ from ..errors import FrameNotFound, InvalidOption, ModelError
 
 LOG = logging.getLogger("ik_toolkit")
 
-# Words that a frame's name must contain, the strongest convention first: the tool centre point, then the end frames of ROS,
-# MoveIt and arm manufacturers, then the hand itself.
+# Each convention lists words that the name of a tip frame has together; the strongest convention comes first.
+# The tool centre point precedes the end frames of ROS, MoveIt and manufacturers, and these precede the hand.
 CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# Words for sensors and things of a scene, which are no tips while an arm is there, and for parts of a hand, legs and the like,
-# on which no tool is mounted.
+# SCENE has words for sensors and things of a scene, which are no tips while an arm is there.
+# OTHERS also has words for parts of a hand, legs and the like, on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
     "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()
@@ -27,11 +27,11 @@ OTHERS = SCENE | frozenset(
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor skin head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover collision shape visual dummy".split()
 )
-SHOWN = 3  # candidates listed in a message
+SHOWN = 3  # A message lists this many candidates.
 
 
 class Guess(NamedTuple):
-    """Likely tips of a robot, best first: one, or several equally likely ones. why: the reason."""
+    """Likely tips of a robot, best first: one, or several equally likely ones, and the reason."""
 
     tips: tuple[str, ...]
     why: str
@@ -42,19 +42,22 @@ def words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+", name)]
 
 
-def fits(convention: Sequence[str], said: set[str]) -> bool:
-    """Whether a frame with these words follows a convention. An arm's tool frame is where its hand begins, if it has one."""
+def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
+    """Return whether a frame with these words follows a convention.
+
+    An arm's tool frame is where its hand begins, if it has one.
+    """
     on_arm = "arm" in said and "tool" in said
     return set(convention) <= said and not other(said) and on_arm == ("arm" in convention)
 
 
 def other(said: Iterable[str], names: frozenset[str] = OTHERS) -> bool:
-    """Whether words name something else than a tool: 'camera', 'camera2'."""
+    """Return whether words name something else than a tool, such as 'camera' or 'camera2'."""
     return any(word.rstrip("0123456789") in names for word in said)
 
 
 def path_ends(model: pin.Model) -> tuple[str, ...]:
-    """Names of the moving frames at the ends of the model's paths: the candidates for a tip."""
+    """Return the names of the moving frames at the ends of the model's paths, which are the candidates for a tip."""
     frames = model.frames
     parents = {
         f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
@@ -65,17 +68,18 @@ def path_ends(model: pin.Model) -> tuple[str, ...]:
 
 
 def guess_tip(model: pin.Model) -> Guess:
-    """Guess the tip by naming conventions, else take the ends moved by the most joints.
+    """Guess the tip by naming conventions, or else take the ends moved by the most joints.
 
-    A joint with several degrees of freedom does not count: what only it moves is a free object of a scene, or the robot's base.
-    Of the ends that no convention names, those moved by at most half as many joints as another (a lidar, a head) are left out.
+    A joint with several degrees of freedom does not count: what only it moves is a free object of a scene, or the
+    robot's base. Of the ends that no convention names, those moved by at most half as many joints as another (a lidar,
+    a head) are left out.
     """
     moved = [f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and f.parentJoint > 0]
     joints = {f.name: sum(model.joints[j].nv < 2 for j in model.supports[f.parentJoint] if j) for f in moved}
     moved = [f for f in moved if joints[f.name]] or moved
     named = [(f, words(f.name)) for f in moved]
     for convention in CONVENTIONS:
-        found = [f for f, said in named if fits(convention, set(said))]
+        found = [f for f, said in named if follows_convention(convention, set(said))]
         if found:
             return Guess(_branches(model, found), "guessed by its name")
     outer = set(path_ends(model))
@@ -86,19 +90,21 @@ def guess_tip(model: pin.Model) -> Guess:
         (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])), ends
     )
     most = max((joints[f.name] for f in plain), default=0)
-    longest = {
-        f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most
-    }  # one frame per joint, the first
+    # Of the frames on one joint only the first counts.
+    longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
 
 
 def tip_candidates(model: pin.Model) -> tuple[str, ...]:
-    """Candidates for the tip: the likely ones, then the other ends of the model's paths."""
+    """Return the candidates for the tip: the likely ones, then the other ends of the model's paths."""
     return tuple(dict.fromkeys((*guess_tip(model).tips, *path_ends(model))))
 
 
 def only_tip(model: pin.Model, robot: str) -> str:
-    """The tip to use if none is given. Logs a guess; raises ModelError (nothing moves), FrameNotFound (several equally likely)."""
+    """Return the tip to use if none is given, and log a guess.
+
+    Raises ModelError if nothing moves, FrameNotFound if several tips are equally likely.
+    """
     tips, why = guess_tip(model)
     if len(tips) == 1:
         if path_ends(model) != tips:
@@ -116,7 +122,7 @@ def only_tip(model: pin.Model, robot: str) -> str:
 
 
 def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
-    """One frame per branch: of frames that carry each other, the joint nearest the base, and that joint's last frame."""
+    """Return one frame for each branch: of frames that carry each other, the last frame of the joint nearest the base."""
     lines = [list(model.supports[f.parentJoint]) for f in frames]
     joints = {f.parentJoint for f in frames}
     first = [f for f, line in zip(frames, lines, strict=True) if not joints & set(line[:-1])]
@@ -124,7 +130,7 @@ def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
 
 
 def one_word(tip: str | None, ee_link: str | None) -> str | None:
-    """The tip, given as either tip or ee_link. Raises InvalidOption."""
+    """Return the tip, given as either tip or ee_link. Raises InvalidOption if they differ."""
     if tip is not None and ee_link is not None and tip != ee_link:
         raise InvalidOption(
             f"tip and ee_link are two names for one frame, not {tip!r} and {ee_link!r}; give one of them"
@@ -133,7 +139,7 @@ def one_word(tip: str | None, ee_link: str | None) -> str | None:
 
 
 def root_link(model: pin.Model) -> str:
-    """Name of the root link (the first body frame of the tree)."""
+    """Return the name of the root link, the first body frame of the tree."""
     for frame in model.frames:
         if frame.type == pin.FrameType.BODY and frame.parentJoint == 0:
             return frame.name

@@ -8,20 +8,19 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
-from ..kernel.chain import TreeChain, pack_tree
+from ..kernel.chain import Chain, TreeChain, pack_tree
 from .formats.srdf import Srdf, srdf_of
 from .joints import Joints, values_by_joint
 from .load import default_base, read_both
-from .probe import Motionless, find_path
-from .probe import Path as JointPath
+from .probe import JointPath, Motionless, find_path
 from .robot import Robot
 from .tips import tip_candidates
 
-ENDS = 8  # path ends listed in a message
+ENDS = 8  # A message lists this many path ends.
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
-    """Names of the joints on any of the paths: the first arm's from base to tip, then those each further arm adds.
+    """Return the names of the joints on any of the paths: the first arm's from base to tip, then those each further arm adds.
 
     A joint that an arm has only because it moves for another tip comes where that tip adds it.
     """
@@ -30,7 +29,10 @@ def union(arms: Sequence[Robot]) -> tuple[str, ...]:
 
 
 def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
-    """A robot for each tip, from the arguments they share. A tip that only the joints of other tips move is no error here."""
+    """Make a robot for each tip, from the arguments they share.
+
+    A tip that only the joints of other tips move is no error here.
+    """
     found: dict[str, Robot] = {}
     problem: Motionless | None = None
     for tip in tips:
@@ -45,9 +47,9 @@ def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
 
 
 def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot:
-    """An arm of a tree of which these joints move: with those as coordinates that move the base's branch.
+    """Return an arm of a tree in which `names` move, with those as coordinates that move the base's branch.
 
-    home: of all joints by name [rad or m]. It is the arm itself where nothing is added.
+    home has all joints by name [rad or m]. It is the arm itself if nothing is added.
     """
     model = arm.model
     locked = {model.getJointId(joint) for joint in arm.locked_joints}
@@ -63,17 +65,16 @@ def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot
 class Tree(Joints):
     """Several tips of one model: `Tree.load(name, tips=["left_tip", "right_tip"])`, or `Tree([left, right])` from robots.
 
-    q (n,) holds every joint of the paths once: those of the first tip's path, base to tip, then those the next tip's path
-    adds, and so on. Attributes: arms (a Robot for each tip); tips, base (frame names); places (for each tip, the indices in q
-    of its arm's joints); name, model, joint_names, joint_kinds, lower, upper, home, velocity_limits, rest, locked_joints, urdf,
-    path, package_dirs, srdf, named as in Robot; chain (kernel arrays); reach [m], the largest of the arms'; memo (see Joints).
-    The arms share model, base and resting joints (else ModelError); each may have its own tool.
+    q (n,) has every joint of the paths once: those of the first tip's path, base to tip, then those the next tip's path
+    adds, and so on. The arms share model, base and resting joints (otherwise ModelError); each may have its own tool.
+    Attributes are those of `Joints`, and as in `Robot` base, locked_joints, urdf, path, package_dirs, on_base and
+    base_limits; reach [m] is the largest of the arms'.
     """
 
     by_tip = True
 
     def __init__(self, arms: Sequence[Robot], home: Sequence[float] | np.ndarray | None = None) -> None:
-        """Join robots that differ only in their tip. home (n,): default the arms' own. Raises ModelError, FrameNotFound."""
+        """Join robots that differ only in their tip. home (n,) is by default the arms' own. Raises ModelError, FrameNotFound."""
         if isinstance(arms, Robot) or not all(isinstance(arm, Robot) for arm in arms) or not len(arms):
             raise ModelError("a tree is made from a list of robots, one per tip")
         first = arms[0]
@@ -106,7 +107,7 @@ class Tree(Joints):
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        # Reversed, so that the first tip's values win.
+        # The order is reversed, so that the first tip's values win.
         for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)
@@ -123,7 +124,9 @@ class Tree(Joints):
         self.lower, self.upper = lower, upper
         self._path = JointPath([], 0, [], self.n, {}, idx_q, circle)
         self.home = self.check_home(np.clip(middle, lower, upper) if home is None else home)
-        self.chain: TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
+        self.chain: Chain | TreeChain = pack_tree(
+            [arm.chain for arm in arms], list(self.places), lower, upper, self.home
+        )
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
         self._seal()
@@ -143,11 +146,28 @@ class Tree(Joints):
         srdf: str | Path | Srdf | bool | None = None,
         group: str | None = None,
     ) -> "Tree":
-        """Load several tips of a robot: a shipped name, the path of a URDF or xacro file, URDF text, or an example-robot-data name.
+        """Load several tips of a robot, by name, from a file or from text.
 
-        tips: frame names; default: the known tips of the robot (see `ik robots`), if it has several. A known home is used
-        joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group: an SRDF group,
-        which sets base and tips. Raises as Robot.load does; without tips, FrameNotFound lists the path ends.
+        A known home is used joint by joint.
+
+        Args:
+            source: As in `Robot.load`.
+            tips: Frame names; by default the known tips of the robot (see `ik robots`), if it has several.
+            base: Frame in which poses are given, shared by all tips; by default the root.
+            package_dirs: Folders in which ROS packages are searched.
+            locked: Values [rad or m] at which joints are held, by name.
+            xacro_args: Values of a xacro file's arguments, by name.
+            on_base: As in `Robot.load`.
+            base_limits: As in `Robot.load`.
+            srdf: As in `Robot.load`.
+            group: SRDF group that sets base and tips.
+
+        Returns:
+            The tree.
+
+        Raises:
+            FrameNotFound: A tip does not exist, or none is given or known; the message lists the ends of paths.
+            RobotNotFound, ModelError, JointNotFound, InvalidOption, MissingExtra: As in `Robot.load`.
         """
         entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
@@ -184,12 +204,11 @@ class Tree(Joints):
         return tree.locked(held) if held else tree
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
-        """T_base_tip of every tip by name [m], computed by Pinocchio."""
-        q = self.check_q(q)
-        return {arm.tip: arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)}
+        """Compute the pose T_base_tip [m] of every tip at q (n,) by Pinocchio; the keys are names of tips."""
+        return dict(zip(self.tips, self.tip_poses(self.check_q(q)), strict=True))
 
     def jacobian(self, q: Any) -> np.ndarray:
-        """Stacked Jacobian (6 F, n): six rows per tip in the order of `tips`, base axes, linear rows first, by Pinocchio."""
+        """Compute the stacked Jacobian (6 F, n) at q (n,) by Pinocchio: six rows per tip in order, base axes, linear rows first."""
         q = self.check_q(q)
         J = np.zeros((6 * len(self.arms), self.n))
         for f, (arm, place) in enumerate(zip(self.arms, self.places, strict=True)):
@@ -197,10 +216,17 @@ class Tree(Joints):
         return J
 
     def errors(self, q: Any, targets: Any) -> list[tuple[float, float | None]]:
-        """Position error [m] and rotation angle [rad] of each tip at q (n,) from its target, in the order of `tips`.
+        """Compute position error [m] and rotation angle [rad] of each tip at q from its target, in the order of `tips`.
 
-        targets: one for every tip, as in `Robot.errors`, in that order or as a dict by tip. Raises InvalidConfiguration,
-        InvalidTarget, FrameNotFound.
+        Args:
+            q: Configuration (n,) [rad or m].
+            targets: One for every tip, as in `Robot.errors`, in the order of `tips` or as a dict by tip.
+
+        Returns:
+            A pair for each tip; the angle is None for a position.
+
+        Raises:
+            InvalidConfiguration, InvalidTarget, FrameNotFound: q, a target or a name is wrong.
         """
         q = self.check_q(q)
         if isinstance(targets, Mapping):
@@ -220,9 +246,19 @@ class Tree(Joints):
         return Tree(arms, np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
 
     def with_tool(self, T_tip_tool: Any, shape: Any = None, T_tip_shape: Any = None) -> "Tree":
-        """Return a copy whose tips are moved by T_tip_tool (4x4 or pin.SE3): one for all of them, or a dict by tip.
+        """Return a copy whose tips are moved by T_tip_tool.
 
-        shape, T_tip_shape: as in Robot.with_tool, likewise. Raises FrameNotFound (unknown tip), InvalidTarget, InvalidOption.
+        Args:
+            T_tip_tool: Pose (4, 4) or pin.SE3 of the tool in the tip frame, one for all tips or a dict by tip.
+            shape: Collision shape of the tool, likewise (see `Robot.with_tool`).
+            T_tip_shape: Pose of the shape in the tip frame, likewise.
+
+        Returns:
+            A tree whose targets, fk and errors refer to the tools.
+
+        Raises:
+            FrameNotFound: A tip does not exist.
+            InvalidTarget, InvalidOption: A pose or shape is none.
         """
         given = [x if isinstance(x, Mapping) else dict.fromkeys(self.tips, x) for x in (T_tip_tool, shape, T_tip_shape)]
         for one in given:
@@ -232,11 +268,11 @@ class Tree(Joints):
         return Tree(made, self.home)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arms."""
+        """Pickle the arms, from which the tree is made again."""
         return Tree, (self.arms, self.home), {"_wide": self._wide}
 
     def __repr__(self) -> str:
-        """One line: name, tips and joints."""
+        """Describe the tree in one line: name, tips and joints."""
         return f"Tree('{self.name}', {self.base} -> {' + '.join(self.tips)}, {self.n} joints: {', '.join(self.joint_names)})"
 
     def _route(self) -> str:

@@ -8,7 +8,8 @@ import numpy as np
 
 from ..motion.reference import Reference
 from ..robot.joints import Joints
-from ..robot.pose import angles_between, length
+from ..robot.pose import length
+from ..robot.rotation import angles_between
 
 CLOSE = (1e-4, 2e-4)  # [m, rad] error that counts as reached: a tenth of what a run is allowed by default
 DENSE = 1000  # samples from which the length of a path is measured
@@ -134,9 +135,9 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
 
 def bound_lm(robot: Joints, **options: Any) -> Any:
     """LM on a robot, exact enough to say what can be reached."""
-    from ..solvers.solve import bound
+    from ..solvers.solve import bound_solver
 
-    return bound(robot, "lm", {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
+    return bound_solver(robot, "lm", {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
 
 
 def freed(reference: Reference) -> Reference:

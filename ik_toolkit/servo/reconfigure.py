@@ -92,7 +92,7 @@ class Postures:
         """
         plan, unit, n = self.quick if quick else self.plan, self.robot.chain.unit, self.robot.n
         rows = np.zeros((len(starts), plan.width))
-        plan.run(T if self.robot.by_tip else T[:, 0], self.kinds, starts * unit, True, rows)
+        plan.run(T.reshape(-1, *self.robot.pose_shape), self.kinds, starts * unit, True, rows)
         status = rows[:, AT.status]
         found = rows[status == CONVERGED, ANSWER : ANSWER + n] / unit
         if not len(found):

@@ -14,8 +14,8 @@ from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, Portabl
 from ..kernel.counted_error import POSE, POSITION
 from ..motion.reference import Reference
 from ..robot.narrow import with_limits
-from ..robot.pose import angles_between
 from ..robot.robot import Robot
+from ..robot.rotation import angles_between
 from ..robot.tree import Tree
 from ..solvers.collision_free import collision_model
 from ..validate import number, one_of, positive

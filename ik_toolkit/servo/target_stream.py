@@ -8,7 +8,7 @@ import numpy as np
 
 from ..compile.array_view import flat, view
 from ..compile.jit import cached, inline, inner
-from ..copying import Blocks
+from ..copying import CopiesViews
 from ..errors import InvalidTarget, floats
 from ..kernel.algebra import M3, V3, put3
 from ..kernel.checks import rigid
@@ -16,7 +16,7 @@ from ..kernel.counted_error import POSE, POSITION
 from ..kernel.kinematics import angle_ratio, rotation_error
 from ..kernel.records import copy
 from ..motion.reference import exp, log
-from ..robot.pose import AxisTarget
+from ..robot.pose import AxisTarget, as_array
 from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_of
 
@@ -156,7 +156,7 @@ RECENT = 10  # targets: where steps take 0.5 to 1.5 times their mean, ca brings 
 KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 
 
-class Stream(Blocks):
+class Stream(CopiesViews):
     """The last target and the next, `samples`; whether that stands, `stand`; kinds, one a tip.
 
     pace: the longest of the last times between them [s]; unseen [s]: since a step to them was last looked at, by the tracker.
@@ -308,7 +308,7 @@ class Stream(Blocks):
             return T.reshape(self.tips, 4, 4), kinds
         if isinstance(target, AxisTarget):
             return target.T_base_tip[None], ((read_one(target)[1]),)
-        raw = floats(getattr(target, "homogeneous", target), "a tracker takes a 4x4 pose or a position", InvalidTarget)
+        raw = floats(as_array(target, self.robot.base), "a tracker takes a 4x4 pose or a position", InvalidTarget)
         if raw.shape not in ((3,), (4, 4)):
             raise InvalidTarget(f"a tracker takes a 4x4 pose or a position of 3 numbers, not shape {raw.shape}")
         if not np.isfinite(raw).all():
@@ -342,9 +342,7 @@ class Stream(Blocks):
 def _finite(one: Any) -> bool:
     """Whether all numbers of a tip's target are finite; anything that is not a target is left to its reader."""
     try:
-        return bool(
-            np.isfinite(np.asarray(getattr(one, "homogeneous", getattr(one, "T_base_tip", one)), dtype=float)).all()
-        )
+        return bool(np.isfinite(np.asarray(getattr(one, "T_base_tip", as_array(one)), dtype=float)).all())
     except (TypeError, ValueError):
         return True
 

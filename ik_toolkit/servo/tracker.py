@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..compile.array_view import LINE
-from ..copying import Blocks
+from ..copying import CopiesViews
 from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel.counted_error import POSITION
 from ..readonly import ReadOnly
@@ -14,7 +14,7 @@ from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.collision_free import collision_model
-from ..validate import LATE, one_of, parts_of, positive, rates, switch
+from ..validate import LATE, one_of, parts_of_step, positive, rates, switch
 from . import laws, viability
 from .adapters import bind
 from .collision_guard import ROWS, Guard
@@ -36,7 +36,7 @@ MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
-class Tracker(Blocks, ReadOnly):
+class Tracker(CopiesViews, ReadOnly):
     """Follow targets that arrive one by one.
 
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
@@ -207,7 +207,7 @@ class Tracker(Blocks, ReadOnly):
         a dt that is not positive, or absurdly long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
-        parts_of(dt, self._late or LATE * dt)  # before anything has changed
+        parts_of_step(dt, self._late or LATE * dt)  # before anything has changed
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
@@ -221,7 +221,7 @@ class Tracker(Blocks, ReadOnly):
                 self._begin(found, np.zeros(self.robot.n))
         if not self._late:  # assignments to a sealed object take half a microsecond
             self._late = LATE * dt
-        h = dt / (parts := parts_of(dt, self._late))
+        h = dt / (parts := parts_of_step(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
             self._step(part, h, not finite, q is not None)
         code, lost = self._code.copy(), self._out.S[0]

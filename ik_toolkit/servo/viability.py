@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compile.jit import cached, compiled, dual, inline, inner, jit, shared
-from ..kernel.clearance import speeds, travelled
+from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.records import Array
 
 # Bits of `code`: why a joint did not move as commanded.
@@ -324,7 +324,7 @@ def brake(first, gamma, h, late, limits, Q, R, L):
             if k > first:
                 Q[k, j], R[k, j] = now[j], speed[j]
             if k > 0:
-                start, change = speeds(Q, R, k - 1, j, gamma, h)
+                start, change = speed_and_growth(Q, R, k - 1, j, gamma, h)
                 L[k, j] = L[k - 1, j] + travelled(start, change, 1.0)
             moving = moving or R[k, j] != 0.0
         if k >= first:

@@ -1,4 +1,4 @@
-"""Access control for the servers of panel and scene, and handling of invalid messages: checks that viser does not make."""
+"""Controls access to the servers of panel and scene and handles invalid messages, two checks that viser does not make."""
 
 import asyncio
 import contextlib
@@ -12,16 +12,19 @@ from typing import Any
 from urllib.parse import urlsplit
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-LARGEST = 2**20  # bytes per message: the page sends numbers and short texts, and messages are buffered until complete
-ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")  # headers of which viser and the checks here read the only one
+# Limit on the bytes of a message. The page sends numbers and short texts, and messages are buffered until complete.
+LARGEST = 2**20
+# viser and the checks here read only one header of each name in ONCE, so a second one is refused.
+ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")
 LOG = logging.getLogger(__name__)
-QUIET = logging.getLogger(f"{__name__}.socket")  # a port scan would fill the terminal with handshake tracebacks
+# Messages of the web socket are not logged, because a port scan would fill the terminal with tracebacks.
+QUIET = logging.getLogger(f"{__name__}.socket")
 QUIET.setLevel(logging.CRITICAL)
 _PATCHING = threading.Lock()
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only programs of this machine can reach a host address."""
+    """Return whether only programs of this machine can reach a host address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -29,29 +32,34 @@ def is_loopback(host: str) -> bool:
 
 
 def new_token() -> str:
-    """Token of 128 random bits in a page's address; nothing is served without it."""
+    """Return a token of 128 random bits for a page's address, without which nothing is served."""
     return secrets.token_urlsafe(16)
 
 
 def below(path: str, token: str) -> str | None:
-    """Part of a request's path below /token, without its query; None if it does not start with the token.
+    """Return the part of a request's path below /token, without its query, or None if it does not start with the token.
 
-    Compares in constant time.
+    The comparison takes constant time, so that it reveals nothing about the token.
     """
     word, slash, rest = path.partition("?")[0].removeprefix("/").partition("/")
     known = secrets.compare_digest(word.encode(errors="backslashreplace"), token.encode())
     return slash + rest if known else None
 
 
-def refusal(headers: Any, host: str) -> str:
-    """Why a request is refused, or ''. A browser sends the requesting page (Origin) and the host name it used (Host)."""
-    every = getattr(headers, "get_list", None) or getattr(headers, "get_all", None)  # of tornado, of websockets
+def refused_request(headers: Any, host: str) -> str:
+    """Return why a request is refused, or ''.
+
+    A browser sends the requesting page (Origin) and the host name it used (Host).
+    """
+    # The method that returns all headers of a name is get_list in tornado and get_all in websockets.
+    every = getattr(headers, "get_list", None) or getattr(headers, "get_all", None)
     twice = [name for name in ONCE if every is not None and len(every(name)) > 1]
     if twice:
         return f"this request has more than one header {' and '.join(twice)}"
     asked = headers.get("Host", "")
     name = ""
-    with contextlib.suppress(ValueError):  # also two hosts in one header: no port is a number then
+    # Two hosts in one header raise ValueError too, because no port is a number then.
+    with contextlib.suppress(ValueError):
         split = urlsplit(f"//{asked}")
         name = (split.hostname or "") if split.port is None or split.port else ""
     if is_loopback(host) and name not in LOOPBACK and name != host:
@@ -64,10 +72,10 @@ def refusal(headers: Any, host: str) -> str:
 
 @contextlib.contextmanager
 def guarded(host: str, token: str) -> Iterator[None]:
-    """Make the server started inside check Host, Origin (any web page could connect otherwise) and token, and survive bad input.
+    """Make the server started inside check Host, Origin and token, and survive bad input.
 
-    Page, files and socket are below /token. A message that cannot be read or is too large closes its connection with a reason;
-    one that makes no sense is dropped.
+    Without the check of Origin any web page could connect. Page, files and socket are below /token. A message that
+    cannot be read or is too large closes its connection with a reason; one that makes no sense is dropped.
     """
     import websockets.asyncio.server as ws
     from websockets.exceptions import ConnectionClosed
@@ -76,7 +84,7 @@ def guarded(host: str, token: str) -> Iterator[None]:
 
     def serve(talk: Any, *args: Any, process_request: Callable[[Any, Any], Any] | None = None, **kwargs: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
-            words = refusal(request.headers, host)
+            words = refused_request(request.headers, host)
             path = below(request.path, token)
             if words or path is None:
                 return connection.respond(http.client.FORBIDDEN, f"{words or 'this is not the whole address'}\n")
@@ -91,7 +99,7 @@ def guarded(host: str, token: str) -> Iterator[None]:
                 LOG.info("unreadable message: %r", error)
                 closing = asyncio.create_task(connection.close(1007, "this is not a message of the panel's page"))
                 with contextlib.suppress(ConnectionClosed):
-                    while True:  # drain pending messages, which would hold up the closing frame
+                    while True:  # Pending messages would delay the closing frame, so they are read and dropped.
                         await connection.recv()
                 await closing
 

@@ -7,27 +7,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration
-from ..files import without_mark
+from ..files import check_arrays, read_json, without_mark
 from ..robot.joints import Joints
-from ..robot.pose_files import check_arrays, read_json
-from .body import Shape, need_trimesh, smooth
+from .body import DrawnShape, primitive
 
 OBSTACLE = (0.55, 0.58, 0.62)
-SLATE = (0.30, 0.34, 0.40)  # colour of the poses, as in the other scenes
+SLATE = (0.30, 0.34, 0.40)  # colour of poses and of where a motion starts
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
     (0.99, 0.75, 0.16),
 )  # fmt: skip
-MAX_FRAMES = 400  # per animation; a longer motion is thinned out
+MAX_FRAMES = 400  # per animation; a longer motion or run is thinned out
 SECONDS = 12.0  # duration of the animation of a motion without times
 
 
-class Motion(NamedTuple):
+class ShownMotion(NamedTuple):
     """A path or a trajectory to show: N configurations, and a value for each.
 
-    q (N, n); t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit; targets (N', F, 3) [m]
-    in base axes, or None; breaks: places after which the motion is interrupted; lines: text for the page; collision: the
-    CollisionModel whose obstacles are drawn, or None.
+    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit;
+    targets (N', F, 3) [m] in base axes, or None; breaks, the places after which the motion is interrupted; lines of
+    text for the page; collision, the CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -42,14 +41,14 @@ class Motion(NamedTuple):
     collision: Any = None
 
 
-def of_path(result: Any) -> Motion:
-    """Motion of a PathResult, with the bound on its deviation from the poses."""
+def of_path(result: Any) -> ShownMotion:
+    """ShownMotion of a PathResult, with the bound on its deviation from the poses."""
     finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
     deviation = np.append(result.continuity.deviation, np.nan)[finite]
     values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
     ends = {piece.stop - 1 for piece in result.pieces[:-1]}
     labels = [f"pose {place:.1f}{_much(x, 'mm')}" for place, x in zip(result.at[finite], values, strict=True)]
-    return Motion(
+    return ShownMotion(
         result.curve[finite], None, labels, values, "largest deviation from the path", "mm",
         result.targets[:, :, :3, 3] if result.options.relative_to is None else None,
         tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
@@ -57,8 +56,8 @@ def of_path(result: Any) -> Motion:
     )  # fmt: skip
 
 
-def of_trajectory(trajectory: Any) -> Motion:
-    """Motion of a Trajectory, with the speed of its fastest tip."""
+def of_trajectory(trajectory: Any) -> ShownMotion:
+    """ShownMotion of a Trajectory, with the speed of its fastest tip."""
     speeds = []
     for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
         J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
@@ -69,7 +68,7 @@ def of_trajectory(trajectory: Any) -> Motion:
         for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
     ]
     lines = (trajectory.message,)
-    return Motion(
+    return ShownMotion(
         trajectory.q,
         trajectory.t,
         labels,
@@ -81,8 +80,8 @@ def of_trajectory(trajectory: Any) -> Motion:
     )
 
 
-def from_file(robot: Joints, file: str | Path) -> Motion:
-    """Motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip between samples.
+def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
+    """Read a motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -94,12 +93,12 @@ def from_file(robot: Joints, file: str | Path) -> Motion:
         values[1:] = moved / np.maximum(np.diff(t), 1e-9)
         values[0] = values[1]
     labels = [f"row {k}" if t is None else f"t = {t[k]:.2f} s{_much(x, 'm/s')}" for k, x in enumerate(values)]
-    return Motion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
+    return ShownMotion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
 
 
-def motion_of(what: Any) -> Motion | None:
-    """Motion of a PathResult or a Trajectory; None for anything else."""
-    if isinstance(what, Motion):
+def motion_of(what: Any) -> ShownMotion | None:
+    """ShownMotion of a PathResult or a Trajectory; None for anything else."""
+    if isinstance(what, ShownMotion):
         return what
     if hasattr(what, "curve") and hasattr(what, "continuity"):
         return of_path(what)
@@ -113,22 +112,15 @@ def _much(value: float, unit: str) -> str:
 # ------------------------------------------------------------------------------------------------------------- the scene
 def draw_obstacles(scene: Any, model: Any) -> None:
     """Draw the boxes, spheres, cylinders and capsules of a CollisionModel."""
-    trimesh = need_trimesh()
-    make = {
-        "box": lambda x, y, z: trimesh.creation.box((x, y, z)),
-        "sphere": lambda radius: trimesh.creation.uv_sphere(radius, count=(24, 24)),
-        "capsule": lambda radius, length: trimesh.creation.capsule(length, radius),
-        "cylinder": lambda radius, length: trimesh.creation.cylinder(radius, length, sections=40),
-    }
     for name, shape, T in model.placed():
-        if shape.kind in make:
-            scene.window.shape(f"obstacle/{name}", Shape(*smooth(make[shape.kind](*shape.sizes), 1.0), OBSTACLE, 0.75))
+        if shape.kind != "mesh":
+            scene.window.shape(f"obstacle/{name}", DrawnShape(*primitive(shape.kind, shape.sizes), OBSTACLE, 0.75))
             scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
             corner = (scene.body.T_world_base @ T)[:3, 3]
             scene._corners.append(np.array([corner, corner]))
 
 
-def animate(scene: Any, motion: Motion) -> None:
+def animate(scene: Any, motion: ShownMotion) -> None:
     """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values."""
     if motion.collision is not None:
         draw_obstacles(scene, motion.collision)
@@ -168,7 +160,7 @@ def _coloured(
 
 # ------------------------------------------------------------------------------------------------------------- read back
 def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
-    """Times (N,) [s] or None, and joint values (N, n), from a file of `ik path` (a path or a trajectory) or `ik track`.
+    """Read times (N,) [s] or None, and joint values (N, n) [rad or m], from a file of `ik path` or `ik track`.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """

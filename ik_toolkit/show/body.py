@@ -5,6 +5,7 @@ be drawn are reported; a robot without any drawable part becomes a stick figure,
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import MissingExtra, ModelError
-from ..robot.geometry.link_shapes import LinkShape, geometry_model, link_shapes, said
+from ..robot.geometry.link_shapes import LinkShape, geometry_model, link_shapes, problems_sentence
 from ..robot.geometry.meshes import Mesh
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
@@ -29,8 +30,8 @@ SMOOTH = np.radians(35.0)  # edges sharper than this stay visible
 
 
 @dataclass(frozen=True)
-class Shape:
-    """Triangles of one colour: vertices (N, 3) [m], faces (M, 3), color (3,) in 0..1, opacity."""
+class DrawnShape:
+    """Triangles of one colour: vertices (N, 3) [m], faces (M, 3), color (3,) in 0..1, and opacity."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -39,17 +40,17 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Part:
+class BodyPart:
     """One rigid piece of a robot: its name, and its shapes in its own axes."""
 
     name: str
-    shapes: tuple[Shape, ...]
+    shapes: tuple[DrawnShape, ...]
 
 
 class Body:
     """The drawn parts of a robot and their placements.
 
-    parts (list of Part); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
+    parts (list of BodyPart); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
     why); T_world_base (4, 4) at rest; floor: height [m] of the floor, under the robot's lowest part that never moves.
     """
 
@@ -73,13 +74,13 @@ class Body:
         self.floor = float(self.bounds(robot.home, still=True)[0, 2])
 
     def placements(self, q: Any) -> np.ndarray:
-        """Poses (P, 4, 4) [m] of the parts in the world for joint values q (n,)."""
+        """Return the poses (P, 4, 4) [m] of the parts in the world for joint values q (n,) [rad or m]."""
         pin.forwardKinematics(self.model, self.data, self.robot._fill(self.robot.rest.copy(), q))
         pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
         return np.array([M.homogeneous for M in self.geometry_data.oMg])
 
     def tips(self, q: Any) -> np.ndarray:
-        """Poses (tips, 4, 4) [m] of the tips in the world at q (n,)."""
+        """Return the poses (tips, 4, 4) [m] of the tips in the world at q (n,) [rad or m]."""
         return np.array(
             [
                 self.T_world_base @ arm.fk(np.asarray(q)[at]).homogeneous
@@ -88,7 +89,7 @@ class Body:
         )
 
     def bounds(self, q: Any, still: bool = False) -> np.ndarray:
-        """Corners (2, 3) [m] of the bounding box of the robot at q, world axes; still: only of the parts that never move."""
+        """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only."""
         points = [np.zeros((0, 3))]
         moved = {self.model.getJointId(name) for name in self.robot.joint_names}
         for part, T, shown in zip(self.parts, self.placements(q), self.geometry.geometryObjects, strict=True):
@@ -113,8 +114,8 @@ def need_trimesh() -> Any:
     return trimesh
 
 
-def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
-    """Geometry and parts of what can be drawn, and a sentence about what cannot."""
+def _read(robot: Any) -> tuple[pin.GeometryModel, list[BodyPart], str]:
+    """Return geometry and parts of what can be drawn, and a sentence about what cannot."""
     if robot.urdf is None:
         return pin.GeometryModel(), [], ""
     try:
@@ -125,22 +126,21 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
     for shape in shapes:
         pieces = _pieces(shape)
         if sum(len(piece.faces) for piece in pieces):  # a mesh may have only points and lines
-            parts.append(Part(shape.name, pieces))
+            parts.append(BodyPart(shape.name, pieces))
             drawn.append(shape)
     # Only the placements of this geometry are used.
     geometry = geometry_model(robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn))
-    return geometry, parts, f"not read: {said(problems)}" if problems else ""
+    return geometry, parts, f"not read: {problems_sentence(problems)}" if problems else ""
 
 
-def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
-    """Triangles of a link's shape, one Shape per material; () if none are left."""
-    creation = need_trimesh().creation
+def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
+    """Triangles of a link's shape, one DrawnShape per material; () if none are left."""
     *rgb, opacity = shape.color or (*GREY, 1.0)
     color = (rgb[0], rgb[1], rgb[2])
     if shape.kind == "mesh":
         own = shape.color is None and Path(shape.file).suffix.lower() in COLORED
         return tuple(
-            Shape(
+            DrawnShape(
                 np.asarray(vertices * np.array(shape.sizes), dtype=np.float32),
                 faces,
                 c if own and c else color,
@@ -148,32 +148,40 @@ def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
             )
             for vertices, faces, c in _smoothed(shape.mesh)
         )
-    scale = np.array(shape.sizes) if shape.kind == "box" else np.full(3, shape.sizes[0])
-    if shape.kind == "box":
+    return (DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity),)
+
+
+def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
+    creation = need_trimesh().creation
+    scale = np.array(sizes) if kind == "box" else np.full(3, sizes[0])
+    if kind == "box":
         mesh = creation.box(extents=(1.0, 1.0, 1.0))
-    elif shape.kind == "sphere":
+    elif kind == "sphere":
         mesh = creation.uv_sphere(radius=1.0, count=(24, 24))
-    elif shape.kind == "cylinder":
+    elif kind == "cylinder":
         mesh = creation.cylinder(radius=1.0, height=1.0, sections=48)
-        scale[2] = shape.sizes[1]
+        scale[2] = sizes[1]
     else:
-        mesh = creation.capsule(height=shape.sizes[1] / shape.sizes[0], radius=1.0, count=(24, 24))
+        mesh = creation.capsule(height=sizes[1] / sizes[0], radius=1.0, count=(24, 24))
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return (Shape(*smooth(mesh, scale), color, opacity),)
+    return split_sharp_edges(mesh, scale)
 
 
 @functools.lru_cache(256)
 def _smoothed(mesh: Mesh) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
-    """Vertices, faces and colour of every material of a mesh, in the file's axes."""
+    """Return vertices, faces and colour of every material of a mesh, in the file's axes."""
     make = need_trimesh().Trimesh
-    return tuple((*smooth(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces)
+    return tuple(
+        (*split_sharp_edges(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces
+    )
 
 
-def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled vertices, and faces, split along sharp edges so that a viewer's averaged normals keep them visible.
+def split_sharp_edges(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Scale vertices and split them along sharp edges, so that a viewer's averaged normals keep those edges visible.
 
-    Corners of two faces stay one vertex if the faces meet there at a flat enough edge. Create small meshes large and scale them
-    here: trimesh drops triangles with sides under 0.1 mm.
+    Corners of two faces stay one vertex if the faces meet there at a flat enough edge. Create small meshes large and
+    scale them here, because trimesh drops triangles with sides under 0.1 mm.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -193,8 +201,8 @@ def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
     return vertices, label.reshape(-1, 3).astype(np.uint32)
 
 
-def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
-    """A stick figure: a ball at every joint of the paths, a bar to the next, a bar to the tip."""
+def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[BodyPart]]:
+    """Build a stick figure: a ball at every joint of the paths, a bar to the next joint, a bar to the tip."""
     trimesh = need_trimesh()
     model, geometry, parts = robot.model, pin.GeometryModel(), []
     data = model.createData()
@@ -204,7 +212,7 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
     def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:
             geometry.addGeometryObject(ball(name, joint, pin.SE3.Identity(), coal.Sphere(1e-3)))
-            parts.append(Part(name, (Shape(*smooth(mesh, scale), color),)))
+            parts.append(BodyPart(name, (DrawnShape(*split_sharp_edges(mesh, scale), color),)))
 
     for arm in arms:
         r = max(0.018 * arm.reach, THINNEST)
@@ -236,18 +244,18 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
 
 
 def grid_cell(radius: float) -> float:
-    """Cell width [m] of a grid, 1, 2 or 5 times a power of ten: about four cells per radius."""
+    """Return the cell width [m] of a grid with about four cells in `radius` [m]: 1, 2 or 5 times a power of ten."""
     unit = 10.0 ** np.floor(np.log10(radius / 4.0))
     return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
 
 
-def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> Shape:
-    """A tube through points (N, 3) [m] (WebGL draws lines only one pixel wide)."""
+def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> DrawnShape:
+    """Build a tube through points (N, 3) [m], because WebGL draws lines only one pixel wide."""
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
         ball = need_trimesh().creation.uv_sphere(radius=1.5, count=(10, 10))
-        return Shape((ball.vertices * radius + P[0]).astype(np.float32), ball.faces, color, opacity)
+        return DrawnShape((ball.vertices * radius + P[0]).astype(np.float32), ball.faces, color, opacity)
     along = np.gradient(P, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)
@@ -264,4 +272,4 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
     a, b = 10 * k + j, 10 * k + (j + 1) % 10
     faces = np.stack([np.stack([a, b, b + 10], -1), np.stack([a, b + 10, a + 10], -1)]).reshape(-1, 3)
-    return Shape(vertices.astype(np.float32), faces.astype(np.uint32), color, opacity)
+    return DrawnShape(vertices.astype(np.float32), faces.astype(np.uint32), color, opacity)

@@ -1,8 +1,8 @@
 """The live page: a robot with its solvers in one HTML file that needs no Python, no server and no network.
 
-The page's modules (folder `page`) are joined into one script. The robot's kinematics come from Pinocchio's model, as the screws
-of its joints; meshes are simplified, so that a page can be mailed. Names reach the page as text only: the data contain no `<`,
-and the page's content security policy lets no other script run.
+The page's modules (folder `page`) are joined into one script. The robot's kinematics come from Pinocchio's model, as
+the screws of its joints; meshes are simplified, so that a page can be mailed. Names reach the page as text only: the
+data contain no `<`, and the page's content security policy lets no other script run.
 """
 
 import base64
@@ -21,20 +21,22 @@ import pinocchio as pin
 from ..robot.joints import Joints
 from ..robot.probe import screw
 from ..text import plain
-from .body import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
+from .body import THINNEST, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges
 
-Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3), faces (M, 3)
+Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # Vertices (N, 3) [m], normals (N, 3) and faces (M, 3).
 
-MODULES = ("robot", "solve", "draw", "hand", "main")  # in the order of their dependencies
-MOST_FACES = 40_000  # triangles per page: full meshes have up to 100 times as many and look the same at this size
-FINEST = 1 / 250  # of the robot's size: first cell size for merging vertices, enlarged until the faces are few enough
-GROW = 1.1
-STEPS = 65_535  # resolution of a coordinate over its shape: 16 bits
+MODULES = ("robot", "solve", "draw", "hand", "main")  # A module comes after those that it depends on.
+# Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on the page.
+MOST_FACES = 40_000
+# Vertices merge in cells that are at first 1/250 of the robot's size and grow until the faces are few enough.
+FINEST = 1 / 250
+GROW = 1.1  # The cell size grows by at least this factor in each round.
+STEPS = 65_535  # A coordinate has 16 bits over its shape.
 
 
 def page_html(robot: Joints, body: Body, title: str) -> str:
-    """HTML page of a robot whose drawn parts are `body`; needs no network."""
-    data, blob = describe(robot, body)
+    """Write the HTML page of a robot whose drawn parts are `body`; it needs no network."""
+    data, blob = describe_robot(robot, body)
     files = importlib.resources.files("ik_toolkit.show") / "page"
     code = "\n".join(joined((files / f"{name}.js").read_text(encoding="utf-8")) for name in MODULES)
     digest = base64.b64encode(hashlib.sha256(f"\n{code}\n".encode()).digest()).decode()
@@ -49,22 +51,23 @@ def page_html(robot: Joints, body: Body, title: str) -> str:
         "CODE": code,
     }
     page = (files / "page.html").read_text(encoding="utf-8")
-    return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)  # one pass: inserted text is not scanned again
+    # One pass is enough, and inserted text is not scanned again.
+    return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)
 
 
 def joined(module: str) -> str:
-    """Text of a module without its imports and exports, to be joined into one script."""
+    """Return the text of a module without its imports and exports, to be joined into one script."""
     return re.sub(r"^export ", "", re.sub(r"^import [^;]*;\n", "", module, flags=re.M), flags=re.M)
 
 
-def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
-    """Data for the page's modules: joints, moving nodes, tips and parts; and all triangles."""
+def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
+    """Return the data for the page's modules (joints, moving nodes, tips and parts), and all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
 
     def at(joint: int, T: pin.SE3) -> dict[str, Any]:
         node, offset = places[joint]
-        return {"node": node, "T": flat(offset * T)}
+        return {"node": node, "T": pose_rows(offset * T)}
 
     shapes, tools = [shape for part in body.parts for shape in part.shapes], handles()
     meshes = thin(shapes, float(np.linalg.norm(bounds[1] - bounds[0])))
@@ -78,8 +81,9 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     return (
         {
             "reach": robot.reach,
-            "room": room(bounds, body.floor),
-            "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],  # no limit: null
+            "room": view_room(bounds, body.floor),
+            # A missing limit becomes null.
+            "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],
             "nodes": nodes,
             "base": at(base.parentJoint, base.placement),
             "tips": [
@@ -95,18 +99,18 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     )
 
 
-def room(bounds: np.ndarray, height: float) -> dict[str, Any]:
-    """Size and centre [m] of a box (2, 3), and the floor: its height [m], the grid's cell and extent."""
+def view_room(bounds: np.ndarray, height: float) -> dict[str, Any]:
+    """Return size and centre [m] of a box (2, 3), and of the floor its height [m] and the grid's cell and extent [m]."""
     size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
     floor = {"z": height, "cell": grid_cell(size), "wide": 2.5 * size}
     return {"size": size, "centre": centre.tolist(), "floor": floor}
 
 
 def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:
-    """Joints that move with q, parents first, and for each joint of the model the node that carries it and its pose there.
+    """Return the joints that move with q, parents first, and for each joint of the model its node and its pose there.
 
-    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); fixed joints are part of the
-    placements.
+    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); fixed joints are
+    part of the placements.
     """
     model = robot.model
     data, zero = model.createData(), robot.to_pinocchio(np.zeros(robot.n))
@@ -126,7 +130,7 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
         nodes.append(
             {
                 "parent": parent,
-                "T": flat(T),
+                "T": pose_rows(T),
                 "axis": axis.tolist(),
                 "ratio": ratio,
                 "turns": turns,
@@ -137,13 +141,13 @@ def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, p
     return nodes, places
 
 
-def flat(T: pin.SE3) -> list[float]:
-    """Rows of [R | p]."""
+def pose_rows(T: pin.SE3) -> list[float]:
+    """Return the 12 numbers of [R | p] of a pose, row by row."""
     return T.homogeneous[:3].ravel().tolist()
 
 
-def handles() -> dict[str, Shape]:
-    """Shapes for targets and the floor: of unit height and radius, upright at the origin."""
+def handles() -> dict[str, DrawnShape]:
+    """Return the shapes for targets and the floor, of unit height and radius, upright at the origin."""
     make = need_trimesh().creation
     bar = make.cylinder(1.0, segment=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), sections=24)
     meshes = {
@@ -154,23 +158,24 @@ def handles() -> dict[str, Shape]:
     }
     floor = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], dtype=np.float32)
     white = (1.0, 1.0, 1.0)
-    shapes = {name: Shape(*smooth(mesh), white) for name, mesh in meshes.items()}
-    return shapes | {"floor": Shape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
+    shapes = {name: DrawnShape(*split_sharp_edges(mesh), white) for name, mesh in meshes.items()}
+    return shapes | {"floor": DrawnShape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
 
 
-def thin(shapes: Sequence[Shape], size: float) -> list[Mesh]:
-    """Simplified vertices, normals and faces of a robot's shapes, at most MOST_FACES in all; size: of the robot [m]."""
+def thin(shapes: Sequence[DrawnShape], size: float) -> list[Mesh]:
+    """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most MOST_FACES together."""
     meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
     cell = FINEST * size
     while (count := sum(len(faces) for _, _, faces in meshes)) > MOST_FACES:
         if meshes is not whole:
-            cell *= max(GROW, np.sqrt(count / MOST_FACES))  # the number of faces falls with the square of the cell size
+            # The number of faces falls with the square of the cell size.
+            cell *= max(GROW, np.sqrt(count / MOST_FACES))
         meshes = [merged(*mesh, cell) for mesh in whole]
     return meshes
 
 
-def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
-    """Page data of shapes, and their triangles in order: 16-bit coordinates, 8-bit normals, indices (uint32)."""
+def packed(shapes: Sequence[DrawnShape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
+    """Return the page data of shapes, and their triangles in order: 16-bit coordinates, 8-bit normals, indices (uint32)."""
     told, blob = [], []
     for shape, (vertices, normal, faces) in zip(shapes, meshes, strict=True):
         low = vertices.min(axis=0) if len(vertices) else np.zeros(3)
@@ -193,8 +198,8 @@ def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[s
     return told, b"".join(blob)
 
 
-def normals(shape: Shape) -> np.ndarray:
-    """Vertex normals (N, 3), weighted by the areas of the adjacent faces."""
+def normals(shape: DrawnShape) -> np.ndarray:
+    """Compute vertex normals (N, 3), weighted by the areas of the adjacent faces."""
     a, b, c = (shape.vertices[shape.faces[:, k]].astype(float) for k in range(3))
     face = np.cross(b - a, c - a)
     total = np.zeros((len(shape.vertices), 3))
@@ -204,7 +209,7 @@ def normals(shape: Shape) -> np.ndarray:
 
 
 def merged(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray, cell: float) -> Mesh:
-    """Mesh with vertices merged per cell [m] if their normals point the same way (so that edges stay sharp)."""
+    """Merge vertices in the same cell [m] if their normals point the same way, so that edges stay sharp."""
     place = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     side = place.max(axis=0) + 1
     _, box = np.unique((place[:, 0] * side[1] + place[:, 1]) * side[2] + place[:, 2], return_inverse=True)

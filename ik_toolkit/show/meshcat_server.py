@@ -1,7 +1,7 @@
 """A meshcat scene inside this process: a self-contained page, or a live one served on loopback by our own thread.
 
 The stock meshcat server is a second process that survives a SIGTERM, and its page cannot set the camera or show an
-animation's frames; here the same viewer script draws, and nothing outlives the program.
+animation's frames. Here the same viewer script draws, and nothing outlives the program.
 """
 
 import asyncio
@@ -23,13 +23,13 @@ import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
 from ..files import as_path, write_whole
-from .access import below, new_token, refusal
-from .body import Shape
+from .access import below, new_token, refused_request
+from .body import DrawnShape
 
 HOST = "127.0.0.1"
 ROOT = "/meshcat/"
-MOST_GONE = 1000  # deleted paths remembered for a page that does not read
-SHADE = 0.86  # factor on colours: under the viewer's lights pure white shows no shape
+MOST_GONE = 1000  # At most this many deleted paths are remembered for a page that does not read.
+SHADE = 0.86  # Colours are multiplied by this, because under the viewer's lights pure white shows no shape.
 
 
 def _meshcat() -> Any:
@@ -61,10 +61,10 @@ def _command(command: dict[str, Any]) -> bytes:
 
 
 class Window:
-    """Contents of the drawing: commands by path, transforms for inspection, and the page's text (`about`)."""
+    """Contents of a drawing: commands by path, transforms for inspection, and the page's text (`about`)."""
 
     def __init__(self) -> None:
-        """Create an empty scene."""
+        """Start with an empty scene."""
         _meshcat()
         self.objects: dict[str, bytes] = {}
         self.copies: dict[str, bytes] = {}
@@ -87,7 +87,7 @@ class Window:
             for feed in self.feeds:
                 feed.changed(command["path"])
 
-    def shape(self, path: str, shape: Shape) -> None:
+    def shape(self, path: str, shape: DrawnShape) -> None:
         """Draw triangles at a path."""
         g = _meshcat().geometry
         material = g.MeshPhongMaterial(
@@ -100,7 +100,7 @@ class Window:
         self._keep(self.objects, {"type": "set_object", "path": path, "object": mesh.lower()})
 
     def points(self, path: str, points: np.ndarray, colors: np.ndarray, size: float) -> None:
-        """Draw a cloud: points (N, 3) [m], colors (N, 3) in 0..1, size [m]."""
+        """Draw a cloud of points (N, 3) [m] with colors (N, 3) in 0..1 and a size [m]."""
         g = _meshcat().geometry
         cloud = g.PointsGeometry(points.T.astype(np.float32), colors.T.astype(np.float32))
         self._keep(
@@ -139,7 +139,7 @@ class Window:
                 feed.told(about)
 
     def snapshot(self, paths: Container[str] | None = None) -> list[bytes]:
-        """All commands that rebuild the scene (of some paths only), in order."""
+        """Return the commands that draw the scene anew, or some of its paths only, in order."""
         with self.lock:
             return [
                 *(
@@ -159,11 +159,11 @@ class Window:
     def _page(self, body: str) -> str:
         files = importlib.resources.files("ik_toolkit.show")
         page = (files / "scene.html").read_text(encoding="utf-8")
-        # The title last, so that nothing inside a robot's name is replaced.
+        # The title is replaced last, so that a robot's name cannot contain a word that is replaced.
         return page.replace("/*@START@*/", body).replace("@TITLE@", html.escape(self.about["title"]))
 
     def html(self) -> str:
-        """The scene as one page that needs no network."""
+        """Return the scene as one page that needs no network."""
         blob = b"".join(len(d).to_bytes(4, "little") + d for d in self.snapshot())
         about = json.dumps(self.about).encode()
         return self._page(f'still("{_packed(viewer_script())}", "{_packed(blob)}", "{_packed(about)}");')
@@ -175,14 +175,17 @@ class Window:
         return self.server.url
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving the scene."""
         if self.server is not None:
             self.server.stop()
             self.server = None
 
 
 def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
-    """Write the output of `html` to a file, and return its path. Raises InvalidOption if the name does not end in .html."""
+    """Write the output of `html` to a file and return its path.
+
+    Raises InvalidOption if the name does not end in .html.
+    """
     file = as_path(path, "path")
     if file.suffix.lower() not in (".html", ".htm"):
         raise InvalidOption(f"{what} is written as .html, not '{file.suffix or file.name}'")
@@ -191,15 +194,16 @@ def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
 
 
 def viewer_script() -> bytes:
-    """Return the viewer script of the meshcat package (one file, no external addresses)."""
+    """Return the viewer script of the meshcat package, which is one file without external addresses."""
     _meshcat()
     return (importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js").read_bytes()
 
 
 class Feed:
-    """Updates not yet sent to one open page: which paths changed, not how often, so an unread page accumulates no frames.
+    """Updates not yet sent to one open page.
 
-    wake: called when there is an update. Callers of `changed`, `deleted` and `told` hold the window's lock.
+    It notes which paths changed, not how often, so an unread page accumulates no frames. `wake` is called when there is
+    an update. Callers of `changed`, `deleted` and `told` hold the window's lock.
     """
 
     def __init__(self, window: Window, wake: Callable[[], None]) -> None:
@@ -222,21 +226,21 @@ class Feed:
         self._news()
 
     def deleted(self, path: str) -> None:
-        """Note that a path and everything below it is gone."""
+        """Note that a path and everything below it is deleted."""
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
         self._gone.add(path)
-        if len(self._gone) > MOST_GONE:  # too many names: clear the page and redraw
+        if len(self._gone) > MOST_GONE:  # There are too many names, so the page is cleared and drawn anew.
             window = self.window
             self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
         self._news()
 
     def told(self, about: dict[str, Any]) -> None:
-        """Note a change of the page's text."""
+        """Note that the text or camera of the page has changed."""
         self._about.update(about)
         self._news()
 
     def take(self) -> list[bytes | str]:
-        """Messages that bring the page up to date."""
+        """Return the messages that bring the page up to date."""
         with self.window.lock:
             self._awake = False
             gone, paths, about = self._gone, self._paths, self._about
@@ -248,12 +252,12 @@ class Feed:
 class Server:
     """Serves one window from a daemon thread: page, script and a web socket below an unguessable path.
 
-    Bound to 127.0.0.1 only; requests from other sites are refused, and nothing is served without the token. The thread ends with
-    the process, even if that is killed.
+    It is bound to 127.0.0.1 only; requests from other sites are refused, and nothing is served without the token. The
+    thread ends with the process, even if that is killed.
     """
 
     def __init__(self, window: Window, port: int = 0) -> None:
-        """Start; port 0 takes a free one. Raises OSError if the port is taken."""
+        """Start the server; port 0 takes a free one. Raises OSError if the port is taken."""
         self.window = window
         self.token = new_token()
         self._socket = socket.create_server((HOST, port))
@@ -290,7 +294,7 @@ class Server:
 
 
 def handlers(window: Window) -> tuple[Any, Any, Any]:
-    """Page, script and web-socket handlers of a window (made here: tornado is imported only when serving)."""
+    """Make the page, script and web-socket handlers of a window; tornado is imported here, because only serving needs it."""
     import tornado.iostream
     import tornado.web
     import tornado.websocket
@@ -300,7 +304,7 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
             self.token = token
 
         def prepare(self) -> None:
-            if refusal(self.request.headers, HOST):
+            if refused_request(self.request.headers, HOST):
                 raise tornado.web.HTTPError(http.client.FORBIDDEN)
             if below(self.request.path, self.token) is None:
                 raise tornado.web.HTTPError(http.client.NOT_FOUND)
@@ -319,7 +323,7 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
             loop, news = asyncio.get_running_loop(), asyncio.Event()
 
             def wake() -> None:
-                with contextlib.suppress(RuntimeError):  # the server may have stopped in the meantime
+                with contextlib.suppress(RuntimeError):  # The server may have stopped in the meantime.
                     loop.call_soon_threadsafe(news.set)
 
             with window.lock:
@@ -333,7 +337,7 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
                     await news.wait()
                     news.clear()
                     for data in self.feed.take():
-                        # Waits until the page can take it.
+                        # The call waits until the page can take the message.
                         await self.write_message(data, binary=isinstance(data, bytes))
 
         def on_message(self, message: str | bytes) -> None:

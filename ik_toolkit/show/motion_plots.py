@@ -2,6 +2,7 @@
 trajectory.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,13 @@ from ..robot.joints import Joints
 from ..robot.pose import length
 from ..servo.result import TrackResult
 from ..style import COLOURS, DASHES, GREY, PALE
-from .plots import FLOOR, drawing, plain
+from .plots import FLOOR, drawing, literal_text
 
 COLUMNS = 5  # of the legend of the joints, at most
 
 
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
-    """Points (k, 3) [m] of base, joints and tip at q in the base frame: the arm as a polyline."""
+    """Return the points (k, 3) [m] of base, joints and tip at q in the base frame: the arm as a polyline."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
     pin.updateFramePlacements(robot.model, data)
@@ -30,7 +31,7 @@ def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
 
 
 def plot_track(result: TrackResult, robot: Joints) -> Any:
-    """Draw a run. Raises MissingExtra without matplotlib."""
+    """Draw a tracking run. Raises MissingExtra without matplotlib."""
     slowed = result.added_time > 0.0
     with drawing() as plt:
         figure = plt.figure(figsize=(10.5, 8.2 if slowed else 6.8), layout="constrained")
@@ -40,7 +41,9 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
         axes = [figure.add_subplot(right[0])]
         axes += [figure.add_subplot(right[i], sharex=axes[0]) for i in range(1, 3 + slowed)]
         _errors(axes[0], result)
-        _positions(axes[1], result, robot)
+        _joints(axes[1], robot, result.joint_names, result.t, result.q, [])
+        axes[1].set_ylim(-1.15, 1.15)
+        axes[1].set_title("joint positions between their limits", loc="left")
         _speeds(axes[2], result, robot)
         if slowed:
             _clock(axes[3], result)
@@ -55,7 +58,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
             legend.remove()
         settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
         figure.suptitle(
-            plain(
+            literal_text(
                 f"{result.robot}: {result.method}{' (' + settings + ')' if settings else ''}, {1 / result.dt:.4g} Hz: "
                 f"{result.status.name.lower()}"
             ),
@@ -121,50 +124,36 @@ def _clock(ax: Any, result: TrackResult) -> None:
     ax.stairs(result.sigma, result.t, color=COLOURS[0], lw=1.3)
     ax.set_ylim(0.0, 1.05)
     joint = result.pace_joint
-    pace = f", limited by {plain(joint)}" if joint else ""
+    pace = f", limited by {literal_text(joint)}" if joint else ""
     ax.set_title(f"clock rate: {result.added_time:.3g} s added to {result.clock[-1]:.4g} s{pace}", loc="left")
-
-
-def _positions(ax: Any, result: TrackResult, robot: Joints) -> None:
-    bounded = np.isfinite(robot.upper - robot.lower)
-    lower, upper = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
-    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    for i, name in enumerate(result.joint_names):
-        shown = (result.q[:, i] - middle[i]) / half[i]
-        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=plain(name), ls=DASHES[i // 8 % 8])
-    for edge in (-1, 1):
-        ax.axhline(edge, color=GREY, lw=0.8)
-    ax.set_ylim(-1.15, 1.15)
-    ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
-    ax.set_title("joint positions between their limits", loc="left")
 
 
 def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
     limit = np.where(robot.velocity_limits > 0, robot.velocity_limits, np.inf)
     bounded = bool(np.isfinite(limit).all())
     speed = np.diff(result.q, axis=0) / result.dt
-    for i, name in enumerate(result.joint_names):
-        values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
-        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls=DASHES[i // 8 % 8], label=plain(name))
+    _lines(ax, result.t[1:], 100.0 * speed / limit if bounded else speed, result.joint_names)
     ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
 
 
 def plot_motion(what: Any) -> Any:
-    """Draw a PathResult or a Trajectory. Raises MissingExtra."""
+    """Draw a PathResult or a Trajectory. Raises MissingExtra without matplotlib."""
     timed = hasattr(what, "dq")
     with drawing() as plt:
         figure, axes = plt.subplots(
             3 if timed else 2, 1, figsize=(8.6, 7.2 if timed else 5.6), sharex=True, layout="constrained"
         )
         x = what.t if timed else what.at
-        _joints(axes[0], what.robot, x, what.q if timed else what.curve, [] if timed else _breaks(what))
+        breaks = [] if timed else [one.index + 0.5 for one in what.reconfigurations]
+        _joints(axes[0], what.robot, what.robot.joint_names, x, what.q if timed else what.curve, breaks)
+        axes[0].set_title("joints between their limits" + (" (dotted: the branch changes)" if breaks else ""))
         if timed:
             free = np.isnan(what.place)
             for ax, values, limit, title in (
                 (axes[1], what.dq, what.velocity, "joint speeds [% of the limit]"),
                 (axes[2], what.ddq, what.acceleration, "joint accelerations [% of the limit]"),
             ):
-                _lines(ax, x, 100.0 * values / limit, what.robot)
+                _lines(ax, x, 100.0 * values / limit, what.robot.joint_names)
                 ax.set_title(title)
                 ax.set_ylim(-112.0, 112.0)
                 ax.axhline(100.0, color=GREY, lw=0.8)
@@ -178,34 +167,31 @@ def plot_motion(what: Any) -> Any:
             axes[-1].set_xlabel("pose")
             title = f"{what.robot.name}: {what.status.name}, {len(what.q)} poses, length {what.length[0]:.4g} rad"
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize=8)
-        figure.suptitle(plain(title), x=0.01, ha="left", fontweight="bold")
+        figure.suptitle(literal_text(title), x=0.01, ha="left", fontweight="bold")
         return figure
 
 
-def _breaks(result: Any) -> list[float]:
-    return [one.index + 0.5 for one in result.reconfigurations]
+def _lines(ax: Any, x: np.ndarray, values: np.ndarray, names: Sequence[str]) -> None:
+    for i, name in enumerate(names):
+        ax.plot(x, values[:, i], color=COLOURS[i % 8], ls=DASHES[i // 8 % 8], lw=1.3, label=literal_text(name))
 
 
-def _lines(ax: Any, x: np.ndarray, values: np.ndarray, robot: Joints) -> None:
-    for i, name in enumerate(robot.joint_names):
-        ax.plot(x, values[:, i], color=COLOURS[i % 8], ls=DASHES[i // 8 % 8], lw=1.3, label=plain(name))
-
-
-def _joints(ax: Any, robot: Joints, x: np.ndarray, Q: np.ndarray, breaks: list[float]) -> None:
-    """Draw joints relative to their limits; those without limits in half turns."""
-    bounded = np.isfinite(robot.lower + robot.upper)
+def _joints(
+    ax: Any, robot: Joints, names: Sequence[str], x: np.ndarray, Q: np.ndarray, breaks: Sequence[float]
+) -> None:
+    """Draw joints relative to their limits, and those without limits in half turns."""
+    bounded = np.isfinite(robot.upper - robot.lower)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
     for k in breaks:  # no line across a change of branch
         after = int(np.searchsorted(x, k))
         x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
-    _lines(ax, x, shown, robot)
+    _lines(ax, x, shown, names)
     for edge in (-1, 1):
         ax.axhline(edge, color=GREY, lw=0.8)
     for k in breaks:
         ax.axvline(k, color=GREY, lw=0.9, ls=":")
     ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
-    ax.set_title("joints between their limits" + (" (dotted: the branch changes)" if breaks else ""))
 
 
 def _deviation(ax: Any, result: Any) -> None:

@@ -1,4 +1,4 @@
-"""`ik.plot`: a chart of any result in one call, with the figures of studies (benchmarks, tuning, workspaces)."""
+"""`ik.plot`: draws a chart of any result in one call, also of studies (benchmarks, tuning, workspaces)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,17 +19,28 @@ from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
 from .motion_plots import plot_motion, plot_track, skeleton
-from .plots import SUFFIXES, convergence, drawing, plain, save, tracking_errors
+from .plots import SUFFIXES, convergence, drawing, literal_text, save, tracking_errors
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:
-    """Chart of a result as a matplotlib Figure, shown by a notebook cell that ends with it.
+    """Draw a chart of any result as a matplotlib Figure, which a notebook cell that ends with it shows.
 
-    what: a Result with history, or a dict label -> Result (error at every evaluation); a TrackResult (with robot), or a dict
-    label -> TrackResult (their errors); a PathResult or Trajectory (joints, speeds, bounds); a Benchmark; a TuneResult; a
-    Workspace (with robot); or, with robot, a configuration q (n,) or a dict label -> q: the arm as lines from the side and
-    from above, with a target (pose or position [m]) as a cross. file: also write it (.png, .pdf, .svg). Raises InvalidOption,
-    InvalidConfiguration, InvalidTarget, MissingExtra.
+    Args:
+        what: A Result with history, or a dict label -> Result, for the error at every evaluation; a TrackResult, or a
+            dict label -> TrackResult for their errors; a PathResult or Trajectory for joints, speeds and bounds; a
+            Benchmark, TuneResult or Workspace; a configuration q (n,) [rad or m] or a dict label -> q for the arm as
+            lines from the side and from above.
+        robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
+        target: Pose or position [m] in the base frame, drawn as a cross beside configurations.
+        file: File to which the chart is also written (.png, .pdf, .svg).
+
+    Returns:
+        The Figure.
+
+    Raises:
+        InvalidOption: There is no chart for this, the robot is missing, or the file has another suffix.
+        InvalidConfiguration, InvalidTarget: A configuration or the target is wrong.
+        MissingExtra: matplotlib is not installed.
     """
     if isinstance(robot, str | Path):
         meant = (
@@ -56,7 +67,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     else:
         figure = postures(what, _needed(robot, "configurations"), target)
     if file is not None:
-        with drawing():  # keeps text as text in an .svg
+        with drawing():  # The style keeps text as text in an .svg.
             save(figure, file)
     return figure
 
@@ -69,7 +80,7 @@ def _needed(robot: Joints | None, what: str) -> Joints:
 
 
 def postures(q: Any, robot: Joints, target: Any = None) -> Any:
-    """Draw the arm as lines through its joints at q (n,), or at each q of a dict label -> q, from the side and from above."""
+    """Draw the arm at q (n,) [rad or m], or at each q of a dict label -> q, as lines from the side and from above."""
     named = {str(label): one for label, one in q.items()} if isinstance(q, Mapping) else {"": q}
     with drawing() as plt:
         figure, axes = plt.subplots(1, 2, figsize=(8.2, 3.6), layout="constrained")
@@ -78,7 +89,7 @@ def postures(q: Any, robot: Joints, target: Any = None) -> Any:
             arms = [skeleton(arm, one[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
             for axis, keep in zip(axes, ((0, 2), (0, 1)), strict=True):
                 for number, points in enumerate(arms):
-                    name = plain(label) if not number and label else None
+                    name = literal_text(label) if not number and label else None
                     axis.plot(*points[:, keep].T, "o-", color=COLOURS[k % 8], lw=2.4, ms=4, label=name)
         for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
             if target is not None:
@@ -94,9 +105,9 @@ def postures(q: Any, robot: Joints, target: Any = None) -> Any:
 
 
 def plot_benchmark(found: Benchmark) -> Any:
-    """Draw, one row per robot, the success rate with its 95 % interval, and the share of targets solved over time."""
+    """Draw, one row for each robot, the success rate with its 95 % interval, and the share of targets solved over time."""
     robots = found.by_robot()
-    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # each solver has the same colour everywhere
+    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # A solver has the same colour everywhere.
     with drawing() as plt:
         height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
         figure, axes = plt.subplots(len(robots), 2, figsize=(9.0, height), layout="constrained", squeeze=False)
@@ -109,9 +120,11 @@ def plot_benchmark(found: Benchmark) -> Any:
                 seconds = np.append(np.sort(row.seconds[: row.solved]), row.seconds.max())
                 share = 100.0 * np.append(np.arange(1, row.solved + 1), row.solved) / row.targets
                 times.step(1e6 * seconds, share, where="post", **style)
-            bars.set_yticks(-np.arange(len(rows)), [plain(row.solver) for row in rows])
+            bars.set_yticks(-np.arange(len(rows)), [literal_text(row.solver) for row in rows])
             bars.grid(False, axis="y")
-            bars.set(xlim=(0, 102), title=plain(f"{robot}: targets solved, 95 % interval"), xlabel="of 100 targets")
+            bars.set(
+                xlim=(0, 102), title=literal_text(f"{robot}: targets solved, 95 % interval"), xlabel="of 100 targets"
+            )
             times.set(
                 xscale="log",
                 ylim=(0, 102),
@@ -122,12 +135,12 @@ def plot_benchmark(found: Benchmark) -> Any:
         return figure
 
 
-LEAST_RATE = 1.0  # [%] least end of a map's colour scale, when hardly anything fails
-MARKED = 200  # most failures that are marked individually
+LEAST_RATE = 1.0  # Least end [%] of a map's colour scale, for when hardly anything fails.
+MARKED = 200  # At most this many failures are marked individually.
 
 
 def plot_tuning(result: TuneResult) -> Any:
-    """Draw cost over generations, with the held-out result in the title."""
+    """Draw the cost over generations, with the held-out result in the title."""
     with drawing() as plt:
         figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
         generation = np.arange(1, len(result.history) + 1)
@@ -137,7 +150,9 @@ def plot_tuning(result: TuneResult) -> Any:
         axis.set(xlabel="generation", ylabel="cost (1 = all targets fail)")
         low, high = result.held_out.interval
         axis.set_title(
-            plain(f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n")
+            literal_text(
+                f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n"
+            )
             + f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out targets after"
         )
         axis.legend(loc="upper right")
@@ -147,7 +162,8 @@ def plot_tuning(result: TuneResult) -> Any:
 def plot_workspace(found: Workspace, robot: Joints) -> Any:
     """Draw, for each solver, the failure rate seen from above and from the side; failures are marked if they are few.
 
-    The scale ends at the largest rate of any cell, so that rare failures are visible. The robot is drawn at home for reference.
+    The scale ends at the largest rate of any cell, so that rare failures are visible. The robot is drawn at home for
+    reference.
     """
     arms = [skeleton(arm, robot.home[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
     with drawing() as plt:
@@ -170,10 +186,11 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
                 bad = found.failures[name] if outcome.targets - outcome.solved <= MARKED else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
-            row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
+            row[0].set_title(f"{literal_text(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
         for one in drawn:
-            one.set_clim(-0.15 * worst, worst)  # zero failures are pale, not white: white means no target
+            # Cells with zero failures are pale, because white means that there is no target.
+            one.set_clim(-0.15 * worst, worst)
         figure.colorbar(
             image,
             ax=axes,

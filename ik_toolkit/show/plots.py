@@ -13,7 +13,6 @@ import numpy as np
 from ..errors import InvalidOption, MissingExtra
 from ..files import as_path, whole_file
 from ..style import COLOURS, DASHES, GREY, STYLE
-from .attempts import attempts
 
 FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
@@ -21,7 +20,7 @@ SUFFIXES = (".png", ".pdf", ".svg")
 
 @contextmanager
 def drawing(style: Any = STYLE) -> Iterator[Any]:
-    """Matplotlib's pyplot in our style; figures made inside are not kept open. Raises MissingExtra."""
+    """Yield matplotlib's pyplot in our style; figures made inside are not kept open. Raises MissingExtra."""
     try:
         import matplotlib.pyplot as plt
     except ImportError:
@@ -39,7 +38,7 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
         plt.ion() if interactive else plt.ioff()
 
 
-def plain(text: str) -> str:
+def literal_text(text: str) -> str:
     """Escape text so that matplotlib draws it literally: text between two dollar signs would be typeset as a formula."""
     return text.replace("$", r"\$")
 
@@ -55,12 +54,12 @@ def save(figure: Any, path: str | Path) -> Path:
 
 
 def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -> Any:
-    """Error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
+    """Draw the error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
 
-    runs: a Result with history, its history, or a dict label -> either. Draws the attempt that found the result, up to it:
-    position [m] as a solid line, orientation [rad] dashed; the other attempts thin and grey, each from its own start. Labels and
-    title are drawn literally, never as formulas. tolerance [m, rad]: drawn as a line. Raises InvalidOption for a result without
-    history.
+    The attempt that found the result is drawn up to it, the position [m] as a solid line, the orientation [rad] dashed;
+    the other attempts are thin and grey. runs is a Result with history, its history, or a dict label -> either. Labels
+    and title are drawn literally, never as formulas. tolerance [m, rad] is drawn as a line. Raises InvalidOption for a
+    result without history.
     """
     named = _named(runs)
     with drawing() as plt:
@@ -84,18 +83,47 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
             axis.xaxis.get_major_locator().set_params(integer=True)
-            axis.set(xlabel="evaluation", title=plain(f"{label}: {len(position) - 1} steps") if label else "")
+            axis.set(xlabel="evaluation", title=literal_text(f"{label}: {len(position) - 1} steps") if label else "")
         axes[0, 0].set_ylabel("error (log scale)")
         axes[0, 0].legend(loc="best", fontsize=8)
         _title(figure, title)
     return figure
 
 
-def tracking_errors(runs: Any, *, title: str = "") -> Any:
-    """Position and orientation error over time of one or several tracking runs, on logarithmic scales.
+def attempts(history: Mapping[str, Any], q: Any = None) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the rows of the winning attempt, up to its result, and those of each other attempt.
 
-    runs: a TrackResult or a dict label -> TrackResult.
+    If the result q (n,) is not among the rows because it was refined, the last row is used instead, and without q the
+    row with the smallest position error. A history without the column `attempt` is one attempt.
     """
+    error = np.asarray(history["position_error"], dtype=float)
+    number = np.asarray(history.get("attempt", np.zeros(len(error), dtype=int)))
+    rows = np.arange(len(error))
+    if q is None:
+        answer = int(np.argmin(error))
+    else:
+        same = np.flatnonzero((np.asarray(history["q"]) == q).all(axis=1))
+        answer = int(same[-1]) if len(same) else len(error) - 1
+    won = number[answer]
+    others = [rows[number == one] for one in np.unique(number[number >= 0]) if one != won]
+    return rows[(number == won) & (rows <= answer)], others
+
+
+def iterates(result: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Return joint values (N, n), position errors [m] and angles [rad] of the winning attempt of a Result with history.
+
+    They end at the result; an angle that does not count is NaN. The last value lists the rows of the other attempts.
+    """
+    won, others = attempts(result.history, result.q)
+    Q, position, angle = (np.asarray(result.history[key])[won] for key in ("q", "position_error", "orientation_error"))
+    if not np.array_equal(Q[-1], result.q):  # refined after the search
+        Q, position = np.vstack([Q, result.q]), np.append(position, result.position_error)
+        angle = np.append(angle, np.nan if result.orientation_error is None else result.orientation_error)
+    return Q, position, angle, others
+
+
+def tracking_errors(runs: Any, *, title: str = "") -> Any:
+    """Draw position and orientation error over time of a TrackResult, or a dict label -> TrackResult, on logarithmic scales."""
     named = runs if isinstance(runs, Mapping) else {getattr(runs, "method", ""): runs}
     turning = [run.orientation_error is not None for run in named.values()]
     with drawing() as plt:
@@ -109,7 +137,7 @@ def tracking_errors(runs: Any, *, title: str = "") -> Any:
         )
         for k, (label, run) in enumerate(named.items()):
             style = {"color": COLOURS[k % 8], "ls": DASHES[k % 8], "lw": 1.3}
-            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=plain(label), **style)
+            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=literal_text(label), **style)
             if run.orientation_error is not None:
                 axes[1, 0].semilogy(run.t, np.maximum(run.orientation_error, FLOOR), **style)
         axes[0, 0].set_ylabel("position error [m]")
@@ -121,50 +149,13 @@ def tracking_errors(runs: Any, *, title: str = "") -> Any:
     return figure
 
 
-def bars(
-    values: Mapping[str, float],
-    intervals: Mapping[str, tuple[float, float]] | None = None,
-    *,
-    unit: str,
-    log: bool = False,
-    title: str = "",
-) -> Any:
-    """Horizontal bars with intervals and numbers, in the given order (for benchmarks).
-
-    values: label -> value; intervals: label -> (low, high), drawn as a whisker; unit: axis label.
-    """
-    names = list(values)
-    x = np.array([values[name] for name in names], dtype=float)
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(6.4, 0.9 + 0.36 * len(names)), layout="constrained")
-        place = np.arange(len(names))[::-1]
-        axis.barh(place, x, color=COLOURS[5], height=0.62)
-        ends = x.copy()
-        for k, name in enumerate(names):
-            if intervals and name in intervals:
-                low, high = intervals[name]
-                axis.plot([low, high], [place[k]] * 2, color="black", lw=1.2, marker="|", ms=6)
-                ends[k] = max(ends[k], high)
-        if log:
-            axis.set_xscale("log")
-        for at, value, end in zip(place, x, ends, strict=True):
-            axis.annotate(f"{value:.4g}", (end, at), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
-        axis.set_yticks(place, [plain(name) for name in names])
-        axis.grid(False, axis="y")
-        axis.tick_params(axis="y", length=0)
-        axis.margins(x=0.14)
-        axis.set_xlabel(unit)
-        _title(figure, title)
-    return figure
-
-
 def _title(figure: Any, text: str) -> None:
     if text:
-        figure.suptitle(plain(text), x=0.01, ha="left", fontweight="bold", fontsize=10)
+        figure.suptitle(literal_text(text), x=0.01, ha="left", fontweight="bold", fontsize=10)
 
 
 def _named(runs: Any) -> dict[str, tuple[Any, Any]]:
-    """Label -> history and result q (None if unknown), from anything `convergence` accepts."""
+    """Map each label to a history and the result q (None if unknown), from anything `convergence` accepts."""
     single = not isinstance(runs, Mapping) or "position_error" in runs
     named = {getattr(runs, "solver", ""): runs} if single else dict(runs)
     if not named:

@@ -12,32 +12,31 @@ from ..copying import Unique
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
-from .animation import animate, motion_of
-from .attempts import iterates
-from .body import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
+from .animation import MAX_FRAMES, SLATE, animate, motion_of
+from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
+from .plots import iterates
 
 # Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
-YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
+YELLOW, SKY, RED = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15)
 TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # of several tips
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
 FAR = 3.0  # extents; a target farther away is drawn but does not shrink the picture
-MAX_FRAMES = 400  # per animation; a longer run is thinned out
 BETWEEN = 6  # frames between two iterates, so that the eye can follow
 MAX_GHOSTS = 12
 
 
 def css(color: Sequence[float]) -> str:
-    """Colour of a page for (r, g, b) in 0..1."""
+    """Return the colour of a page for (r, g, b) in 0..1."""
     return "#" + "".join(f"{round(255 * c):02x}" for c in color)
 
 
 class Scene(Unique):
     """The drawing of one robot. Poses are in the robot's base axes [m], joint values as in `robot`.
 
-    title; lines (text on the page). `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.
+    `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.
     """
 
     def __init__(self, robot: Joints, title: str | None = None) -> None:
@@ -114,7 +113,7 @@ class Scene(Unique):
             shapes += [(shaft, color), (cone, color)]
         self.window.delete(name)
         for k, (mesh, color) in enumerate(shapes):
-            self.window.shape(f"{name}/{k}", Shape(*smooth(mesh, size), color))
+            self.window.shape(f"{name}/{k}", DrawnShape(*split_sharp_edges(mesh, size), color))
         self.move(T, name)
         point = (self.body.T_world_base @ T)[:3, 3]
         if self._corners and np.linalg.norm(point - np.mean(self._corners, axis=(0, 1))) > FAR * self._extent():
@@ -131,7 +130,7 @@ class Scene(Unique):
         self.window.say(names=self._names)
 
     def move(self, T_base: np.ndarray, name: str = "target") -> None:
-        """Move a drawn frame to another pose (4, 4)."""
+        """Move a drawn frame to another pose (4, 4) [m]."""
         self.window.place(name, self.body.T_world_base @ T_base)
 
     def trail(
@@ -142,7 +141,7 @@ class Scene(Unique):
         radius: float | None = None,
         label: str = "",
     ) -> None:
-        """Draw the tip path: points (N, 3) [m]."""
+        """Draw the path of a tip through points (N, 3) [m]."""
         P = self._world(points)
         self.window.delete(name)
         self.window.shape(name, tube(P, radius or 0.005 * self._extent(), color))
@@ -151,7 +150,7 @@ class Scene(Unique):
             self._say(css(color), label)
 
     def cloud(self, points: Any, success: Any = None, name: str = "cloud", size: float | None = None) -> None:
-        """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not)."""
+        """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not reached)."""
         P = self._world(points)
         good = np.ones(len(P), dtype=bool) if success is None else np.asarray(success, dtype=bool)
         if good.shape != (len(P),):
@@ -190,10 +189,9 @@ class Scene(Unique):
         )
 
     def converge(self, result: Any) -> None:
-        """Animate a solve: the iterates of the attempt that found the result, ending there.
+        """Animate a solve, a Result with history: the iterates of the attempt that found the result, ending there.
 
-        Also draws the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey. result: a Result
-        with history.
+        Also drawn are the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey.
         """
         Q, position, angle, others = iterates(result)
         rows = np.unique(np.linspace(0, len(Q) - 1, min(len(Q), MAX_FRAMES)).astype(int))
@@ -239,7 +237,7 @@ class Scene(Unique):
         self.window.say(lines=[*notice, *lines])
 
     def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
-        """Aim the camera [m], world axes; without arguments, at everything drawn so far."""
+        """Aim the camera from `eye` at `target` [m], world axes; without arguments it sees everything drawn so far."""
         box = np.array([np.min([c[0] for c in self._corners], axis=0), np.max([c[1] for c in self._corners], axis=0)])
         centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
         to = centre if target is None else np.asarray(target, dtype=float)
@@ -254,7 +252,7 @@ class Scene(Unique):
         self.window.say(legend=[*self._legend, grid])
 
     def html(self) -> str:
-        """The scene as one self-contained page: a single file that needs no network and opens from disk."""
+        """Return the scene as one self-contained page: a single file that needs no network and opens from disk."""
         if self.window.about["camera"] is None:
             self.look()
         return self.window.html()
@@ -266,7 +264,7 @@ class Scene(Unique):
     def page(self, path: str | Path) -> Path:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
 
-        Anything else in the scene (a result, ghosts, a cloud) is left out. Raises InvalidOption if the name does not end in .html.
+        A result, ghosts or a cloud are left out. Raises InvalidOption if the name does not end in .html.
         """
         from .live_page import page_html
 
@@ -279,20 +277,17 @@ class Scene(Unique):
         return self.window.serve(port)
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving the scene."""
         self.window.close()
 
     def _repr_html_(self) -> str:
-        """Notebook cell: embeds the whole page, so that it lives as long as the notebook."""
+        """Return the output of a notebook cell, which embeds the whole page so that it lives as long as the notebook."""
         page = html.escape(self.html(), quote=True)
         return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
 
     # ---------------------------------------------------------------------------------------------- for inspection
     def drawn(self) -> dict[str, np.ndarray]:
-        """World pose (4, 4) of everything drawn: 'robot/<part>', 'ghost_1/<part>', 'target', ...
-
-        Trails and clouds are already in world axes: identity.
-        """
+        """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
         found = {path: T.copy() for path, T in self.window.transforms.items()}
         for path in self.window.objects:
             if path.startswith(("trail", "path")) or path == "cloud":
@@ -305,7 +300,7 @@ class Scene(Unique):
         return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
 
     def _tips(self, q: np.ndarray) -> np.ndarray:
-        """Positions (tips, 3) [m] of the tips in base axes."""
+        """Return the positions (tips, 3) [m] of the tips in base axes."""
         world = self.body.tips(q)[:, :3, 3]
         base = self.body.T_world_base
         return (world - base[:3, 3]) @ base[:3, :3]
@@ -324,12 +319,22 @@ class Scene(Unique):
 
 
 def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
-    """Scene of a robot: at home, at q (n,), as a Result, TrackResult, PathResult, Trajectory, Solutions, or a list of q (ghosts).
+    """Show a robot in 3-D: at home, at a configuration, or with a result.
 
-    target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair (points,
-    success). A Result solved with history=True becomes an animation of the solve. The scene displays itself in a notebook cell;
-    `.save("x.html")` writes one file, `.page("x.html")` a page that includes the solvers, `.serve()` serves it to a browser.
-    Raises InvalidConfiguration, InvalidTarget, InvalidOption, MissingExtra.
+    A notebook cell displays the Scene; `.save("x.html")` writes one file, `.page("x.html")` a page that includes the
+    solvers, and `.serve()` serves it to a browser.
+
+    Args:
+        robot: The Robot or Tree.
+        what: A configuration q (n,) [rad or m], several of them, or a Result (animated if solved with history=True),
+            Solutions, TrackResult, PathResult or Trajectory; home by default.
+        target: Pose or position [m] in the base frame to mark; for a Tree by tip, or in the order of its tips.
+        cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
+        title: Title of the page, by default the robot's name.
+
+    Raises:
+        InvalidConfiguration, InvalidTarget, InvalidOption: An argument does not fit the robot.
+        MissingExtra: meshcat or trimesh is not installed.
     """
     scene = Scene(robot, title)
     run, motion = hasattr(what, "target_xyz"), motion_of(what)
@@ -362,7 +367,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         scene.say(f"{what.solver}: {what.status.name}", what.message)
     if target is not None:
         size = 0.14 * scene._extent()
-        for k, (tip, T) in enumerate(_by_tip(robot, target).items()):
+        for k, (tip, T) in enumerate(_each(robot, target).items()):
             scene.frame(T, numbered("target", k), size, label="" if k else "targets" if len(tips) > 1 else "target")
             if len(tips) > 1:
                 scene.name(numbered("target", k), f"target of {tip}")
@@ -374,12 +379,12 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
 
 
 def numbered(word: str, k: int) -> str:
-    """Scene path for tip k: the bare word for the first."""
+    """Return the scene path for tip k, which is the bare word for the first tip."""
     return f"{word}{k + 1 if k else ''}"
 
 
-def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
-    """Targets by tip, from a dict, a list in the order of the tips, or a single one. Raises FrameNotFound, InvalidTarget."""
+def _each(robot: Joints, target: Any) -> dict[str, Any]:
+    """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
     if isinstance(target, Mapping):
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
@@ -391,7 +396,7 @@ def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
 
 
 def _rows(robot: Joints, what: Any) -> np.ndarray:
-    """Configurations (N, n) from q, several q, or several results."""
+    """Return configurations (N, n) from q, several q, or several results."""
     if isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what):
         return np.array([robot.check_q(getattr(item, "q", item)) for item in what]).reshape(-1, robot.n)
     if np.ndim(what) == 2:

@@ -1,4 +1,4 @@
-"""When a closed form has no answer, the search runs: it may find one; if not, the best configuration is returned."""
+"""Runs the search if a closed form has no answer: it may find one; otherwise the best configuration is returned."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,28 +10,29 @@ from ..kernel.records import ANSWER, AT, HEAD, ORDER
 from .options import PLAIN
 from .status import SEARCHED
 
-STARTS, STEPS = 64, 24  # of the last search, which is for the tolerances
+STARTS, STEPS = 64, 24  # Number of starts of the last search, which is for the tolerances, and of its steps.
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
 def error_size(rows: np.ndarray, scale: float) -> np.ndarray:
-    """Squared error (N,) of result rows (N, ANSWER + n) as the search measures it: lengths over the scale, chords of angles."""
+    """Return the squared error (N,) of result rows (N, ANSWER + n) as the search measures it, with lengths over the scale."""
     return (rows[:, AT.position] / scale) ** 2 + (2.0 * np.sin(0.5 * rows[:, AT.rotation])) ** 2
 
 
 def with_search(plan: Any, closed: Callable) -> Callable:
-    """Loop of the kernel's signature (see kernel.search.entry): the closed form, and the search for the rows it does not solve.
+    """Make a loop of the kernel's signature (see kernel.search.entry) of a closed form and the search for rows it does not solve.
 
-    plan: that of the closed form; the search gets its options, and keeps joints where the closed form holds them. It begins as
-    usual, and then once where the closed form ended. A row that is not solved either way keeps the closed form's status, unless
-    that is STALLED: then it proves nothing, and the search gives the status. Its q is the best of all.
+    `plan` is that of the closed form; the search gets its options, and holds joints where the closed form holds them.
+    It begins as usual, and then once where the closed form ended. A row that is not solved either way keeps the closed
+    form's status, unless that is STALLED, which proves nothing: then the search gives the status. Its q is the best of
+    all.
     """
     robot = plan.robot
     silent = np.empty((0, 2 + robot.n))
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
-        """The search, the same for one attempt, and the joints they hold; made when first needed."""
+        """Return the search, the same for one attempt, and the joints they hold; they are made when first needed."""
         if not made:
             options = dict(PLAIN)
             held = plan.rule.held(robot)
@@ -46,7 +47,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 
     def loop(_, T, Q0, flat, opt) -> None:
         rows, ends, seeds, feat = plan.chain
-        if len(flat) == plan.width:  # one target, and no history: the hot path
+        if len(flat) == plan.width:  # One target without history is the case that must be fast.
             out, hist = flat[None], silent
         else:
             filled = len(T) * plan.width
@@ -62,11 +63,11 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         for joint, value in held.items():
             start[:, joint] = value
         if plan.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
-            return  # a joint is held where the limits forbid it: there is nothing else to find
+            return  # A joint is held where the limits forbid it, so there is nothing else to find.
         ended = np.array(out[failed, ANSWER:])
         kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of the history; with more there is none.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form always gets a start
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # A closed form always gets a start.
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
@@ -83,7 +84,7 @@ def into_tolerances(
 ) -> None:
     """Search once more with errors counted in units of their tolerances: a loose one may be met away from the least error.
 
-    From the best configuration found, and from STARTS others.
+    The search begins at the best configuration found, and at STARTS others.
     """
     from .closed_form.polish import first_good
 
@@ -110,10 +111,10 @@ def continue_with(
     out: np.ndarray,
     hist: np.ndarray,
 ) -> np.ndarray:
-    """Search targets T (M, 4, 4), the rows `failed` (M,) of out (N, ANSWER + n), from start (1 or M, n); tell which stay unsolved.
+    """Search targets T (M, 4, 4), the rows `failed` (M,) of out (N, ANSWER + n), from start (1 or M, n).
 
-    how: kinds of target, and whether the starts are given (see Plan.run). Where evaluations are limited, each row is searched with
-    what it has left of them.
+    `how` has the kinds of target, and whether the starts are given (see Plan.run). If evaluations are limited, each row
+    is searched with what it has left of them. Returns which rows (M,) stay unsolved.
     """
     budget, still = search.options.budget, np.ones(len(failed), dtype=bool)
     every = np.arange(len(failed))
@@ -127,7 +128,7 @@ def continue_with(
                 continue
             plan = search.varied(max_evaluations=left)
         found, starts = np.zeros((len(rows), out.shape[1])), start if len(start) == 1 else start[some]
-        if len(hist):  # one target alone
+        if len(hist):  # There is one target alone.
             found[0], noted = plan.note(T, start, plan.ready(how[0], start, how[1]), len(hist))
             hist[: len(noted)] = noted
         else:
@@ -138,7 +139,7 @@ def continue_with(
 
 
 def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, scale: float) -> None:
-    """Put into the rows `failed` of out (N, ANSWER + n) what the search found (len(failed), ANSWER + n): see `with_search`."""
+    """Write what the search found (len(failed), ANSWER + n) into the rows `failed` of out (N, ANSWER + n), see `with_search`."""
     rows = out[failed]
     counts = rows[:, COUNTS] + found[:, COUNTS]
     solved = found[:, AT.status] == CONVERGED

@@ -1,4 +1,4 @@
-"""Collision-free solutions: when a solver's answer collides, the search continues from other starts."""
+"""Finds collision-free solutions: if a solver's answer collides, the search continues from other starts."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -13,15 +13,16 @@ from ..robot.geometry.collision import CollisionModel
 from .options import AVOID, PLAIN, avoided
 from .status import Status
 
-STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
-ROUND = 16  # starts in one call of the kernel
+STARTS = 256  # Number of random starts that are tried before giving up, unless restarts= says otherwise.
+ROUND = 16  # Number of starts in one call of the kernel.
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 
 def collision_model(robot: Any, asked: Any) -> CollisionModel:
-    """What `avoid_collisions` stands for: a model made for this robot, for True (or a margin [m]) one with its own links only.
+    """Return the collision model that `avoid_collisions` asks for: the given one, which must be of this robot, or one of its links.
 
-    A variant with narrower limits has the same shapes and pairs, so it shares those of its robot.
+    True, or a margin [m], asks for a model of the robot's own links. A variant with narrower limits has the same shapes
+    and pairs, so it shares the model of its robot.
     """
     found = avoided(asked)
     if isinstance(found, CollisionModel):
@@ -40,11 +41,11 @@ def collision_model(robot: Any, asked: Any) -> CollisionModel:
 
 
 def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any], Any]:
-    """Step that replaces a converged answer that collides by one that does not, and then improves it where that stays free.
+    """Make a step that replaces a converged answer that collides by one that does not, and then improves it.
 
-    Random starts are solved ROUND at a time, and of each round the solution nearest the start that touches nothing is taken
-    (with `closest` of all starts). The counts are those of all starts; without a free solution the status is COLLISION. then:
-    steps that improve a free answer; a step that causes a contact is undone.
+    Random starts are solved ROUND at a time, and of each round the solution nearest the start that touches nothing is
+    taken (with `closest` of all starts). The counts are those of all starts; without a free solution the status is
+    COLLISION. `then` has steps that improve a free answer; a step that causes a contact is undone.
     """
     model = collision_model(plan.robot, plan.options.avoid_collisions)
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
@@ -65,7 +66,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
 
 
 def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarray:
-    """Rows of the attempts from Q0 (m, n): all of them at once, or one after the other until the evaluations are used up."""
+    """Return the rows of attempts from Q0 (m, n): all at once, or one after another until the evaluations are used up."""
     out = np.empty((len(Q0), len(outcome.row)))
     if budget == np.inf:
         single.run(np.repeat(outcome.T, len(Q0), axis=0), outcome.kinds, Q0, True, out)
@@ -79,7 +80,7 @@ def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarra
 
 
 def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
-    """Outcome with a solution that touches nothing, or with the pair that touches and the status COLLISION."""
+    """Return the outcome with a solution that touches nothing, or with the pair that touches and the status COLLISION."""
     o, robot, row = outcome.plan.options, single.robot, outcome.row.copy()
     q = slice(ANSWER, ANSWER + robot.n)
     left = 0 if o.follow else STARTS if o.restarts is None else o.restarts

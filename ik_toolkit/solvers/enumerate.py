@@ -1,13 +1,13 @@
-"""Distinct solutions by search: one attempt from each of many starts, equal answers merged."""
+"""Finds distinct solutions by search: one attempt from each of many starts, with equal answers merged."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..kernel.checks import CONVERGED
 from ..kernel.records import ANSWER, AT
 from .closed_form.geometry import Family
-from .closed_form.polish import finished
+from .closed_form.polish import polish_rows
 from .options import PLAIN
 from .outcome import SPOKEN
 from .plan import Plan
@@ -23,27 +23,37 @@ ONE_ATTEMPT: dict[str, Any] = {
     "wrap": None,
     "follow": 0.0,
 }
-SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two numerical answers are one
-TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
-FLAT = 1e-4  # singular value (lengths over the scale) below which a direction may lead along a family
-STRIDE = 0.02  # rad, or of the scale: step along that direction; an isolated answer is not found again so far away
-CLOSE, STEPS = 1e-2, 40  # errors [of the scale, rad] from which numerical answers are finished, and steps given to that
-MOST_DIRECTIONS = 256  # directions tried for families: enough to name the joints that move
 
 
-def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
-    """Distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first."""
+class SearchThresholds(NamedTuple):
+    """Thresholds of the numerical search, in rad or parts of the robot's scale."""
+
+    same: float = 1e-3  # Two numerical answers are one if no joint differs by more [rad, or of the reach].
+    # Tolerance of the search, because answers to 1e-6 differ too much near singular poses to be merged.
+    tight: float = 1e-9
+    flat: float = 1e-4  # A direction may lead along a family if its singular value (lengths over scale) is smaller.
+    stride: float = 0.02  # Step along such a direction; an isolated answer is not found again so far away.
+    close: float = 1e-2  # Answers with smaller errors are finished numerically.
+    steps: int = 40  # Number of steps that finish such an answer.
+    directions: int = 256  # Number of directions tried for families, enough to name the joints that move.
+
+
+THRESHOLDS = SearchThresholds()
+
+
+def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
+    """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first."""
     robot, o, n = plan.robot, plan.options, plan.robot.n
     tight = {
-        "position_tolerance": min(TIGHT, o.position_tolerance),
-        "orientation_tolerance": min(TIGHT, o.orientation_tolerance),
+        "position_tolerance": min(THRESHOLDS.tight, o.position_tolerance),
+        "orientation_tolerance": min(THRESHOLDS.tight, o.orientation_tolerance),
     }
     single = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT, **tight)
     rng = np.random.default_rng(o.seed)
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     Q0[:, plan.held] = start[0, plan.held]
     out = _attempts(single, T, kinds, Q0)
-    if not plan.robot.by_tip and not counts_in_part(kinds, o) and not len(plan.held):
+    if len(kinds) == 1 and not counts_in_part(kinds, o) and not len(plan.held):
         _finish_close(single, T, kinds, out)
     out = out[out[:, AT.status] == CONVERGED]
     answers = out[:, ANSWER : ANSWER + n]
@@ -52,7 +62,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     if limited:
         low, high = robot.lower[turning], robot.upper[turning]
         near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
-        near = np.clip(near, low, high)  # a turn rounds
+        near = np.clip(near, low, high)  # The sum with a turn is rounded.
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
     orientation = None if all(kind in SPOKEN for kind in kinds) else out[:, AT.rotation]
@@ -64,7 +74,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     found._put(families=_families(single, found, T, kinds, redundant))
     distinct = len(found)
     if (redundant or found.families) and distinct > count:
-        found = sample(found, count)
+        found = spread_rows(found, count)
     plural = "s" * (len(found) != 1)
     words = f"solution{plural} of infinitely many" if redundant or found.families else f"distinct solution{plural}"
     found._put(message=f"{len(found)} {words} ({len(out)} of {starts} starts converged)")
@@ -74,19 +84,19 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
 
 
 def _redundant(plan: Plan, kinds: tuple) -> bool:
-    """Whether the task leaves joints free, so that solutions are not isolated; an axis target frees the turn about it."""
+    """Return whether the task leaves joints free, so that solutions are not isolated; an axis target frees the turn about it."""
     return plan.robot.n - len(plan.held) > Asked(plan.robot, kinds, options=plan.options).rows
 
 
 def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) -> None:
-    """Give result rows that ended close to the target more steps: at a singular pose an attempt converges slowly."""
-    close = (out[:, AT.status] != CONVERGED) & (out[:, AT.position] < CLOSE * single.robot.chain.scale)
-    close &= out[:, AT.rotation] < CLOSE
+    """Give result rows that ended close to the target more steps, because an attempt converges slowly at a singular pose."""
+    close = (out[:, AT.status] != CONVERGED) & (out[:, AT.position] < THRESHOLDS.close * single.robot.chain.scale)
+    close &= out[:, AT.rotation] < THRESHOLDS.close
     if not close.any():
         return
     rows, ends = single.chain[:2]
     Q, errors = out[close, ANSWER:], np.empty((close.sum(), 2))
-    finished(rows, ends, single.orders(kinds, True), T[0], Q, STEPS, errors)
+    polish_rows(rows, ends, single.orders(kinds, True), T[0], Q, THRESHOLDS.steps, errors)
     good = (errors < (single.options.position_tolerance, single.options.orientation_tolerance)).all(axis=1)
     where = np.flatnonzero(close)[good]
     out[where, ANSWER:] = Q[good]
@@ -94,16 +104,16 @@ def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) ->
 
 
 def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.ndarray:
-    """Result rows of one attempt at T (1, 4, 4) from each start Q0 (K, n)."""
+    """Return the result rows of one attempt at T (1, 4, 4) from each start Q0 (K, n)."""
     out = np.empty((len(Q0), single.width))
     single.run(np.repeat(T, len(Q0), axis=0), kinds, np.ascontiguousarray(Q0), True, out)
     return out
 
 
 def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redundant: bool) -> tuple[Family, ...]:
-    """Families among numerical solutions: where the Jacobian leaves a direction free and a step along it leads to another.
+    """Find families of solutions: there the Jacobian leaves a direction free, and a step along it leads to another solution.
 
-    A singular pose alone is no family: from beside an isolated solution the search comes back to it.
+    A singular pose alone is no family, because the search comes back to an isolated solution from beside it.
     """
     robot = found.robot
     if not len(found) or counts_in_part(kinds, single.options):
@@ -119,56 +129,56 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redun
     _, values, directions = np.linalg.svd(J)
     wide = np.zeros((len(J), len(moving)))
     wide[:, : values.shape[1]] = values
-    where, which = np.nonzero(wide < FLAT)
+    where, which = np.nonzero(wide < THRESHOLDS.flat)
     if not len(where):
         return ()
-    where, which = where[:MOST_DIRECTIONS], which[:MOST_DIRECTIONS]
+    where, which = where[: THRESHOLDS.directions], which[: THRESHOLDS.directions]
     V = np.zeros((len(where), robot.n))
     V[:, moving] = directions[where, which]
-    tried = np.vstack([found.q[where] + sign * STRIDE * V * robot.chain.unit for sign in (1.0, -1.0)])
+    tried = np.vstack([found.q[where] + sign * THRESHOLDS.stride * V * robot.chain.unit for sign in (1.0, -1.0)])
     if single.options.limits:
         tried = np.clip(tried, robot.lower, robot.upper)
     out = _attempts(single, T, kinds, tried)
     turning, _ = turning_joints(single)
     moved = np.abs(out[:, ANSWER : ANSWER + robot.n] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
     moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
-    another = (out[:, AT.status] == CONVERGED) & (moved.max(axis=1) > 0.5 * STRIDE)
+    another = (out[:, AT.status] == CONVERGED) & (moved.max(axis=1) > 0.5 * THRESHOLDS.stride)
     if not another.any():
         return ()
-    joints = (moved[another] > 1e-2 * STRIDE).any(axis=0)
+    joints = (moved[another] > 1e-2 * THRESHOLDS.stride).any(axis=0)
     names = tuple(name for name, moves in zip(robot.joint_names, np.atleast_1d(joints), strict=True) if moves)
     who = "all joints move" if len(names) == robot.n else f"{', '.join(names)} {'move' if len(names) > 1 else 'moves'}"
     return (Family(names, None, None, f"a family of solutions, found numerically: {who} along it"),)
 
 
 def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
-    """Without rows that repeat an earlier one."""
+    """Return the solutions without rows that repeat an earlier one."""
     turning, _ = turning_joints(plan)
     unit = found.robot.chain.unit
     kept: list[int] = []
     for k, q in enumerate(found.q):
-        if not kept or _apart(found.q[kept], q, unit, turning).min() >= SAME:
+        if not kept or _apart(found.q[kept], q, unit, turning).min() >= THRESHOLDS.same:
             kept.append(k)
     return found.keep(np.array(kept, dtype=int))
 
 
 def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, full turns of revolute joints left out."""
+    """Return the largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, without full turns of revolute joints."""
     apart = np.abs(Q - q) / unit
     apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
     return apart.max(axis=1)
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Which joints (n,) may be moved by full turns, and whether inside limits."""
+    """Return which joints (n,) may be moved by full turns, and whether only inside limits."""
     robot = plan.robot
-    if not plan.options.limits and robot.chain.plain:  # no limits, no mimic joints: every angle may be turned over
+    if not plan.options.limits and robot.chain.plain:  # Without limits and mimic joints every angle may be turned over.
         return ~robot.slides, False
     return robot.chain.turns > 0, plan.options.limits
 
 
-def sample(found: Solutions, count: int) -> Solutions:
-    """At most `count` of the solutions: rows that lie far from one another, the nearest to q0 among them, in order."""
+def spread_rows(found: Solutions, count: int) -> Solutions:
+    """Return at most `count` of the solutions, in order: rows that are far from one another, the nearest to q0 among them."""
     q = found.q / found.robot.chain.unit
     chosen = [0]
     gap = np.linalg.norm(q - q[0], axis=1)

@@ -1,4 +1,4 @@
-"""Listing every solution of a target: from a closed form where one fits, otherwise from many starts."""
+"""Lists every solution of a target: from a closed form if one fits, otherwise from many starts."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ from ..errors import whole
 from ..kernel.checks import is_rigid
 from ..kernel.counted_error import POSITION
 from ..kernel.records import WEIGHTS
-from .closed_form.polish import listed
+from .closed_form.polish import list_branches
 from .collision_free import collision_model
-from .enumerate import distinct_rows, sample, search
+from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
 from .solutions import Solutions, SolutionsBatch
@@ -19,22 +19,22 @@ from .task import POSES, read_target
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
-    """Solutions of a target, or SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver: see `Solver.all`."""
+    """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count = whole(starts, "starts"), whole(count, "count")
-    several = solver.robot.by_tip
+    places = len(solver._pose) - 2  # axes of an array of targets before those of one
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
-    if len(shape) == 3 + several or (len(shape) == 2 + several and shape[len(shape) - 1] == 3):
+    if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
         return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
-    T, kinds, notice = _read(solver.robot, target)
+    T, kinds, notice = _read(solver, target)
     plan = solver.plan_for(kinds)
     o = plan.options
     start = plan.home if q0 is None else plan.check_start(q0)[0]
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
     else:
-        found = search(plan, T, kinds, start, starts, count)
-    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin
+        found = search_solutions(plan, T, kinds, start, starts, count)
+    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin, so it does not mean False.
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
         found = found.keep(free)
@@ -63,16 +63,16 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     return found
 
 
-def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
-    """Any target -> (1, ...), kinds and notice; a plain valid pose costs next to nothing."""
-    if type(target) is np.ndarray and target.dtype == np.float64 and target.shape == (4, 4) and target.flags.carray:
-        if not robot.by_tip and is_rigid(target):
-            return target[None], POSES, ""
-    return read_target(robot, target)
+def _read(solver: Any, target: Any) -> tuple[np.ndarray, Any, str]:
+    """Return the target as an array (1, ...), its kinds and a notice; a plain valid pose costs next to nothing."""
+    plain = type(target) is np.ndarray and target.dtype == np.float64 and target.flags.carray
+    if plain and target.shape == solver._pose == (4, 4) and is_rigid(target):
+        return target[None], POSES, ""
+    return read_target(solver.robot, target)
 
 
 def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Options of the kernel, parameters of the closed form, and the box of limits, reference and weights (4, n); kept."""
+    """Return the kernel's options, the closed form's parameters, and the box (4, n) of limits, reference and weights."""
     kept = plan.memo
     if kinds not in kept:
         robot = plan.robot
@@ -85,7 +85,7 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
-    """All branches of a closed form within limits, evaluated, nearest to start (n,) first."""
+    """List all branches of a closed form within limits, evaluated, nearest to start (n,) first."""
     robot = plan.robot
     opt, p, box = _prepared(plan, kinds)
     box = box.copy()
@@ -94,7 +94,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     found = len(made.q)
     table, signs = np.empty((found, 3 + robot.n)), np.empty((found, 3), dtype=np.int8)
     rows, ends = plan.chain[:2]
-    kept, legal = listed(
+    kept, legal = list_branches(
         rows, ends, opt, T[0], start, made.fixed, made.steps, made.q, made.broken, made.marks, table, signs
     )
     table, signs = table[:kept], signs[:kept]
@@ -111,17 +111,17 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         robot, table[:, 3:], table[:, 2], (table[:, 0], orientation), complete, plan.row.name, message, families, signs
     )
     if made.partial:
-        result = _with_search(result, search(plan, T, kinds, start[None], starts, count), plan)
+        result = _with_search(result, search_solutions(plan, T, kinds, start[None], starts, count), plan)
     if families or made.steps or made.partial:
         result = distinct_rows(result, plan)
     if len(result) > count:
-        result = sample(result, count)
+        result = spread_rows(result, count)
         result._put(complete=False)
     return result
 
 
 def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
-    """Solutions of a closed form that misses some, completed by a search."""
+    """Complete the solutions of a closed form that misses some by a search."""
     both = Solutions(
         first.robot,
         np.vstack([first.q, other.q]),

@@ -1,12 +1,16 @@
-"""How a solve ended, as one sentence that says what to try."""
+"""Says how a solve ended, in one sentence with what to try."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from ..errors import FAR_AWAY
 from ..kernel.counted_error import FREE
 from ..kernel.records import AT
+from .shortfall import impossible, position_alone, too_few_joints
 from .status import SEARCHED, Status, constraints_of
+from .task import all_errors, what_counts
 
 ADVICE = {
     Status.CONVERGED: "",
@@ -31,11 +35,12 @@ CLOSED_FORM_SAYS = {
         "{left} away{at}; widen the limits or move the target"
     ),
 }
+SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)  # failures of a search
 BROKEN = "every branch violates a joint limit"
 
 
 def sentence(result: Any) -> str:
-    """One sentence on how a result ended and what to try; of several tips a failure says what is left at each."""
+    """Say in one sentence how a result ended and what to try; of several tips a failure says what is left at each."""
     row, status, plan = result._of.row, result.status, result._of.plan
     left, starts = _left(result), result.restarts + 1
     if status == Status.CONSTRAINT_OPEN:
@@ -46,7 +51,8 @@ def sentence(result: Any) -> str:
         text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"
         return f"{text}; {ADVICE[status]}"
     if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
-        return _closed_form_says(result, left)
+        far = status == Status.UNREACHABLE and row[AT.excess] > FAR_AWAY * result.robot.reach
+        return _closed_form_says(result, left) + ("; were millimetres meant?" if far else "")
     if status == Status.CONVERGED:
         text = f"converged in {result.iterations} iterations to {left}"
         return f"{text} after {result.restarts} restart{'s' * (result.restarts > 1)}" if result.restarts else text
@@ -61,16 +67,56 @@ def sentence(result: Any) -> str:
     elif status == Status.ITERATION_LIMIT and plan.options.follow:
         text = f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
     else:
-        text = f"{_failure(result, left, starts)}; {ADVICE[status]}"
+        text = f"{_failure(result, left, starts)}; {_cause(result) or ADVICE[status]}"
     return text + _at_each_tip(result)
 
 
+def _cause(result: Any) -> str:
+    """What keeps the arm from the target, as far as it is known, and what can be met; or ''."""
+    if result.status == Status.UNREACHABLE and max(result._of.excess()) > FAR_AWAY * result.robot.reach:
+        return "were millimetres meant?"
+    if result.status not in SHORT:
+        return ""
+    blocked = result.status == Status.LIMIT_BLOCKED  # which is tested: the cause is known
+    never, few = ([], "") if blocked else (impossible(result), too_few_joints(result))
+    if not never and not few and result.restarts == 0:
+        return ""  # a single attempt says nothing on what the arm can do
+    advice = (
+        "free what cannot be met (free_turn, mask), or give it less weight (mask)"
+        if never or few
+        else ADVICE[result.status]
+    )
+    return "; ".join(filter(None, [*never, few, position_alone(result, bool(never)), advice]))
+
+
 def _left(result: Any) -> str:
-    """Errors left at q, in words."""
-    left = _length(result.position_error)
-    if result.orientation_error is not None:
-        left += f", {np.degrees(result.orientation_error):.3g} deg"
-    return left
+    """Errors left at q, in words; of several tips the largest."""
+    each, unit = _unweighted(result)
+    turned = [angle for _, angle in each if angle is not None]
+    return _said(max(position for position, _ in each), max(turned, default=None), unit)
+
+
+def _said(position: float, angle: float | None, unit: bool) -> str:
+    """Errors of a tip in words; unit: whether these are metres and radians, not numbers times a weight."""
+    if not unit:
+        return "a weighted error of " + f"{position:.3g}" + ("" if angle is None else f", {angle:.3g}")
+    return _length(position) + ("" if angle is None else f", {np.degrees(angle):.3g} deg")
+
+
+def _unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
+    """Errors [m], [rad] of each tip that count, without the weights of its mask; False: they could not be taken out."""
+    of = result._of
+    masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]
+    if all(weight in (0.0, 1.0) for mask in masks for weight in mask):
+        return of.left(), True
+    if not of.T.size:  # a row of a batch keeps no target
+        return of.left(), False
+    mask = {
+        tip: None if one.mask is None else tuple(float(weight > 0.0) for weight in one.mask)
+        for tip, one in zip(result.robot.tips, what_counts(result.robot, of.plan.options), strict=True)
+    }
+    each = all_errors(result.robot, result.q, of.T, of.kinds, replace(of.plan.options, mask=mask))
+    return [(position, angle) for _, position, angle in each], True
 
 
 def _length(metres: float, digits: int = 3) -> str:
@@ -82,15 +128,15 @@ def _starts(count: int) -> str:
 
 
 def _at_each_tip(result: Any) -> str:
-    """Errors left at each of several tips that have a target, or ''."""
+    """Say the errors left at each of several tips that have a target, or return ''."""
     if len(result.robot.tips) == 1:
         return ""
-    left = []
-    for kind, (tip, position) in zip(result._of.kinds, result.position_errors.items(), strict=True):
-        if kind == FREE:
-            continue
-        angle = result.orientation_errors[tip]
-        left.append(f"{tip} {_length(position)}" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
+    each, unit = _unweighted(result)
+    left = [
+        f"{tip} {_said(*errors, unit).replace(',', '')}"
+        for tip, kind, errors in zip(result.robot.tips, result._of.kinds, each, strict=True)
+        if kind != FREE
+    ]
     return f"; remaining error at each tip: {', '.join(left)}"
 
 
@@ -109,7 +155,7 @@ def _closed_form_says(result: Any, left: str) -> str:
 
 
 def _failure(result: Any, left: str, starts: int) -> str:
-    """Sentence on a failed search, without the advice."""
+    """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
         beyond = [f"{tip} by {_length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
@@ -122,12 +168,12 @@ def _failure(result: Any, left: str, starts: int) -> str:
         most = f"{far * robot.reach:.3g} m" if robot.joint_kinds[joint] == "prismatic" else f"{far:.3g} rad"
         return f"{left} away when joint {robot.joint_names[joint]} reached the {most} it may move from q0"
     if status == Status.STALLED and starts > 1:
-        return f"closest {left} after {starts} starts; the target may be unreachable"
+        return f"closest {left} after {starts} starts"
     if status == Status.STALLED:
         return f"no further progress at {left} from the target: a local minimum of the error"
     if status == Status.LIMIT_BLOCKED:
         joints = ", ".join(result.limited_joints)
-        return f"joint limits ({joints}) appear to block the target; closest {left} after {_starts(starts)}"
+        return f"joint limits ({joints}) block the target, which is reached without them; closest {left} after {_starts(starts)}"
     if status == Status.ITERATION_LIMIT and starts > 1:
         return f"closest {left} after {starts} starts, each cut off by the limit of iterations"
     if status == Status.ITERATION_LIMIT:

@@ -10,22 +10,24 @@ import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
+from ..robot.pose import named_axis
 
-# Options that choose or finish one answer, left out where a plan is varied to search for more of them.
+# The options in PLAIN choose or finish one answer, so a plan that is varied to search for more answers leaves them out.
 PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
-MAX_ITERATIONS = 1_000_000
-SLICE = 256  # evaluations that a timed solve makes before it looks at the clock: about a quarter of a millisecond
-FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows
-OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/null_space.py
+MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
+SLICE = 256  # A timed solve makes this many evaluations before it looks at the clock, about a quarter of a millisecond.
+FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
+# kernel/null_space.py knows the objectives by these numbers.
+OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
-OTHERWISE = {  # names from other packages that mean something else here
-    "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
+OTHERWISE = {  # Other packages use these names, which mean something else here.
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
-COUNTING = ("mask", "slack", "free_turn", "frame")  # what counts: one value for every tip, or a dict by tip
+# The options in COUNTING say what counts of the errors; each is one value for every tip, or a dict by tip.
+COUNTING = ("mask", "slack", "free_turn", "frame")
 FRAMES = ("base", "tip", "target")
 
 
@@ -41,9 +43,10 @@ class Options:
     wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
     otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
     notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
-    left), along the axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then
-    slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it); then mask (6,), weights (0 =
-    free). Each is one value for every tip or a dict by tip, and the tolerances hold for what is left. relative_to: of a Tree,
+    left), along the axes of frame 'base', 'tip' or 'target': free_turn, a tip axis ("z", or three numbers) about which
+    rotation is free; then slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it);
+    then mask (6,), weights (0 = free). Each is one value for every tip or a dict by tip, and the tolerances hold for what
+    is left. relative_to: of a Tree,
     a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as
     usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for
     redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
@@ -77,14 +80,14 @@ class Options:
     avoid_collisions: Any = False
     follow: float = 0.0
 
-    @functools.cached_property  # asked at every check of an answer
+    @functools.cached_property  # Every check of an answer needs this, so it is computed once.
     def in_part(self) -> bool:
         """Whether only part of the errors counts, or targets are relative to another tip."""
         return any(getattr(self, name) is not None for name in (*COUNTING[:3], "relative_to"))
 
     @property
     def budget(self) -> int | None:
-        """FK evaluations of one run of the kernel: with a timeout a slice, after which it is run again with more."""
+        """FK evaluations of one run of the kernel; with a timeout this is a slice, after which it runs again with more."""
         return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 
@@ -92,7 +95,7 @@ NAMES = tuple(field.name for field in fields(Options))
 Numbers = Sequence[float] | np.ndarray
 
 
-End = float | None  # of a range that is narrowed; None: as it is
+End = float | None  # An end of a narrowed range; None leaves it as it is.
 Limits = bool | Mapping[str, tuple[End, End] | Sequence[End]] | Sequence[Numbers | None] | np.ndarray
 
 
@@ -105,7 +108,7 @@ class PathOptions(TypedDict, total=False):
     limits: Limits
     mask: Numbers | Mapping[str, Numbers | None] | None
     slack: Numbers | Mapping[str, Numbers | None] | None
-    free_turn: Numbers | Mapping[str, Numbers | None] | None
+    free_turn: str | Numbers | Mapping[str, str | Numbers | None] | None
     frame: Literal["base", "tip", "target"] | Mapping[str, Literal["base", "tip", "target"]]
     relative_to: Mapping[str, str] | None
     joint_weights: Numbers | None
@@ -124,7 +127,7 @@ class BatchOptions(PathOptions, total=False):
     objective: Literal["mid-range", "reference", "manipulability"] | None
     avoid_collisions: Any
     follow: bool | float
-    # parameters
+    # The parameters of our solvers follow.
     damping: float
     hold: bool
     gain: float
@@ -143,21 +146,21 @@ class BatchOptions(PathOptions, total=False):
 
 
 class AllOptions(BatchOptions, total=False):
-    """What `solve_all` takes by keyword; the `check` of a batch is a share."""
+    """What `solve_all` takes by keyword; its `check` is True or False, whereas that of a batch is a share."""
 
     check: bool
     history: bool
 
 
 class SolveOptions(AllOptions, total=False):
-    """What `solve` and `Solver` take by keyword; the `starts` of `solve_all` is a number."""
+    """What `solve` and `Solver` take by keyword; their `starts` are a table, whereas those of `solve_all` are a number."""
 
     starts: Any
     timeout: float | None
 
 
 def avoided(value: Any) -> bool | float | CollisionModel:
-    """Value of `avoid_collisions`: False (as is None), True, a margin [m] or a model. Raises InvalidOption for anything else."""
+    """Return the value of `avoid_collisions`: False (also for None), True, a margin [m] or a model. Raises InvalidOption."""
     if isinstance(value, CollisionModel):
         return value
     if value is None or isinstance(value, bool | np.bool_):
@@ -166,9 +169,9 @@ def avoided(value: Any) -> bool | float | CollisionModel:
 
 
 def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
-    """Validate keyword options. `tolerance` sets both tolerances. Raises InvalidOption naming the option.
+    """Validate keyword options; `tolerance` sets both tolerances. Raises InvalidOption naming the option.
 
-    parameters: names of a solver's own, one of which may have been meant by an unknown name.
+    `parameters` are names of a solver's own, one of which may have been meant by an unknown name.
     """
     values = dict(given)
     if "tolerance" in values:
@@ -185,7 +188,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             values[name] = _number(name, value, 0.0, math.inf)
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
-            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # other packages call the start a seed
+            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # Other packages call the start a seed.
                 raise InvalidOption("seed is the random seed of the restarts; the start is q0")
             if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
@@ -203,8 +206,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
                 continue
             raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
         elif name in ("limits", "history", "check", "closest") or (name == "wrap" and value is not None):
-            if not isinstance(value, bool | np.bool_):  # "no" would count as true
-                hint = " (what it is nearest to is q0)" if name == "closest" else ""
+            if not isinstance(value, bool | np.bool_):  # A text such as "no" would count as true.
+                hint = " (q0 is what the solution is nearest to)" if name == "closest" else ""
                 raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
             values[name] = bool(value)
         elif name == "follow":
@@ -233,7 +236,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
 
 
 def counting(name: str, value: Any) -> Any:
-    """One value of mask, slack, free_turn or frame, validated. Raises InvalidOption."""
+    """Validate one value of mask, slack, free_turn or frame. Raises InvalidOption."""
     if name == "frame":
         if not (isinstance(value, str) and value in FRAMES):
             raise InvalidOption(f"frame must be one of {', '.join(FRAMES)}, not {value!r}")
@@ -245,6 +248,8 @@ def counting(name: str, value: Any) -> Any:
         if len(weights) != 6:
             raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(weights)}")
         return weights
+    if name == "free_turn":
+        value = named_axis(value, name, InvalidOption)
     array = floats(value, f"{name} must be numbers", InvalidOption)
     if name == "slack":
         if array.shape != (6,) or not (array >= 0).all():
@@ -253,13 +258,13 @@ def counting(name: str, value: Any) -> Any:
             )
         return tuple(array.tolist())
     length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
-    if not 1e-9 < length < math.inf:  # a shorter one has no usable direction
+    if not 1e-9 < length < math.inf:  # A shorter vector has no usable direction.
         raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")
     return tuple((array / length).tolist())
 
 
 def _weights(name: str, value: Any) -> tuple[float, ...]:
-    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True is 1 here
+    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True counts as 1 here.
     if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
         raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
     return tuple(array.tolist())

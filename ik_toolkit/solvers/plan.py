@@ -1,9 +1,10 @@
-"""A robot, a rule and options as arrays of the kernel, made once: what every call runs, and the only cache of it.
+"""A robot, a rule and options as arrays of the kernel: made once, run by every call, and the only cache of them.
 
-Where some joints are held, every start of a search has them at their values in the first.
+If some joints are held, every start of a search has them at their values in the first start.
 """
 
 import copy
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -11,35 +12,38 @@ import numpy as np
 
 from ..copying import importable
 from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
-from ..kernel.chain import split, table, without_limits, without_wrap
+from ..kernel.chain import split_rows, table, without_limits, without_wrap
 from ..kernel.counted_error import POSITION
 from ..kernel.limits import LARGEST
 from ..kernel.packed_model import join
 from ..kernel.records import ANSWER, AT, MISS, POINTS, Orders
 from ..kernel.starts import BEST
 from .closed_form_then_search import with_search
-from .options import Options
+from .options import PLAIN, Options
 from .postprocess import finishing
 from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
 from .task import kernel_tasks, relatives, what_counts
 
-MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
-KINDS_KEPT = 64  # kinds of target a plan stays ready for: every axis is a kind of its own, and axes have no end
-CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
-FOLLOW_ITERATIONS = 100  # the single attempt of `follow` has no successor where it converges slowly
+MARGIN = 1.0 - 1e-9  # The kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree.
+# A plan stays ready for 64 kinds of target, because every axis is a kind of its own, and axes have no end.
+KINDS_KEPT = 64
+CLOSEST = 16  # This many solutions are compared if the one nearest q0 is asked for.
+# The single attempt of `follow` gets at least 100 iterations, because no other attempt follows if it converges slowly.
+FOLLOW_ITERATIONS = 100
+WITHOUT_LIMITS = 20  # attempts that test whether limits are what blocks a target
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
 class Plan:
     """A solver as it runs on a robot: the compiled loop, the arrays it takes, and the steps that finish its answers.
 
-    robot, row, rule, options; kernel (compiled loop, see `kernel.search.entry`); home (1, n): the start when none is given;
-    held: places of the joints with weight 0; steps, improving: what finishes an answer (see `finish`).
+    `kernel` is the compiled loop (see `kernel.search.entry`), `home` (1, n) the start if none is given, `held` the
+    places of the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
     """
 
     def __init__(self, robot: Any, row: Row, rule: Any, options: Options) -> None:
-        """Validate what does not depend on the target. Raises UnknownSolver (a rule for one tip), InvalidOption."""
+        """Validate what does not depend on the target. Raises UnknownSolver (for example a rule for one tip), InvalidOption."""
         if reason := misfit(row, rule, robot):
             raise UnknownSolver(reason)
         if options.joint_weights is not None and len(options.joint_weights) != robot.n:
@@ -54,10 +58,10 @@ class Plan:
         self.kernel = with_search(self, loop) if row.closed else loop
         chain = robot.chain
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
-        self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
+        self.width = ANSWER + robot.n + MISS * (len(robot.tips) if len(robot.tips) > 1 else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
-        self.memo: dict[Any, Any] = {}  # cache for callers that keep something with the plan
+        self.memo: dict[Any, Any] = {}  # This is a cache for callers that keep something with the plan.
         self._ready: dict[tuple, tuple] = {}
         self._packed: dict[tuple, np.ndarray] = {}
         self._tables: dict[bool, tuple] = {}
@@ -66,34 +70,40 @@ class Plan:
         self.steps, self.improving = finishing(self)
 
     def varied(self, **options: Any) -> "Plan":
-        """The same with some options changed."""
+        """Return the same plan with some options changed."""
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
 
+    @functools.cached_property
+    def unlimited(self) -> "Plan":
+        """The same without limits and with a few attempts, which tells whether limits are what blocks a target."""
+        attempts = {} if self.row.closed else {"restarts": WITHOUT_LIMITS - 1}
+        return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **attempts})
+
     def search(self, **options: Any) -> "Plan":
-        """The general search with the same options, some of them changed."""
+        """Return the general search with the same options, some of them changed."""
         row = find_row(GENERAL)
         return Plan(self.robot, row, row.load()(), replace(self.options, **options))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the request; the compiled loop is bound again. Raises InvalidOption where the rule would not be found."""
+        """Pickle the request; the compiled loop is bound again. Raises InvalidOption if the rule would not be found."""
         importable(self.rule, f"the rule of '{self.row.name}'")
         return Plan, (self.robot, self.row, self.rule, self.options)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Plan":
-        """The same for a copy of the robot."""
+        """Return the same plan for a copy of the robot."""
         return Plan(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     # ---------------------------------------------------------------------------------------------------------- running
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
         """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; rows of `out` (N, width) are written.
 
-        start (1 or N, n); given: whether it is the caller's.
+        start (1 or N, n) is the caller's if `given`.
         """
         chain, orders = self.ready(kinds, start, given)
         self.kernel(chain, T, start, out.reshape(-1), orders)
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
-        """Row (width,) of one target T (1, ...)."""
+        """Return the row (width,) of one target T (1, ...)."""
         chain, orders = self._ready.get((kinds, given)) or self.ready(kinds, start, given)
         row = np.empty(self.width)
         self.kernel(chain, T, start, row, orders)
@@ -102,7 +112,7 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Row (width,) of one target T (1, ...), and its history (at most `count`, 2 + n); ready: as `ready` returns it."""
+        """Return the row (width,) of one target T (1, ...), and its history (at most `count`, 2 + n), with arrays from `ready`."""
         chain, orders = ready
         out = np.empty(self.width + count * (2 + self.robot.n))
         self.kernel(chain, T, start, out, orders)
@@ -111,7 +121,7 @@ class Plan:
 
     # --------------------------------------------------------------------------------------------------------- preparing
     def ready(self, kinds: tuple, start: np.ndarray, given: bool) -> tuple[np.ndarray, np.ndarray]:
-        """What the kernel takes of a plan: all arrays of the chain in one, and the orders."""
+        """Return what the kernel takes of a plan: all arrays of the chain in one, and the orders."""
         found = self._ready.get((kinds, given))
         if found is None:
             arrays, last = self.arrays(kinds, start), self._joined
@@ -123,20 +133,20 @@ class Plan:
         return found
 
     def _ends(self) -> np.ndarray:
-        """`ends` of the chain with limits as the options want them."""
+        """Return the `ends` of the chain with limits as the options want them."""
         chain, n = self.robot.chain, self.robot.n
         ends = chain.ends
         if not self.options.limits:
             flat = ends.reshape(-1, ends.shape[-1])
-            parts = zip(split(chain.rows, flat, n) if ends.ndim > 1 else [chain.rows], flat, strict=True)
+            parts = zip(split_rows(chain.rows, flat, n) if ends.ndim > 1 else [chain.rows], flat, strict=True)
             ends = np.array([without_limits(rows, end, n) for rows, end in parts]).reshape(ends.shape)
         wrap = self.rule.wrap if self.options.wrap is None or self.row.closed else self.options.wrap
         return ends if wrap else without_wrap(ends, n)
 
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
-        """Rows, ends, seeds and features for a call from `start` (1 or N, n).
+        """Return rows, ends, seeds and features for a call from `start` (1 or N, n).
 
-        Held joints stand in every start where the first row of `start` has them.
+        Held joints are in every start where the first row of `start` has them.
         """
         found = self._table(kinds[0] == POSITION)
         if self._plain:
@@ -148,7 +158,7 @@ class Plan:
         return last[1]
 
     def _table(self, position_only: bool) -> tuple:
-        """Arrays of the chain, with the rule's own table of starts where it has one."""
+        """Return the arrays of the chain, with the rule's own table of starts if it has one."""
         found = self._tables.get(position_only)
         if found is None:
             robot, found = self.robot, self.chain
@@ -160,7 +170,7 @@ class Plan:
         return found
 
     def orders(self, kinds: tuple, given: bool) -> np.ndarray:
-        """Option array of the kernel for kinds of target, with or without a start given. Raises InvalidOption."""
+        """Return the kernel's option array for kinds of target, with or without a start given. Raises InvalidOption."""
         packed = self._packed.get((kinds, given))
         if packed is None:
             if len(self._packed) >= KINDS_KEPT:
@@ -185,8 +195,8 @@ class Plan:
         orders = Orders(
             tol_p=o.position_tolerance * MARGIN,
             tol_r=o.orientation_tolerance * MARGIN,
-            # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the table of starts; and
-            # what is compared by its distance from q0 or home starts there first.
+            # Without restarts the one attempt starts at q0 or home, as callers expect, never from the table.
+            # An option that compares answers by their distance from q0 or home makes the search start there first.
             given=bool(given or o.closest or (attempts == 1 and not own_starts)),
             iterations=iterations if o.max_iterations is None else o.max_iterations,
             attempts=attempts,
@@ -207,9 +217,13 @@ class Plan:
         return np.concatenate([orders, *tasks, weights, parameters(row, self.rule, asked)])
 
     def check_start(self, q0: Any) -> tuple[np.ndarray, str]:
-        """Validate q0 (n,); clamp it into the limits or refuse it. Returns (1, n) and a notice. Raises InvalidConfiguration."""
+        """Validate q0 (n,), and clamp it into the limits or refuse it; return (1, n) and a notice.
+
+        Raises InvalidConfiguration.
+        """
         robot = self.robot
-        q = robot.check_q(q0, "q0")
+        q, notice = robot.read_q(q0, "q0")
+        q = robot.check_q(q, "q0")
         inside = np.clip(q, robot.lower, robot.upper) if self.options.limits else q
         far = np.abs(inside / robot.chain.unit) >= LARGEST
         if far.any():
@@ -218,31 +232,32 @@ class Plan:
                 f"q0 is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
             )
         if (inside == q).all():
-            return q[None], ""
+            return q[None], notice
         names = ", ".join(robot.outside(q))
         if self.options.q0_outside == "refuse":
             raise InvalidConfiguration(f"q0 is outside the limits at joint {names}")
-        return inside[None], f"q0 was outside the limits at joint {names} and was clamped"
+        clamped = f"q0 was outside the limits at joint {names} and was clamped"
+        return inside[None], f"{notice}; {clamped}" if notice else clamped
 
 
 def held_joints(options: Options) -> np.ndarray:
-    """Places of the joints whose weight is 0."""
+    """Return the places of the joints whose weight is 0."""
     return np.flatnonzero(np.array(options.joint_weights or (1.0,)) == 0.0)
 
 
 def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
-    """Arrays of a chain (or a tree's) whose table of starts and random starts have the `held` joints at `at` (kernel units)."""
+    """Return arrays of a chain or tree in which all starts, also random ones, have the `held` joints at `at` (kernel units)."""
     rows, ends, seeds, _ = arrays
     ends, seeds, n = ends.copy(), seeds.copy(), seeds.shape[1]
     seeds[:, held] = at
     ends[..., POINTS + 4 * n + held] = at
-    ends[..., POINTS + 5 * n + held] = 0.0  # width of the range that random starts are drawn from
+    ends[..., POINTS + 5 * n + held] = 0.0  # The range of random starts gets the width 0 at these joints.
     return with_seeds(rows, ends, seeds)
 
 
 def with_seeds(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> tuple:
-    """Arrays of a chain, or a tree's, with another table of starts (N, n), in kernel units."""
+    """Return the arrays of a chain, or a tree's, with another table of starts (N, n) in kernel units."""
     if ends.ndim == 1:
         return rows, ends, seeds, table(rows, ends, seeds)
-    parts = zip(split(rows, ends, seeds.shape[1]), ends, strict=True)
+    parts = zip(split_rows(rows, ends, seeds.shape[1]), ends, strict=True)
     return rows, ends, seeds, np.stack([table(part, end, seeds) for part, end in parts])

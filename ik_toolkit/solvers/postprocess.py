@@ -1,7 +1,8 @@
 """The steps that finish an answer: each takes an Outcome and returns it, changed or not.
 
-`plan.improving` are those that may replace q (collisions, objective); they run on converged answers, of single calls and of
-batches. `plan.steps` are all of a single call: what its timeout still allows, history, improving, and the check by Pinocchio.
+`plan.improving` are those that may replace q (collisions, objective); they run on converged answers, of single calls
+and of batches. `plan.steps` are all of a single call: what its timeout still allows, history, improving, and the check
+by Pinocchio.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import CHECK_FAILED, CONVERGED
+from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED
 from ..kernel.records import ANSWER, AT, ORDER
 from ..robot.pose import check_target
 from .options import OBJECTIVES
@@ -18,14 +19,14 @@ from .status import Status, constraints_of
 from .task import POSE, counted_errors
 
 Step = Callable[[Any], Any]
-REFINE_STEPS = 60
+REFINE_STEPS = 60  # Limit on the steps in the null space that improve an answer.
 
 
 def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
-    """Steps of a single call, and those of them that improve an answer, as the options of a plan ask for them."""
+    """Return the steps of a single call, and those of them that improve an answer, as the options of a plan ask for them."""
     o = plan.options
     improving: tuple[Step, ...] = () if o.objective is None else (improve,)
-    if o.avoid_collisions is not False:  # 0.0 is a margin
+    if o.avoid_collisions is not False:  # 0.0 is a margin, so it does not mean False.
         from .collision_free import avoiding
 
         improving = (avoiding(plan, improving),)
@@ -33,20 +34,38 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         *([] if o.timeout is None else [extend]),
         *([record] if o.history else []),
         *improving,
+        *([acquit] if o.limits else []),
         *([confirm] if o.check else []),
-        *([constrain] if plan.robot.constraints else []),
+        *([keep_constraints] if plan.robot.constraints else []),
     ]
     return tuple(steps), improving
 
 
-GROWTH = 4  # of the slices: a search begun anew each time repeats at most a third of its last run
+def acquit(outcome: Any) -> Any:
+    """Call LIMIT_BLOCKED what a short search without limits solves; a target that it does not reach either is STALLED."""
+    if outcome.row[AT.status] == LIMIT_BLOCKED:
+        acquit_rows(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
+    return outcome
+
+
+def acquit_rows(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
+    """The same for rows (m, width) of targets T, in place."""
+    for k in np.flatnonzero(rows[:, AT.status] == LIMIT_BLOCKED):
+        row = plan.unlimited.solve(T[k : k + 1], kinds, start[k : k + 1] if len(start) > 1 else start, given)
+        if row[AT.status] != CONVERGED:
+            rows[k, AT.status] = STALLED
+
+
+# Each slice of a timed search is 4 times as long as the last and repeats it, which costs at most a third more.
+GROWTH = 4
 
 
 def extend(outcome: Any) -> Any:
     """Continue a search that used up its slice, as far as its timeout allows.
 
-    A search with more evaluations begins as one with fewer, so each slice is a longer run from the beginning, and the answer is
-    that of max_evaluations=result.fk_evaluations. A slice is cut to what the last one's pace fits into the time left.
+    A search with more evaluations begins as one with fewer, so each slice is a longer run from the beginning, and the
+    answer is that of max_evaluations=result.fk_evaluations. A slice is cut to what the last one's pace fits into the
+    time left.
     """
     plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
     began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
@@ -60,13 +79,13 @@ def extend(outcome: Any) -> Any:
     return outcome._replace(plan=plan, row=row, elapsed=outcome.elapsed + perf_counter() - began)
 
 
-TOLD_APART = 12  # attempts whose rows are known in a history, besides the one that won: as many as a picture shows
+TOLD_APART = 12  # A history tells apart the winning attempt and this many others, as many as a picture shows.
 
 
 def record(outcome: Any) -> Any:
-    """Run once more with room for the history; the counts of the first run say how much.
+    """Run once more with room for the history, as much as the counts of the first run say.
 
-    An answer given full turns nearer to the start was evaluated after the search, so it is the last row.
+    An answer that was moved by full turns nearer to the start was evaluated after the search, so it is the last row.
     """
     plan = outcome.plan
     ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
@@ -81,9 +100,10 @@ def record(outcome: Any) -> Any:
 
 
 def _attempts(outcome: Any, row: np.ndarray, rows: int) -> np.ndarray:
-    """Number of the attempt (rows,) that each row of a history is of; -1 in attempts too late to be told apart.
+    """Return the number of the attempt (rows,) of each row of a history, or -1 in attempts too late to be told apart.
 
-    A search with fewer attempts is the beginning of one with more: how many rows it writes says where its last attempt ends.
+    A search with fewer attempts is the beginning of one with more, so the rows it writes tell where its last attempt
+    ends.
     """
     plan, made, won, noted = outcome.plan, int(row[AT.restarts]) + 1, int(row[AT.attempt]), int(row[AT.history])
     number = np.zeros(rows, dtype=int)
@@ -125,7 +145,8 @@ def confirm(outcome: Any) -> Any:
     if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
         return outcome
     if kinds == (POSE,):
-        mended = check_target(outcome.T[0])[0]  # the angle of a rotation with few digits is no more exact than they are
+        # A rotation given with few digits is replaced by the nearest exact one, because its angle is as inexact.
+        mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)
             again = outcome._replace(T=mended[None], row=row, errors=None)
@@ -137,8 +158,8 @@ def confirm(outcome: Any) -> Any:
     return outcome._replace(row=row)
 
 
-def constrain(outcome: Any) -> Any:
-    """A success whose q breaks a constraint of the description is none."""
+def keep_constraints(outcome: Any) -> Any:
+    """Make a success whose q breaks a constraint of the description a failure."""
     mark_open(outcome.plan, rows := outcome.row[None].copy())
     return outcome._replace(row=rows[0])
 
@@ -152,11 +173,11 @@ def mark_open(plan: Any, rows: np.ndarray) -> None:
 
 
 def confirmed(plan: Any, q: np.ndarray, T: np.ndarray, kinds: tuple) -> bool:
-    """Whether Pinocchio finds q (n,) inside the tolerances of the target T (4, 4) or (F, 4, 4)."""
+    """Return whether Pinocchio finds q (n,) inside the tolerances of the target T (4, 4) or (F, 4, 4)."""
     return inside(counted_errors(plan.robot, q, T, kinds, plan.options), plan.options)
 
 
 def inside(errors: Any, options: Any) -> bool:
-    """Whether the errors of every tip are inside their tolerances."""
+    """Return whether the errors of every tip are inside their tolerances."""
     p, r = options.position_tolerance, options.orientation_tolerance
     return all(position <= p and (angle or 0.0) <= r for position, angle in errors)

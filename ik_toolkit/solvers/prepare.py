@@ -1,9 +1,7 @@
-"""Compiling ahead of the first call."""
+"""Compiles solvers ahead of the first call."""
 
 from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from ..errors import InvalidOption, UnknownSolver, check_progress
 from ..robot.library import shipped_robots
@@ -15,11 +13,16 @@ from .solve import Solver
 
 
 def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> None:
-    """Compile what single calls and batches of `solvers` need; kernels already on disk are only loaded.
+    """Compile what single calls and batches of solvers need, some ten seconds each; kernels already on disk are only loaded.
 
-    solvers: names, default 'auto': everything that `ik.solve`, `Solver` and `solve_batch` take by default, several tips included.
-    progress(words) is called before each part. Some ten seconds a solver when nothing is on disk. Raises UnknownSolver,
-    InvalidOption.
+    Args:
+        solvers: Names of solvers. The default 'auto' is everything that `ik.solve`, `Solver` and `solve_batch` take by
+            default, several tips included.
+        progress: Function that is called with a text before each part.
+
+    Raises:
+        UnknownSolver: There is no solver of this name.
+        InvalidOption: `progress` cannot be called.
     """
     check_progress(progress, "a text")
     for name in solvers or ("auto",):
@@ -34,12 +37,10 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 
 def _call(robot: Any, name: str) -> bool:
-    """Call a solver for a pose and for a position, alone and in a batch; False when it fits neither."""
-    at_home, fits = robot.fk(robot.home), False
-    T = np.array([pose.homogeneous for pose in (at_home.values() if robot.by_tip else [at_home])])
+    """Call a solver for a pose and for a position, alone and in a batch; return False if it fits neither."""
+    T, fits = robot.chain.forward(robot.home)[0][0], False
     calls: list[Callable[[], Any]] = []
-    for target in (T, T[:, :3, 3].copy()):
-        one = target if robot.by_tip else target[0]
+    for one in (T, T[..., :3, 3].copy()):
         calls += [lambda one=one: Solver(robot, name)(one), lambda one=one: solve_batch(robot, one[None], name)]
     for call in calls:
         try:

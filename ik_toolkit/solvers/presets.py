@@ -1,6 +1,6 @@
 """Presets: named parameters of a solver with the tolerance and iteration limit they are meant for, in TOML files.
 
-A preset file holds `solver`, optionally `robot`, `position` and `source`, a table [parameters] (fields of the rule) and a
+A preset file has `solver`, optionally `robot`, `position` and `source`, a table [parameters] (fields of the rule) and a
 table [options]. Shipped ones are in the folder presets/; `ik tune` writes others.
 """
 
@@ -17,17 +17,17 @@ from .options import make_options
 from .registry import make_rule
 
 FOLDER = Path(__file__).with_name("presets")
-LARGEST = 16_000_000  # bytes of a preset file
+LARGEST = 16_000_000  # Limit on the bytes of a preset file.
 
 
 def list_presets(solver: str) -> list[str]:
-    """Names of the shipped presets of a solver."""
+    """Return the names of the shipped presets of a solver."""
     return sorted(path.stem for path in (FOLDER / solver).glob("*.toml"))
 
 
 def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
-    """Content of a shipped preset, or of a file when the name ends in .toml. Raises InvalidOption."""
-    name = str(name)  # a Path is accepted as well
+    """Read a shipped preset, or a file if the name ends in .toml. Raises InvalidOption."""
+    name = str(name)  # A Path is accepted as well.
     path = Path(name) if name.endswith(".toml") else FOLDER / solver / f"{name}.toml"
     known = list_presets(solver)
     if not name.endswith(".toml") and name not in known:
@@ -44,7 +44,7 @@ def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
 
 
 def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Parameters and options of a preset. Raises InvalidOption for a wrong file, field or option."""
+    """Return the parameters and options of a preset. Raises InvalidOption for a wrong file, field or option."""
     content = read_preset(solver, name)
     values, options = content.get("parameters", {}), content.get("options", {})
     if not isinstance(values, dict) or not isinstance(options, dict):
@@ -57,17 +57,17 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 
 
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
-    """Rule of a registry row with a preset, and some parameters changed. Raises InvalidOption."""
+    """Make the rule of a registry row with a preset, and some parameters changed. Raises InvalidOption."""
     cls = row.load()
     if cls.preset is None:
         have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))
         raise InvalidOption(f"solver '{row.name}' has no presets; these have: {have}")
-    make_rule(row, values or {})  # names the parameter that does not exist
+    make_rule(row, values or {})  # This raises for a parameter that does not exist, and names it.
     return cls.preset(name)._replace(**(values or {}))
 
 
 def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
-    """Starts (M, n) of a rule, inside the robot's limits. Raises InvalidOption."""
+    """Return the starts (M, n) of a rule, inside the robot's limits. Raises InvalidOption."""
     array = np.atleast_2d(floats(starts, f"{solver}: starts must be numbers", InvalidOption))
     if array.ndim != 2 or array.shape[1] != robot.n or not len(array) or not np.isfinite(array).all():
         raise InvalidOption(

@@ -1,15 +1,15 @@
 """The interface of a solver, and the defaults for what a class leaves out.
 
-A rule is one step of an iterative method; the search does the rest (kernel/search.py). A closed form lists the branches of one
-target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or `@closed_form`, which fill in what
-the class leaves out. Nothing else in the toolkit asks for a solver by its name or class: it asks these calls, or the registry
-row (`registry.Row`), which says what must be known without importing the class.
+A rule is one step of an iterative method; the search does everything else (kernel/search.py). A closed form lists the
+branches of one target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or
+`@closed_form`, which add what the class leaves out. Nothing else in the toolkit asks for a solver by its name or class:
+it asks these calls, or the registry row (`registry.Row`), which says what must be known without importing the class.
 """
 
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
@@ -17,23 +17,22 @@ from ..compile.jit import compiled
 from ..errors import IKError, InvalidOption, UnknownSolver
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.search import entry
+from .closed_form.geometry import Branches, Fit
+from .closed_form.nearest import nearest_of
+from .explain.worked_solution import WorkedSolution, listed_branches
 from .options import NAMES, Options
 from .registry import GENERAL, Row, find_row
 from .task import counted_rows, counts_in_part
 
-if TYPE_CHECKING:
-    from .closed_form.geometry import Branches, Fit
-    from .explain.worked_solution import WorkedSolution
-
 Class = TypeVar("Class", bound=type)
-SHOWN = 16  # branches of a family in an explanation
+SHOWN = 16  # An explanation shows this many branches of a continuous family.
 
 
 @dataclass(frozen=True)
 class Asked:
     """The request to a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
 
-    kinds: of kernel.task (POSE, POSITION, ...), a pair with the axis for AXIS.
+    The kinds are those of kernel.task (POSE, POSITION, ...); AXIS is in a pair with the axis.
     """
 
     robot: Any
@@ -59,91 +58,90 @@ class Asked:
 class Rule(Protocol):
     """One step of an iterative method.
 
-    `step(p, e)`, compiled, writes p.desk.dq (n,) and returns 0, SINGULAR_STEP or WAITING: see `solvers.rules`.
+    `step(p, e)` is compiled, writes p.desk.dq (n,) and returns 0, SINGULAR_STEP or WAITING (see `solvers.rules`).
     """
 
     hold = False
-    """Redo a step without the joints it would push past a limit; otherwise the step is cut off there."""
+    """Whether a step is redone without the joints that it would push past a limit, or cut off at the limit."""
     wrap = False
-    """Let a bounded joint with a full turn or more go on from the other end of its range."""
+    """Whether a bounded joint with a full turn or more may continue from the other end of its range."""
     preset: Any = None
-    """Class method preset(name) -> rule with published or tuned parameters (see `presets`). Default None: there are none."""
+    """Class method preset(name) that returns a rule with published or tuned parameters (see `presets`), or None."""
     space: Any = None
-    """Class method space(robot, position_only, initial) -> what `ik tune` searches (`space.Space`); with maps= where there are
-    several. Default None: the fields called damping and gain."""
+    """Class method space(robot, position_only, initial) that returns what `ik tune` searches (`tuning_space.Space`), with maps= if
+    there may be several; None, the default, means the fields called damping and gain."""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
-        """Numbers of the compiled step: a record of the class that has `step`, or an array of them. Default: the rule itself."""
+        """Return the numbers of the compiled step: a record of the class that has `step`, an array, or (default) the rule."""
         return self
 
     def refuses(self, asked: Asked) -> str:
-        """Why the rule does not do what is asked ("needs as many task rows as joints, ..."), or ''."""
+        """Return why the rule does not do what is asked ("needs as many task rows as joints, ..."), or ''."""
         return ""
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Starts (M, n) [rad, m] to choose from without q0. Default None: home, or the table of the robot."""
+        """Return starts (M, n) [rad, m] to choose from without q0; None, the default, is home or the table of the robot."""
         return None
 
     def options(self) -> dict[str, Any]:
-        """Options that come with the rule (a preset's tolerance); the caller's take precedence."""
+        """Return options that come with the rule (a preset's tolerance); the caller's take precedence."""
         return {}
 
     def loop(self, robot: Any) -> Callable:
-        """The compiled solve: see `kernel.search.entry`."""
+        """Return the compiled solve (see `kernel.search.entry`)."""
         return entry(type(self))
 
     def lanes(self) -> Callable | None:
-        """The same steps for eight targets side by side (arguments of `kernel.lanes.lanes`). Default None: there are none."""
+        """Return the rule for eight targets side by side, as arguments of `kernel.lanes.lanes`, or None if it has no such form."""
         return None
 
 
 class ClosedForm(Protocol):
-    """All branches of one target at once, for the structures it recognises."""
+    """All branches of one target at once, for the structures that the closed form recognises."""
 
     wrap = True
     hold = False
 
     @staticmethod
-    def recognise(chain: Any) -> "Fit":
-        """Whether a chain has the structure, how nearly, and the numbers of the closed form."""
+    def recognise(chain: Any) -> Fit:
+        """Return whether a chain has the structure, how nearly, and the numbers of the closed form."""
         ...
 
-    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> "Branches":
-        """All branches of T (4, 4), as many as `count` of a family.
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
+        """Return all branches of T (4, 4), and about `count` members of a family.
 
-        p: what `pack` returned; box (4, n): lower and upper limits, the configuration to be near [rad or m], weights of the
-        distance to it.
+        p is the result of `pack`; box (4, n) has lower and upper limits, the configuration to be near [rad or m], and
+        weights of the distance to it.
         """
         ...
 
-    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> "WorkedSolution":
-        """Formulas with their numbers for T (4, 4), to explain a solve. Default: the branches of `every` alone.
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
+        """Return the formulas with their numbers for T (4, 4), to explain a solve; by default the branches of `every` alone.
 
-        p, box: as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
+        p and box are as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
         """
-        from .explain.worked_solution import listed_branches
-
         return listed_branches(robot, self.every(robot, p, T, box, SHOWN))
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
-        """Numbers of the closed form. Default: those that `recognise` found. Raises UnknownSolver where it does not fit."""
+        """Return the numbers of the closed form, by default those that `recognise` found.
+
+        Raises UnknownSolver if it does not fit.
+        """
         return fitted(self, robot).parameters
 
     def refuses(self, asked: Asked) -> str:
-        """Why the closed form does not do what is asked, or ''."""
+        """Return why the closed form does not do what is asked, or ''."""
         return ""
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Joints (place in q) that the parameters put at a value [rad or m]."""
+        """Map the places in q of joints that the parameters put at a value [rad or m] to that value."""
         return {}
 
     preset, space = Rule.preset, Rule.space
     start_table, options, lanes = Rule.start_table, Rule.options, Rule.lanes
 
     def loop(self, robot: Any) -> Callable:
-        """The solve with the arguments of `kernel.search.entry`. Default: of `every`, the nearest that meets the tolerances."""
-        from .closed_form.nearest import nearest_of
-
+        """Return the solve, called as `kernel.search.entry`: by default the nearest of `every` that meets the tolerances."""
         return nearest_of(self, robot)
 
 
@@ -152,10 +150,18 @@ def rule(cls: Class) -> Class: ...
 @overload
 def rule(*, step: type) -> Callable[[Class], Class]: ...
 def rule(cls: Any = None, *, step: Any = None) -> Any:
-    """Class decorator: turn a NamedTuple class with a `step` into a rule.
+    """Make a NamedTuple class with a `step` a rule; use it as a class decorator.
 
-    step: the `@compiled` class that has the step, where that is another one: `pack` makes it of the parameters. Raises
-    TypeError where there is no step, nothing for numba to pass (a record without fields), or a field named like an option.
+    Args:
+        cls: The class; its fields are the rule's parameters.
+        step: The `@compiled` class that has the step, if it is another one; `pack` makes it from the parameters.
+
+    Returns:
+        The class, with the defaults of `protocol.Rule` for what it leaves out.
+
+    Raises:
+        TypeError: There is no step, nothing for numba to pass (a record without fields), or a field is named like an
+            option.
     """
 
     def mark(cls: Any) -> Any:
@@ -175,7 +181,17 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
 
 
 def closed_form(cls: Class) -> Class:
-    """Class decorator: turn a NamedTuple class with `recognise` and `every` into one. Raises TypeError without them."""
+    """Make a NamedTuple class with `recognise` and `every` a closed form; use it as a class decorator.
+
+    Args:
+        cls: The class; its fields are the closed form's parameters.
+
+    Returns:
+        The class, with the defaults of `protocol.ClosedForm` for what it leaves out.
+
+    Raises:
+        TypeError: `recognise` or `every` is missing, or a field is named like an option.
+    """
     for name in ("_fields", "recognise", "every"):
         if not hasattr(cls, name):
             raise TypeError(f"{cls.__name__}: a closed form is a NamedTuple class with `recognise` and `every`")
@@ -184,7 +200,7 @@ def closed_form(cls: Class) -> Class:
 
 def _filled(cls: Any, protocol: Any) -> Any:
     for name in cls._fields:
-        if name in NAMES:  # `solve` takes both as keywords, and one would hide the other
+        if name in NAMES:  # `solve` takes both as keywords, and one would hide the other.
             raise TypeError(f"{cls.__name__}: '{name}' is an option of every solver; give the parameter another name")
     if hasattr(cls, "pack") and len(inspect.signature(cls.pack).parameters) < 3:
         raise TypeError(f"{cls.__name__}: pack takes (self, robot, asked)")
@@ -196,23 +212,23 @@ def _filled(cls: Any, protocol: Any) -> Any:
 
 # -------------------------------------------------------------------------------------------------------------- asking
 def misfit(row: Row, solver: Any, robot: Any) -> str:
-    """Why a solver cannot run on a robot, whatever the target; or ''."""
-    if row.one_tip and robot.by_tip:
+    """Return why a solver cannot run on a robot, whatever the target, or ''."""
+    if row.one_tip and len(robot.tips) > 1:
         return f"solver '{row.name}' is for one tip; for several use '{GENERAL}'"
     if row.closed and (reason := solver.recognise(robot.chain).reason):
         return f"solver '{row.name}' does not fit robot '{robot.name}': {reason}"
     return ""
 
 
-def fitted(form: Any, robot: Any) -> "Fit":
-    """Structure that a closed form recognises in a robot. Raises UnknownSolver with the reason where it does not fit."""
+def fitted(form: Any, robot: Any) -> Fit:
+    """Return the structure that a closed form recognises in a robot. Raises UnknownSolver with the reason if it does not fit."""
     if reason := misfit(find_row(form), form, robot):
         raise UnknownSolver(reason)
     return form.recognise(robot.chain)
 
 
 def require(row: Row, solver: Any, asked: Asked) -> None:
-    """Raise UnknownSolver where the solver does not fit the robot, InvalidOption where it does not do what is asked."""
+    """Raise UnknownSolver if the solver does not fit the robot, InvalidOption if it does not do what is asked."""
     if reason := misfit(row, solver, asked.robot):
         raise UnknownSolver(reason)
     if reason := refusal(row, solver, asked):
@@ -220,7 +236,7 @@ def require(row: Row, solver: Any, asked: Asked) -> None:
 
 
 def refusal(row: Row, solver: Any, asked: Asked) -> str:
-    """Why a solver does not do what is asked on a robot it fits, or ''. To be preceded by the solver's name."""
+    """Return why a solver does not do what is asked on a robot it fits, or ''; the solver's name comes before it."""
     o = asked.options
     if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
         return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"
@@ -233,7 +249,7 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
 
 
 def parameters(row: Row, solver: Any, asked: Asked) -> np.ndarray:
-    """Numbers of the compiled step. Raises InvalidOption when a parameter is missing or not finite."""
+    """Return the numbers of the compiled step. Raises InvalidOption if a parameter is missing or not finite."""
     try:
         numbers = np.asarray(solver.pack(asked.robot, asked), dtype=float)
     except IKError:

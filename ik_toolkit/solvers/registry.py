@@ -1,7 +1,7 @@
-"""One row per solver. The CLI's choices, `ik solvers`, the docs table, the benchmark and the contract tests come from here.
+"""One row for each solver, from which come the CLI's choices, `ik solvers`, the docs table, the benchmark and the contract tests.
 
-Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba. Another package registers a solver
-by an entry point of the group `ik_toolkit.solvers`, named as the solver and leading to its row:
+Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba. Another package
+registers a solver by an entry point of the group `ik_toolkit.solvers`, named as the solver and leading to its row:
 
     [project.entry-points."ik_toolkit.solvers"]
     half-step = "my_package.rows:HALF_STEP"
@@ -11,11 +11,16 @@ where `my_package/rows.py` imports nothing but this module and says HALF_STEP = 
 """
 
 import functools
+import hashlib
 import importlib
+import importlib.util
 import logging
 import math
 import re
+import sys
+import traceback
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import IKError, InvalidOption, UnknownSolver, near_match
@@ -24,11 +29,12 @@ from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 class Length(NamedTuple):
     """How long a search continues by default.
 
-    give_up: (C, rho, C_free, rho_free), an attempt ends when |e|^2 > C rho^k (first pair for starts from the table, second for
-    q0 and random starts), or None. patience: from this attempt after q0's on each has twice the iterations and is given up later.
+    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends when |e|^2 > C rho^k (first pair for starts from
+    the table, second for q0 and random starts). From the attempt `patience` after q0's, each has twice the iterations
+    and is given up later.
     """
 
-    iterations: int = 1000  # of an attempt
+    iterations: int = 1000  # Number of iterations of an attempt.
     attempts: int = 1
     give_up: tuple[float, float, float, float] | None = None
     patience: float = math.inf
@@ -41,11 +47,12 @@ LENGTH = Length()
 class Row:
     """What is known of a solver without importing it.
 
-    target: "module:Class" of the rule or closed form. search: its default length; several: the same for several tips, if that
-    differs. closed: a closed form. pose, position: the targets it solves. one_tip: not for several tips. moves_all: moves
-    every joint, so that none can be held by a weight of 0. tracks: makes sense with one step per sample. joints: for a closed
-    form that 'auto' uses where it fits, the numbers of joints it may fit. package: the package it comes from, if not this one
-    (see `registered`). cls: the class, if it need not be imported. A solver declares everything else itself: see `protocol`.
+    `target` is "module:Class" of the rule or closed form, `search` its default length, `several` the same for several
+    tips if that differs. `pose` and `position` are the targets it solves. A solver that is `one_tip` is not for several
+    tips; one that `moves_all` moves every joint, so none can be held by a weight of 0; one that `tracks` makes sense
+    with one step per sample. `joints` are the numbers of joints that a closed form may fit, which 'auto' uses.
+    `package` is the package it comes from, if not this one (see `registered`), `cls` the class if it need not be
+    imported. A solver declares everything else itself (see `protocol`).
     """
 
     name: str
@@ -66,7 +73,7 @@ class Row:
     cls: Any = None
 
     def load(self) -> Any:
-        """Import and return the class. Raises UnknownSolver where another package's class cannot be imported or is not a solver."""
+        """Import and return the class. Raises UnknownSolver if another package's class cannot be imported or is not a solver."""
         if self.cls is not None:
             return self.cls
         module, name = self.target.split(":")
@@ -84,7 +91,7 @@ class Row:
         return cls
 
     def length(self, tips: int = 1) -> Length:
-        """How long the search continues for this number of tips."""
+        """Return how long the search continues for this number of tips."""
         return self.several if tips > 1 and self.several is not None else self.search
 
 
@@ -98,8 +105,9 @@ ROWS: tuple[Row, ...] = (
         "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a table of starts (default)",
         "any robot; position, pose, masks",
         "Sugihara 2011",
-        # Give-up: a broad optimum measured on six arms (C 10-100 and rho 0.12-0.35 cost under 4 %, none at all up to twice the
-        # time); by attempt 20 easy targets are solved. Several tips pull on shared joints, and a start has to suit them all.
+        # The give-up is a broad optimum measured on six arms; by attempt 20 easy targets are solved.
+        # C from 10 to 100 and rho from 0.12 to 0.35 cost under 4 % of time, no give-up at all up to twice the time.
+        # Several tips pull on shared joints, and a start has to suit them all.
         search=Length(30, 250, (30.0, 0.18, 100.0, 0.35), 20),
         several=Length(40, 400, (60.0, 0.25, 200.0, 0.4)),
     ),
@@ -188,22 +196,22 @@ ROWS: tuple[Row, ...] = (
         position=False,
     ),
 )
-GROUP = "ik_toolkit.solvers"  # of entry points
-NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # commands take lists of names with commas, and FILE:CLASS with a colon
+GROUP = "ik_toolkit.solvers"  # Entry points of this group are solvers.
+NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # Commands take lists of names with commas, and FILE:CLASS with a colon.
 LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
 BY_NAME = {row.name: row for row in ROWS}
-GENERAL = ROWS[0].name  # what 'auto' takes where no closed form fits
+GENERAL = ROWS[0].name  # 'auto' takes this solver if no closed form fits.
 
 
 def list_rows() -> tuple[Row, ...]:
-    """Our rows, then those of other packages."""
+    """Return our rows, then those of other packages."""
     return (*ROWS, *registered().values())
 
 
-@functools.cache  # once per process: reading what is installed takes some milliseconds
+@functools.cache  # Reading what is installed takes some milliseconds, so it is done once per process.
 def registered() -> dict[str, Row]:
-    """Rows of other packages by name. Broken ones are left out, with a warning that names the package."""
+    """Return the rows of other packages by name; unusable ones are left out, with a warning that names the package."""
     import importlib.metadata
 
     found: dict[str, tuple[Row, str]] = {}
@@ -212,7 +220,7 @@ def registered() -> dict[str, Row]:
         package = point.dist.name if point.dist is not None else point.value
         try:
             row = _row(point)
-        except Exception as error:  # whatever another package does, ours continues without it
+        except Exception as error:  # Whatever another package does, ours continues without it.
             why = f"{type(error).__name__}: {error}" if not isinstance(error, InvalidOption) else error
             LOG.warning("package %s: solver '%s' is left out: %s", package, point.name, why)
             continue
@@ -228,12 +236,12 @@ def registered() -> dict[str, Row]:
 
 
 def _row(point: Any) -> Row:
-    """Row of an entry point. Raises InvalidOption for anything but a row, or an unusable name."""
+    """Return the row of an entry point. Raises InvalidOption for anything but a row, or an unusable name."""
     row = point.load()
     if not isinstance(row, Row):
         raise InvalidOption(f"{point.value} is a {type(row).__name__}, not a Row of ik_toolkit.solvers.registry")
     if row.name != point.name:
-        raise InvalidOption(f"its row is called '{row.name}'")
+        raise InvalidOption(f"its row has the name '{row.name}'")
     if not NAME.fullmatch(row.name) or row.name == "auto":
         raise InvalidOption(
             "a name must consist of lowercase letters, digits, '-', '_' and '.', and must not be 'auto'"
@@ -242,9 +250,8 @@ def _row(point: Any) -> Row:
         raise InvalidOption("ik_toolkit already has a solver of that name")
     if row.target.count(":") != 1:
         raise InvalidOption(f"its target '{row.target}' is not MODULE:CLASS")
-    return replace(
-        row, joints=()
-    )  # 'auto' stands for solvers of this package: installing another must not change answers
+    # 'auto' is for solvers of this package, because installing another one must not change answers.
+    return replace(row, joints=())
 
 
 def find_row(solver: Any) -> Row:
@@ -257,7 +264,7 @@ def find_row(solver: Any) -> Row:
             raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, rows)}")
         return rows[solver]
     cls = solver if isinstance(solver, type) else type(solver)
-    if hasattr(cls, "loop"):  # marked by protocol.rule or protocol.closed_form
+    if hasattr(cls, "loop"):  # protocol.rule or protocol.closed_form marks a class so.
         for row in (row for rows in (lambda: ROWS, list_rows) for row in rows()):
             if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
                 return row
@@ -270,7 +277,7 @@ def find_row(solver: Any) -> Row:
 
 
 def _own(cls: type) -> Row:
-    """Row of a user's solver; its class attributes may set the fields of a row."""
+    """Make the row of a user's solver, whose class attributes may set the fields of a row."""
     said = {name: getattr(cls, name) for name in OWN if hasattr(cls, name)}
     kind = _CLOSED_FORM if hasattr(cls, "every") else {}
     summary = (cls.__doc__ or cls.__name__).splitlines()[0]
@@ -279,7 +286,7 @@ def _own(cls: type) -> Row:
 
 
 def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
-    """Instance of the row's class with the given parameters. Raises InvalidOption for an unknown one or a bad value."""
+    """Make an instance of the row's class with the given parameters. Raises InvalidOption for an unknown one or a bad value."""
     cls = row.load()
     fields = cls._fields
     for key, value in parameters.items():
@@ -291,3 +298,58 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
         if isinstance(value, float) and value != value:
             raise InvalidOption(f"parameter '{key}' of solver '{row.name}' must be a number, not NaN")
     return cls(**parameters)
+
+
+def is_solver_file(text: str) -> bool:
+    """Whether a solver is given as FILE.py:CLASS."""
+    return ".py:" in text or text.endswith(".py")
+
+
+def solver_from_file(text: str) -> type:
+    """The class of FILE.py:CLASS, run as Python runs a script: files beside it can be imported.
+
+    Raises InvalidOption when there is no such file or class, when it does not run, or when the class is not a solver.
+    """
+    name, _, wanted = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
+    path = Path(name).expanduser().resolve()
+    if not path.is_file():
+        near = near_match(path.name, sorted(one.name for one in path.parent.glob("*.py") if one.is_file()))
+        raise InvalidOption(f"solver '{text}': there is no file '{name}'.{near}")
+    classes = _classes(path)
+    solvers = {key: cls for key, cls in classes.items() if hasattr(cls, "loop")}
+    if not wanted:
+        raise InvalidOption(f"solver '{text}': name the class: {name}:CLASS.{near_match(path.stem, solvers)}")
+    if wanted in solvers:
+        return solvers[wanted]
+    mark = "a solver is marked by @ik_toolkit.rule or @ik_toolkit.closed_form"
+    if wanted in classes:
+        raise InvalidOption(f"solver '{text}': the class {wanted} is not a solver; {mark}")
+    tail = near_match(wanted, solvers) or f" It defines no solver; {mark}."
+    raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
+
+
+@functools.cache  # a file is run once per process
+def _classes(path: Path) -> dict[str, type]:
+    """Return the classes that a file makes, by name. Raises InvalidOption if it does not run."""
+    # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was
+    # compiled for a file that moved is found again.
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InvalidOption(f"cannot read '{path}': {error.strerror}") from None
+    module_name = f"{path.stem}_{hashlib.sha256(content).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent))
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:  # a script may end itself
+        del sys.modules[module_name]
+        at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = getattr(error, "lineno", None) or (at[-1] if at else None)
+        where = f", line {line}" if line is not None else ""
+        raise InvalidOption(f"{path.name}{where}: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(str(path.parent))
+    return {k: cls for k, cls in vars(module).items() if isinstance(cls, type) and cls.__module__ == module_name}

@@ -1,7 +1,7 @@
-"""Result of a solve."""
+"""The result of a solve."""
 
 import html
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,46 +11,54 @@ from ..kernel.records import ANSWER, AT
 from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
+from .explain.explanation import Explanation
 from .message import sentence
-from .outcome import SPOKEN, Outcome
+from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors
 
-if TYPE_CHECKING:
-    from .explain.explanation import Explanation
-
 
 class Result(ReadOnly):
-    """Answer of one solve, for one tip or several (read-only).
+    """The answer of one solve, for one tip or several (read-only).
 
-    q (n,) [rad or m], evaluated and inside the limits; success; status; message (one sentence, with what to try);
-    position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q, of several tips the
-    largest; position_errors and orientation_errors: the same by tip, what counts of them; raw_error (6,), raw_errors by tip:
-    all of them; iterations (steps taken), restarts, fk_evaluations (all
-    tips count as one); attempt (the one q comes from: 0 is the first, which starts at q0 when that was given); limited_joints
-    (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the input, or that q comes
-    from another attempt than the one from q0 or is half a turn from it, and what q does to loops of the description, or '');
-    collision (pair of names that touch at q, when collisions are avoided and no answer without one was found, else None);
-    history (dict of arrays q, position_error, orientation_error and attempt, one row per evaluation, or None; attempt is -1 in
-    later attempts than the first 12 and the one that q comes from).
+    Attributes:
+        q: Joint values (n,) [rad or m], evaluated and inside the limits.
+        success, status, message: Whether and how the solve succeeded, and one sentence on it, with what to try.
+        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest; the second is None if
+            the target leaves orientation free.
+        position_errors, orientation_errors: The same of each tip.
+        raw_error, raw_errors: All errors (6,), of a tip and of each tip, before slack, free turn and mask.
+        iterations, restarts, fk_evaluations: Counts of steps, of attempts after the first, and of FK evaluations (all
+            tips count as one).
+        attempt: Number of the attempt that q comes from; 0 is the first, which starts at q0 if that was given.
+        limited_joints: Names of joints at a limit.
+        elapsed: Time of the call [s].
+        seed, solver, robot: Seed of the random starts, name of the solver used, and the robot.
+        notice: What was corrected in the input, that q may be far from q0, and what q does to loops of the description,
+            or ''.
+        collision: Names of two parts that touch at q if collisions are avoided and no other answer was found, otherwise
+            None.
+        clearance: Distance [m] of the nearest two parts, if collisions are avoided.
+        history: Arrays q, position_error, orientation_error and attempt with a row for each evaluation, or None. The
+            attempt is -1 in attempts after the first 12 other than the one that q comes from.
     """
 
     __slots__ = ("_of",)
     _sealed = True
 
-    def __init__(self, outcome: Outcome) -> None:
+    def __init__(self, outcome: SolveRecord) -> None:
         """Store the record; everything else is computed on demand."""
         keep(self, outcome)
 
     @property
     def q(self) -> np.ndarray:
-        """Joint values (n,) [rad or m]; the best configuration evaluated when the solve failed."""
+        """Joint values (n,) [rad or m]; the best configuration evaluated if the solve failed."""
         return self._of.row[ANSWER : ANSWER + self._of.plan.robot.n]
 
     @property
     def status(self) -> Status:
-        """How the solve ended."""
+        """The `Status` that says how the solve ended."""
         return Status(int(self._of.row[AT.status]))
 
     @property
@@ -70,7 +78,7 @@ class Result(ReadOnly):
 
     @property
     def orientation_error(self) -> float | None:
-        """Rotation angle left at q [rad], of several tips the largest; None where orientation is free."""
+        """Angle [rad] between the tip at q and the target, of several tips the largest; None if orientation is free."""
         return max((angle for _, angle in self._of.left() if angle is not None), default=None)
 
     @property
@@ -80,14 +88,15 @@ class Result(ReadOnly):
 
     @property
     def orientation_errors(self) -> dict[str, float | None]:
-        """Rotation angle left at each tip [rad]; None where the target leaves orientation free."""
+        """Angle [rad] between each tip and its target; None if the target leaves orientation free."""
         return {tip: angle for tip, (_, angle) in zip(self.robot.tips, self._of.left(), strict=True)}
 
     @property
     def raw_errors(self) -> dict[str, np.ndarray]:
-        """e (6,) of each tip at q by Pinocchio: target - tip [m] and the rotation vector left [rad], in the axes of `frame`.
+        """Errors (6,) of each tip at q by Pinocchio: target - tip [m] and the rotation vector left [rad], in the axes of `frame`.
 
-        Before slack, free turn and mask; NaN where a tip has no target, or in a row of a batch, which keeps no targets.
+        They are before slack, free turn and mask; NaN if a tip has no target, and in a row of a batch, which keeps no
+        targets.
         """
         of = self._of
         if not of.T.size:
@@ -97,30 +106,28 @@ class Result(ReadOnly):
 
     @property
     def raw_error(self) -> np.ndarray:
-        """The same (6,) of the tip; of several the one with the largest position error."""
+        """Errors (6,) as in raw_errors of the tip; of several tips the one with the largest position error."""
         errors = self.position_errors
         return self.raw_errors[max(errors, key=lambda tip: errors[tip])]
 
     @property
     def iterations(self) -> int:
-        """Steps taken, over all attempts."""
+        """Number of steps taken in all attempts."""
         return int(self._of.row[AT.iterations])
 
     @property
     def restarts(self) -> int:
-        """Attempts after the first."""
+        """Number of attempts after the first one."""
         return int(self._of.row[AT.restarts])
 
     @property
     def attempt(self) -> int:
-        """Number of the attempt that q comes from: 0 is the first, which starts at q0 when that was given."""
+        """Number of the attempt that q comes from: 0 is the first, which starts at q0 if that was given."""
         return int(self._of.row[AT.attempt])
 
     @property
     def notice(self) -> str:
-        """What was corrected in the input, whether q is another attempt's or half a turn or more from q0, and what q does to
-        the constraints of the description; or ''.
-        """
+        """What was corrected in the input, that q may be far from q0, and what q does to the description's constraints, or ''."""
         jump, of = "", self._of
         if of.given and not of.plan.options.closest:
             if self.attempt:
@@ -135,12 +142,12 @@ class Result(ReadOnly):
 
     @property
     def fk_evaluations(self) -> int:
-        """Forward-kinematics evaluations made."""
+        """Number of evaluations of the forward kinematics."""
         return int(self._of.row[AT.evaluations])
 
     @property
     def limited_joints(self) -> tuple[str, ...]:
-        """Names of the joints that stand on a limit at q."""
+        """Names of the joints that are at a limit at q."""
         return tuple(self.robot.at_limits(self.q))
 
     @property
@@ -166,16 +173,16 @@ class Result(ReadOnly):
 
     @property
     def collision(self) -> tuple[str, str] | None:
-        """Names of two parts that touch at q, when collisions are avoided and no answer without one was found."""
+        """Names of two parts that touch at q, if collisions are avoided and no answer without a contact was found."""
         return self._of.collision
 
     @property
     def clearance(self) -> float | None:
-        """Distance [m] of the nearest two parts at q, when collisions are avoided, with all obstacles where they are now.
+        """Distance [m] of the nearest two parts at q, if collisions are avoided, with all obstacles where they are now.
 
-        Measured on demand, as `CollisionModel.distance` does; None without collisions to avoid, or pairs to test.
+        It is measured on demand, as `CollisionModel.distance` does; None without collisions to avoid, or pairs to test.
         """
-        from .collision_free import collision_model  # which reads this file
+        from .collision_free import collision_model  # That module imports this one.
 
         asked = self._of.plan.options.avoid_collisions
         near = None if asked is False else collision_model(self.robot, asked).distance(self.q)
@@ -183,32 +190,36 @@ class Result(ReadOnly):
 
     @property
     def history(self) -> dict[str, np.ndarray] | None:
-        """Errors and q of every evaluation, when `history=True` was asked for."""
+        """Errors and q of every evaluation, if `history=True` was asked for."""
         return self._of.history
 
     @property
     def message(self) -> str:
-        """One sentence on how the solve ended and, on failure, what to try (of several tips, which is how far)."""
+        """One sentence on how the solve ended and, on failure, what to try (of several tips, how far each is away)."""
         return sentence(self)
 
     def raise_for_status(self) -> "Result":
-        """Return self, or raise NotSolved with the sentence when the solve failed."""
+        """Return self, or raise NotSolved with the sentence if the solve failed."""
         if not self.success:
             raise NotSolved(self)
         return self
 
-    def explain(self) -> "Explanation":
-        """How the answer comes about: D-H table, closed form with the numbers put in, branches, iterations (see `Explanation`).
+    def explain(self) -> Explanation:
+        """Explain how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.
 
-        `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no
-        target, and MissingExtra without SymPy where a closed form has formulas to show.
+        Returns:
+            An Explanation, which `print` shows as text, a notebook with formulas.
+
+        Raises:
+            InvalidTarget: The result is a row of a batch, which keeps no target.
+            MissingExtra: A closed form has formulas to show, and SymPy is not installed.
         """
-        from .explain.explain import explain  # which reads this file
+        from .explain.explain import explain_result  # That module imports this one.
 
-        return explain(self)
+        return explain_result(self)
 
     def to_ros(self) -> dict[str, Any]:
-        """Fields of a ROS sensor_msgs/JointState at q, without velocities and efforts."""
+        """Return the fields of a ROS sensor_msgs/JointState at q, without velocities and efforts."""
         return {
             "header": header(),
             "name": list(self.robot.joint_names),
@@ -218,7 +229,7 @@ class Result(ReadOnly):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""
+        """Return numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""
         plain = {
             "success": self.success,
             "status": self.status.name,
@@ -247,12 +258,12 @@ class Result(ReadOnly):
         return {**plain, "tips": tips} if len(tips) > 1 else plain
 
     def __repr__(self) -> str:
-        """One line."""
+        """Describe the result in one line."""
         with np.printoptions(precision=6, suppress=True):
             return f"Result({self.status.name}, q={self.q}, position_error={self.position_error:.3g}, solver='{self.solver}')"
 
     def _repr_html_(self) -> str:
-        """Table for notebooks."""
+        """Return a table for notebooks."""
         colour = GOOD if self.success else BAD
         cells = "".join(
             f"<tr><td>{html.escape(j)}</td><td>{x:.6f}</td></tr>"
@@ -261,4 +272,5 @@ class Result(ReadOnly):
         return f"<b style='color:{colour}'>{self.status.name}</b> {html.escape(self.message)}<table>{cells}</table>"
 
 
-keep = vars(Result)["_of"].__set__  # past the guard, faster than object.__setattr__ by a quarter of a microsecond
+# `keep` passes the guard of the read-only object, a quarter of a microsecond faster than object.__setattr__.
+keep = vars(Result)["_of"].__set__

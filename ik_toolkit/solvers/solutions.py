@@ -13,13 +13,18 @@ __all__ = ["Family", "Solutions", "SolutionsBatch"]
 
 
 class Solutions(ReadOnly):
-    """Distinct solutions of one target, nearest to q0 first.
+    """Distinct solutions of one target, nearest to q0 first; len(), indexing and iteration give the rows of q.
 
-    q (K, n) [rad or m]; distance (K,) from q0 (angles [rad], lengths over the robot's scale); position_error (K,) [m] and
-    orientation_error (K,) [rad] (None for positions), evaluated; branches (K, 3): signs of shoulder, elbow and wrist of a closed
-    form of ours (0 where two branches merge or the arm has no such joint), else None; found_by (K,): name of the solver of
-    each; complete: whether these are proven to be all of them (turns by 2 pi apart); families: tuple of Family, of which the
-    rows are a sample; solver (name); message (one sentence). len(), indexing and iteration give the rows of q.
+    Attributes:
+        q: Solutions (K, n) [rad or m].
+        distance: Distances (K,) from q0 (angles [rad], lengths over the robot's scale).
+        position_error, orientation_error: Errors (K,) [m], [rad], evaluated; the second is None for positions.
+        branches: Signs (K, 3) of shoulder, elbow and wrist in one of our closed forms (0 if two branches merge or the
+            arm has no such joint), otherwise None.
+        found_by: Names (K,) of the solvers that found them.
+        complete: Whether these are proven to be all of them, up to turns by 2 pi.
+        families: Families (tuple of Family) of which the rows are a sample.
+        solver, message: Name of the solver, and one sentence.
     """
 
     def __init__(
@@ -35,7 +40,7 @@ class Solutions(ReadOnly):
         branches: np.ndarray | None = None,
         found_by: tuple[str, ...] | None = None,
     ) -> None:
-        """Store the parts."""
+        """Store the arrays and texts."""
         self.robot = robot
         self.q = q
         self.distance = distance
@@ -49,19 +54,19 @@ class Solutions(ReadOnly):
         self._seal()
 
     def __len__(self) -> int:
-        """Number of solutions."""
+        """Return the number of solutions."""
         return len(self.q)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """Solutions (n,), nearest first."""
+        """Yield the solutions (n,), nearest first."""
         return iter(self.q)
 
     def __getitem__(self, k: int) -> np.ndarray:
-        """Solution number k (n,)."""
+        """Return solution number k (n,)."""
         return self.q[k]
 
     def keep(self, rows: np.ndarray) -> "Solutions":
-        """The same with only some rows (indices or booleans)."""
+        """Return only some of the solutions, chosen by indices or booleans."""
         rows = np.arange(len(self))[rows]
         orientation = self.orientation_error
         return Solutions(
@@ -72,7 +77,7 @@ class Solutions(ReadOnly):
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON."""
+        """Return numbers, strings and lists, ready for JSON."""
         orientation = self.orientation_error
         return {
             "success": len(self) > 0,
@@ -91,15 +96,15 @@ class Solutions(ReadOnly):
         }
 
     def __repr__(self) -> str:
-        """One line."""
+        """Describe the solutions in one line."""
         return f"Solutions({len(self)} of '{self.robot.name}', complete={self.complete}, solver='{self.solver}': {self.message})"
 
 
 class SolutionsBatch(ReadOnly):
-    """Solutions of many targets, all rows together.
+    """Solutions of many targets, all rows together; len() is the number of targets, batch[k] the Solutions of target k.
 
-    q (M, n); target (M,): number of the target of each row; distance, position_error, orientation_error, branches: as in
-    Solutions, a row each; complete (N,) bool. len() is the number of targets; batch[k] is the Solutions of target k.
+    q (M, n), distance, position_error, orientation_error and branches are as in Solutions, with a row each; target (M,)
+    is the number of the target of each row; complete (N,) has a bool for each target.
     """
 
     def __init__(self, each: list[Solutions]) -> None:
@@ -120,13 +125,13 @@ class SolutionsBatch(ReadOnly):
     branches = property(lambda self: self._joined("branches"))
 
     def __len__(self) -> int:
-        """Number of targets."""
+        """Return the number of targets."""
         return len(self._each)
 
     def __getitem__(self, k: int) -> Solutions:
-        """Solutions of target k."""
+        """Return the Solutions of target k."""
         return self._each[k]
 
     def __repr__(self) -> str:
-        """One line."""
+        """Describe the solutions in one line."""
         return f"SolutionsBatch({len(self)} targets, {len(self.target)} solutions)"

@@ -1,6 +1,6 @@
-"""The public calls: `solve` for one target, `Solver` bound once for hot loops.
+"""The public calls: `solve` for one target, and `Solver`, bound once, for loops that must be fast.
 
-One hop from here to the loop: a bound solver picks its plan by the kind of target, and the plan calls the compiled loop.
+The loop is one call away: a bound solver picks its plan by the kind of target, and the plan calls the compiled loop.
 """
 
 import threading
@@ -26,25 +26,35 @@ from .registry import GENERAL, find_row, make_rule
 from .result import Result
 from .task import POSES, read_target
 
-FLOAT = np.dtype(np.float64)  # one object per process, so `is` suffices; other kinds of float take the slow path
-BOUND_KEPT = 64  # solvers that `solve` keeps for a robot
-EXACT = {  # options that a closed form honours or ignores; 'auto' takes the search when any other is given
+# There is one dtype float64 per process, so `is` compares it; other kinds of float take the slow path.
+FLOAT = np.dtype(np.float64)
+BOUND_KEPT = 64  # `solve` keeps this many solvers for a robot.
+EXACT = {  # A closed form honours or ignores these options; 'auto' takes the search if any other is given.
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
     "seed", "limits", "q0_outside", "history", "check",
 }  # fmt: skip
 
 
 class Solver(ReadOnly):
-    """A solver bound to a robot, for hot loops: `solver(target, q0=None) -> Result`, a few microseconds.
+    """A solver bound to a robot, for loops that must be fast: `solver(target, q0=None) -> Result` takes a few microseconds.
 
-    robot: a Robot, or a Tree (several tips solved together). solver: name, rule class or instance; parameters of the rule and
-    options (see Options) as keywords. 'auto' (the default, as in `solve`) uses a closed form for the kinds of target it
-    solves exactly, otherwise the search; `result.solver` names the one used. The result is the kernel's own evaluation unless
-    check=True. Safe to call from several threads. Attributes: robot, name, plan (see `plan.Plan`). Raises UnknownSolver,
-    InvalidOption.
+    The result is the kernel's own evaluation unless check=True. A Solver may be called from several threads.
+
+    Args:
+        robot: A Robot, or a Tree (several tips solved together).
+        solver: Name, rule class or instance. 'auto' uses a closed form for the kinds of target that it solves exactly,
+            otherwise the search; `result.solver` names the one used.
+        options: Options (see `Options`), and parameters of the rule.
+
+    Attributes:
+        robot, name, plan: The robot, the solver's name, and what it runs (see `plan.Plan`).
+
+    Raises:
+        UnknownSolver: There is no such solver, or it does not fit the robot.
+        InvalidOption: An option is wrong.
     """
 
-    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options that are meant"}
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options you want"}
 
     def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Unpack[SolveOptions]) -> None:
         """Validate everything once; the loop is compiled at the first call."""
@@ -52,7 +62,7 @@ class Solver(ReadOnly):
         robot = narrowed_for(robot, options)
         options.setdefault("check", False)
         auto = is_auto(solver)
-        self._plans: dict[tuple, Plan] = {}  # by kind of target, where it is not `plan`
+        self._plans: dict[tuple, Plan] = {}  # Plans for the kinds of target that do not use `plan`.
         if auto:
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
@@ -60,13 +70,14 @@ class Solver(ReadOnly):
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)
+        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)  # of an array that needs no reading
+        self._stacked = (1, *robot.pose_shape)
         self._kinds = POSES * len(robot.tips)
         self._seal()
 
     @property
     def rule(self) -> Any:
-        """Rule or closed form with its parameters (of 'auto': of the search)."""
+        """Rule or closed form with its parameters (for 'auto' that of the search)."""
         return self.plan.rule
 
     @property
@@ -75,20 +86,27 @@ class Solver(ReadOnly):
         return self.plan.options
 
     def plan_for(self, kinds: tuple) -> Plan:
-        """The plan for targets of these kinds, one per tip."""
+        """Return the plan for targets of these kinds, one kind per tip."""
         return self._plans.get(kinds, self.plan)
 
     def __call__(self, target: Any, q0: Any = None) -> Result:
-        """Solve for one target; q0 (n,): where the first attempt starts.
+        """Solve for one target.
 
-        target: T_base_tip (4, 4), pin.SE3, a position (3,) [m] or an AxisTarget; for several tips a dict of these by tip, or
-        a list in the order of `robot.tips`. Without q0 the answer may be any solution. Raises InvalidTarget, FrameNotFound
-        and InvalidConfiguration; a failure to converge is a status in the Result.
+        Args:
+            target: T_base_tip (4, 4), pin.SE3, a position (3,) [m] or an AxisTarget; for several tips a dict of these
+                by tip, or a list in the order of `robot.tips`.
+            q0: Configuration (n,) [rad or m] where the first attempt starts; without it the answer may be any solution.
+
+        Returns:
+            The Result; a failure to converge is its status.
+
+        Raises:
+            InvalidTarget, FrameNotFound, InvalidConfiguration: The target, a tip's name or q0 is wrong.
         """
         started = perf_counter()
         notice = ""
         if type(target) is np.ndarray and target.dtype is FLOAT and target.shape == self._pose and target.flags.carray:
-            T, kinds = target[None], self._kinds
+            T, kinds = target.reshape(self._stacked), self._kinds
         else:
             T, kinds, notice = read_target(self.robot, target)
         plan = self._plans.get(kinds, self.plan) if self._plans else self.plan
@@ -101,7 +119,8 @@ class Solver(ReadOnly):
             start, note = plan.check_start(q0)
             notice = notice or note
         row = plan.solve(T, kinds, start, given)
-        if row[AT.status] >= BAD_TARGET:  # rejected by the kernel: refused here with a message, or corrected
+        # The kernel rejected the input, so it is refused here with a message, or corrected.
+        if row[AT.status] >= BAD_TARGET:
             if row[AT.status] == BAD_TARGET:
                 T, kinds, notice = read_target(self.robot, target)
             if given:
@@ -116,10 +135,19 @@ class Solver(ReadOnly):
         return Result(outcome)
 
     def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64) -> Any:
-        """Every distinct solution of a target, nearest to q0 (default home) first: `Solutions`, see `solve_all`.
+        """Find every distinct solution of a target, nearest to q0 first (see `solve_all`).
 
-        Targets (N, 4, 4) or (N, 3) give a `SolutionsBatch`. Evaluated by the kernel; with check=True also by Pinocchio. With
-        a built-in closed form without a free lift it takes some 20 microseconds. Raises as the solver does.
+        Answers are evaluated by the kernel, with check=True also by Pinocchio. With a built-in closed form without a
+        free lift it takes some 20 microseconds.
+
+        Args:
+            target: As for the solver, or targets (N, 4, 4) or (N, 3).
+            q0: Configuration (n,) [rad or m], by default home.
+            starts: Number of random starts of a search.
+            count: Largest number of solutions.
+
+        Returns:
+            Solutions, or a SolutionsBatch for several targets. It raises what the solver raises.
         """
         from .every import find_all
 
@@ -127,13 +155,13 @@ class Solver(ReadOnly):
 
 
 def require_robot(robot: Any) -> None:
-    """Raise InvalidOption when what should be a robot is none."""
+    """Raise InvalidOption if what should be a robot is none."""
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"a Robot or a Tree is needed (see Robot.load), not {type(robot).__name__}")
 
 
 def narrowed_for(robot: Any, options: Any) -> Any:
-    """The robot to solve for: a variant where `limits` narrows its limits, in place of which True is put into the options."""
+    """Return the robot to solve for: a variant if `limits` narrows its limits, which the options then have as True."""
     limits = options.get("limits", True)
     if limits is True or limits is False:
         return robot
@@ -142,7 +170,7 @@ def narrowed_for(robot: Any, options: Any) -> Any:
 
 
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
-    """Plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
+    """Make the plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
     row = find_row(solver)
     preset, fields = {}, ()
     if isinstance(solver, str | type):
@@ -158,15 +186,15 @@ def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
 _SOLVERS_LOCK = threading.Lock()
 
 
-def bound(robot: Any, solver: Any, options: Any) -> Solver:
-    """Return a Solver for these arguments, the same one each time they can be hashed."""
+def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
+    """Return a Solver for these arguments, the same one each time if they can be hashed."""
     robot = narrowed_for(robot, options)
     kept = robot.memo.setdefault("solvers", {})
     try:
-        # Types too: named tuples of equal numbers are equal, and so are 1 and True.
+        # The types are in the key because named tuples of equal numbers are equal, and so are 1 and True.
         key = (type(solver), solver, *options.items(), *map(type, options.values()))
         found = kept.get(key)
-    except TypeError:  # a parameter that cannot be hashed, such as a matrix
+    except TypeError:  # Such a parameter cannot be hashed, for example a matrix.
         return Solver(robot, solver, **options)
     if found is None:
         with _SOLVERS_LOCK:
@@ -177,14 +205,12 @@ def bound(robot: Any, solver: Any, options: Any) -> Solver:
 
 
 def is_auto(solver: Any) -> bool:
-    """Whether the choice of the solver is left to the toolkit."""
+    """Return whether the choice of the solver is left to the toolkit."""
     return solver is None or (isinstance(solver, str) and solver == "auto")
 
 
 def automatic(robot: Any, kind: int, options: Mapping[str, Any]) -> str:
-    """Name of the solver that 'auto' stands for: a closed form where one fits and no preference is given, else the search."""
-    if robot.by_tip:
-        return GENERAL
+    """Return the solver that 'auto' means: a closed form if one fits and no preference is given, otherwise the search."""
     preferences = {name: value for name, value in options.items() if name not in EXACT}
     if preferences.keys() <= set(NAMES) and make_options(preferences) == Options():
         return fits(robot, kind) or GENERAL
@@ -194,18 +220,28 @@ def automatic(robot: Any, kind: int, options: Mapping[str, Any]) -> str:
 def solve(
     robot: Robot | Tree, target: Any, solver: Any = "auto", q0: Any = None, **options: Unpack[SolveOptions]
 ) -> Result:
-    """Find joint values that bring the tip to the target, or several tips to theirs.
+    """Find joint values that bring the tip to the target, or several tips to theirs; Pinocchio checks a success again.
 
-    target: T_base_tip (4, 4) or pin.SE3, a position (3,) with orientation free [m], or an AxisTarget (see `pose`); for a Tree
-    a dict of these by tip, or a list in the order of its tips. solver: a name, a rule class or an instance with its
-    parameters; 'auto' uses a closed form where one fits and the search otherwise. q0 (n,): where the first attempt starts;
-    without it the answer may be any solution (fastest), so give q0 to stay near it. follow: for loops, one attempt that moves
-    no joint further than this from q0. closest=q_ref (n,): the nearest of several solutions. limits: True, False, or narrower
-    ones, {joint: (lower, upper)} [rad or m] or a pair of arrays (see `Joints.narrowed`). Options, see `Options`:
-    tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout
-    [s], seed, limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; and the
-    parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver,
-    InvalidOption.
+    Args:
+        robot: The Robot, or a Tree of several tips.
+        target: T_base_tip (4, 4) or pin.SE3, a position (3,) [m] with orientation free, or an AxisTarget (see `pose`);
+            for a Tree a dict of these by tip, or a list in the order of its tips.
+        solver: A name, a rule class or an instance with its parameters; 'auto' uses a closed form if one fits,
+            otherwise the search.
+        q0: Configuration (n,) [rad or m] where the first attempt starts. Without it the answer may be any solution
+            (fastest), so give q0 to stay near it.
+        options: Parameters of the solver, and options (see `Options`): tolerance (both), position_tolerance [m],
+            orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout [s], seed, q0_outside, mask,
+            slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; follow (for loops, one attempt
+            that moves no joint further than this from q0); closest=q_ref (n,) (the nearest of several solutions);
+            limits (True, False, or narrower ones, {joint: (lower, upper)} [rad or m] or a pair of arrays).
+
+    Returns:
+        The Result, whose status says how the solve ended.
+
+    Raises:
+        InvalidTarget, InvalidConfiguration: The target or q0 is wrong.
+        UnknownSolver, InvalidOption: The solver or an option is wrong.
     """
     require_robot(robot)
     options.setdefault("check", True)
@@ -213,4 +249,4 @@ def solve(
         if q0 is not None:
             raise InvalidOption("give closest=q_ref or q0, not both: the search starts at q_ref")
         q0, options["closest"] = options["closest"], True
-    return bound(robot, "auto" if solver is None else solver, options)(target, q0)
+    return bound_solver(robot, "auto" if solver is None else solver, options)(target, q0)

@@ -8,9 +8,9 @@ from ..robot.tree import Tree
 from .every import find_all
 from .options import AllOptions
 from .solutions import Solutions
-from .solve import bound, require_robot
+from .solve import bound_solver, require_robot
 
-CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # options about one answer
+CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # These options are about one answer.
 
 
 def solve_all(
@@ -23,17 +23,32 @@ def solve_all(
     count: int = 64,
     **options: Unpack[AllOptions],
 ) -> Solutions:
-    """Find every distinct solution inside the limits, nearest to q0 (default home) first.
+    """Find every distinct solution inside the limits, nearest to q0 first; Pinocchio checks each.
 
-    target: as for `solve`. 'auto' uses a closed form where one fits (complete, unless the fit is only near or a family exists:
-    `families` says what is free, and the rows are a spread sample of at most `count`) and otherwise a search from `starts` random
-    starts, answers a turn or less than 1e-3 apart merged (never proven complete). A closed form that may miss some is completed by
-    the same starts. Options as for `solve`, but for closest, objective, follow and history; limits=False lists what the limits
-    forbid too. Each is checked with Pinocchio. Raises as `solve` does.
+    'auto' uses a closed form if one fits. Its list is complete unless the fit is only near or a family exists:
+    `families` says what is free, and the rows are a spread sample. Otherwise a search from random starts merges answers
+    that are a turn or less than 1e-3 apart, which are never proven complete. A closed form that may miss some is
+    completed by the same starts.
+
+    Args:
+        robot: The Robot or Tree.
+        target: As for `solve`.
+        solver: As for `solve`.
+        q0: Configuration (n,) [rad or m], by default home.
+        starts: Number of random starts of a search.
+        count: Largest number of solutions.
+        options: As for `solve`, but for closest, objective, follow, timeout and history; limits=False lists what the
+            limits forbid too.
+
+    Returns:
+        The solutions, with their errors and how complete they are.
+
+    Raises:
+        InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption: As `solve` does.
     """
     require_robot(robot)
     for name in CHOOSING:
         if options.get(name):
             raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     options.setdefault("check", True)
-    return find_all(bound(robot, solver, options), target, q0, starts, count)
+    return find_all(bound_solver(robot, solver, options), target, q0, starts, count)

@@ -9,9 +9,10 @@ from ..robot.constraints import Kept, constraints_at
 
 
 class Status(enum.IntEnum):
-    """How a solve ended. Numbers are those of the kernel.
+    """How a solve ended; the numbers are those of the kernel.
 
-    Rows are compared with the kernel's own (kernel/checks.py): numpy takes microseconds to compare a number with an enum.
+    Rows are compared with the kernel's own (kernel/checks.py), because numpy takes microseconds to compare a number
+    with an enum.
     """
 
     CONVERGED = 0
@@ -22,20 +23,20 @@ class Status(enum.IntEnum):
     SINGULAR = 5
     NOT_FINITE = 6
     CHECK_FAILED = 7
-    COLLISION = 10  # 8 and 9 are the kernel's own
+    COLLISION = 10  # The kernel uses 8 and 9 itself.
     TOO_FAR = 11
     CONSTRAINT_OPEN = 12
 
 
-SEARCHED = -1.0  # in the slot of the excess of a closed form's row: q came from the search after it
+SEARCHED = -1.0  # A closed form's row has this as its excess if q came from the search after it.
 
 
 def count_statuses(numbers: np.ndarray) -> dict[str, int]:
-    """How many of the numbers (N,) stand for each status, by name; only those that occur."""
+    """Count how many of the numbers (N,) mean each status, by name; only those that occur are listed."""
     found, counts = np.unique(numbers, return_counts=True)
     return {Status(int(k)).name: int(c) for k, c in zip(found, counts, strict=True)}
 
 
 def constraints_of(robot: Any, q: np.ndarray, options: Any) -> Kept:
-    """What q (n,) does to the loops and relations of its robot's description, within the tolerances of the options."""
+    """Return what q (n,) does to the loops and relations of its robot's description, within the tolerances of the options."""
     return constraints_at(robot, q, options.position_tolerance, options.orientation_tolerance)

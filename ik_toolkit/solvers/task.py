@@ -12,14 +12,14 @@ from ..kernel.records import Task
 from ..robot.pose import AxisTarget, check_target, errors
 from .options import COUNTING, FRAMES, Options
 
-POSES = (POSE,)  # kinds of a pose for one tip
+POSES = (POSE,)  # The kinds of a single pose.
 WHOLE = frozenset((POSE, POSITION))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
 
 
 class Counts(NamedTuple):
-    """What of the error of one tip counts, see `Options`: six weights and half widths or None, a unit tip axis or None, axes."""
+    """The parts of a tip's error that count (see `Options`): weights and half widths (6,), a free axis of the tip, the frame."""
 
     mask: tuple[float, ...] | None
     slack: tuple[float, ...] | None
@@ -28,13 +28,13 @@ class Counts(NamedTuple):
 
     @property
     def in_part(self) -> bool:
-        """Whether something is left out for any target."""
+        """Whether a part of the error does not count."""
         return any(part is not None for part in self[:3])
 
 
 # ----------------------------------------------------------------------------------------------------------- what counts
 def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
-    """What counts at each tip. Raises InvalidOption: an unknown tip, or a tip at which nothing counts."""
+    """Return what counts at each tip. Raises InvalidOption for an unknown tip, or a tip at which nothing counts."""
     every = []
     for name in COUNTING:
         value = getattr(o, name)
@@ -56,7 +56,10 @@ def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
 
 
 def relatives(robot: Any, o: Options) -> tuple[int, ...]:
-    """Number of the tip that each tip's target is relative to, -1 for the base. Raises InvalidOption: unknown tips, circles."""
+    """Return the number of the tip that each tip's target is relative to, -1 for the base.
+
+    Raises InvalidOption: unknown tips, circles.
+    """
     if o.relative_to is None:
         return (-1,) * len(robot.tips)
     if len(robot.tips) == 1:
@@ -75,17 +78,17 @@ def relatives(robot: Any, o: Options) -> tuple[int, ...]:
 
 
 def counts_in_part(kinds: tuple, o: Options) -> bool:
-    """Whether anything but whole poses and positions is requested, which closed forms do not solve."""
+    """Return whether anything but whole poses and positions is requested, which closed forms do not solve."""
     return o.in_part or not WHOLE.issuperset(kinds)
 
 
 def counted_rows(robot: Any, kinds: tuple, o: Options) -> np.ndarray:
-    """Which of the stacked errors (6 F,) count at all, as if all frames were the base. A free turn leaves two of a rotation."""
+    """Return which of the stacked errors (6 F,) count, as if all frames were the base; a free turn leaves two of a rotation."""
     return np.concatenate([_counting(one, kind) for one, kind in zip(what_counts(robot, o), kinds, strict=True)])
 
 
 def _counting(counts: Counts, kind: Any) -> np.ndarray:
-    """Which of the six errors count."""
+    """Return which of the six errors count."""
     if kind == FREE:
         return np.zeros(6, dtype=bool)
     rows = np.array(counts.mask or ALL) > 0.0
@@ -98,7 +101,7 @@ def _counting(counts: Counts, kind: Any) -> np.ndarray:
 
 
 def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
-    """What counts at each tip as the kernel reads it. Raises InvalidOption where options and kinds of target disagree."""
+    """Return what counts at each tip as the kernel reads it. Raises InvalidOption if options and kinds of target disagree."""
     scale, tasks = robot.chain.scale, []
     given = zip(
         robot.tips,
@@ -128,12 +131,12 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
 
 
 def _at(robot: Any, tip: str) -> str:
-    """Prefix of a message about one of several tips."""
+    """Return the beginning of a message about one of several tips."""
     return f"{tip}: " if len(robot.tips) > 1 else ""
 
 
 def _free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | None:
-    """Tip axis about which the turn is free, from the options or an AxisTarget."""
+    """Return the tip axis about which the turn is free, from the options or an AxisTarget."""
     if not isinstance(kind, tuple):
         return None if kind == POSITION else counts.free_turn
     if counts.free_turn is not None:
@@ -142,7 +145,7 @@ def _free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | N
 
 
 def _require_position(counts: Counts, at: str) -> None:
-    """Raise InvalidOption where an option needs an orientation and the target is a position."""
+    """Raise InvalidOption if an option needs an orientation and the target is a position."""
     if counts.mask is not None and any(counts.mask[3:]):
         raise InvalidOption(
             f"{at}a position leaves orientation free, so the last three weights of its mask must be 0, not {counts.mask[3:]}"
@@ -153,28 +156,27 @@ def _require_position(counts: Counts, at: str) -> None:
 
 # --------------------------------------------------------------------------------------------------------------- targets
 def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
-    """Validated target as T (1, 4, 4), of several tips (1, F, 4, 4); its kinds, one per tip; and a notice.
+    """Validate a target; return T (1, 4, 4), of several tips (1, F, 4, 4), its kinds, one per tip, and a notice.
 
-    target: T_base_tip (4, 4), pin.SE3, a position (3,) or an AxisTarget; of several tips a dict by tip of these, or a list in
-    the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a dict. Raises
-    FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
+    The target is T_base_tip (4, 4), pin.SE3, a position (3,) or an AxisTarget; of several tips a dict by tip of these,
+    or a list in the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a
+    dict. Raises FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """
-    several = robot.by_tip
-    if not several and (isinstance(target, AxisTarget) or not isinstance(target, Mapping)):
-        T, kind, notice = read_one(target)
+    if not robot.by_tip and (isinstance(target, AxisTarget) or not isinstance(target, Mapping)):
+        T, kind, notice = read_one(target, robot.base)
         return T[None], (kind,), notice
     tips = robot.tips
-    made = [_read_tip(tip, one) for tip, one in zip(tips, _by_tip(robot, target), strict=True)]
-    T = np.array([one[0] for one in made])
+    made = [_read_tip(tip, one, robot.base) for tip, one in zip(tips, _in_order(robot, target), strict=True)]
+    T = np.array([one[0] for one in made]).reshape(1, *robot.pose_shape)
     kinds = tuple(one[1] for one in made)
     if all(kind == FREE for kind in kinds):
         raise InvalidTarget(f"give a target for at least one of {', '.join(tips)}")
     notice = "; ".join(f"{tip}: {one[2]}" for tip, one in zip(tips, made, strict=True) if one[2])
-    return T[None] if several else T, kinds, notice
+    return T, kinds, notice
 
 
-def _by_tip(robot: Any, targets: Any) -> list[Any]:
-    """A target or None for each tip."""
+def _in_order(robot: Any, targets: Any) -> list[Any]:
+    """Return a target or None for each tip."""
     tips = robot.tips
     if isinstance(targets, Mapping):
         robot.check_tips(targets)
@@ -188,22 +190,22 @@ def _by_tip(robot: Any, targets: Any) -> list[Any]:
     return list(targets)
 
 
-def _read_tip(tip: str, target: Any) -> tuple[np.ndarray, Any, str]:
+def _read_tip(tip: str, target: Any, base: str) -> tuple[np.ndarray, Any, str]:
     if target is None:
         return np.eye(4), FREE, ""
     try:
-        return read_one(target)
+        return read_one(target, base)
     except InvalidTarget as error:
         raise InvalidTarget(f"{tip}: {error}") from None
 
 
-def read_one(target: Any) -> tuple[np.ndarray, Any, str]:
-    """One target -> (4, 4), kind and notice."""
+def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
+    """One target, in the frame `base` -> (4, 4), kind and notice."""
     if isinstance(target, AxisTarget):
         return target.T_base_tip, (AXIS, target.axis), ""
     if isinstance(target, str):
         raise InvalidTarget(f"a target must be a pose or a position, not the text {target!r}")
-    checked, notice = check_target(target)
+    checked, notice = check_target(target, base)
     if checked.ndim == 2:
         return checked, POSE, notice
     T = np.eye(4)
@@ -215,10 +217,10 @@ def read_one(target: Any) -> tuple[np.ndarray, Any, str]:
 def counted_errors(
     robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
 ) -> list[tuple[float, float | None]]:
-    """Position error [m] and orientation error [rad] that count at each tip at q (n,), by Pinocchio.
+    """Compute position error [m] and orientation error [rad] that count at each tip at q (n,), by Pinocchio.
 
-    T (1, 4, 4) or (1, F, 4, 4), or without the first axis: validated targets. None where the target leaves orientation free;
-    the errors of a free tip are 0.
+    T (1, 4, 4) or (1, F, 4, 4), or without the first axis, has validated targets. The orientation error is None if the
+    target leaves orientation free; the errors of a free tip are 0.
     """
     if not counts_in_part(kinds, o):
         given = zip(robot.arms, robot.places, T.reshape(-1, 4, 4), kinds, strict=True)
@@ -229,8 +231,8 @@ def counted_errors(
 def all_errors(
     robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
 ) -> list[tuple[np.ndarray, float, float | None]]:
-    """The same with the error as it is (6,) before each, see `robot.pose.errors`; NaN where there is no target."""
-    poses = [arm._fk(q[at]).homogeneous for arm, at in zip(robot.arms, robot.places, strict=True)]
+    """Return the errors of `counted_errors`, each after the raw error (6,) (see `robot.pose.errors`), NaN if there is no target."""
+    poses = [T.homogeneous for T in robot.tip_poses(q)]
     found = []
     for pose, one, kind, counts, other in zip(
         poses, T.reshape(-1, 4, 4), kinds, what_counts(robot, o), relatives(robot, o), strict=True

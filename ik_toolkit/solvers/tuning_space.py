@@ -1,6 +1,7 @@
-"""Tunable parameters of a solver: names, ranges, log scale or not, units, and the rule that a point stands for.
+"""Tunable parameters of a solver: names, ranges, log scale or not, units, and the rule that a point means.
 
-A rule that knows what to tune has a class method `space(robot, position_only, initial=None)`, see `study.spaces.make_space`.
+A rule that knows what to tune has a class method `space(robot, position_only, initial=None)`, see
+`study.spaces.make_space`.
 """
 
 from collections.abc import Callable
@@ -26,16 +27,16 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """Number of values."""
+        """How many numbers the parameter has."""
         return int(np.size(self.initial))
 
     def to_unit(self) -> np.ndarray:
-        """The initial values in [0, 1]."""
+        """Return the initial values in [0, 1]."""
         low, high, value = (np.broadcast_to(x, np.shape(self.initial)).ravel() for x in self._ends(self.initial))
         return np.clip((value - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
 
     def from_unit(self, x: np.ndarray) -> Any:
-        """Values of a point in [0, 1]: a float, or an array shaped as `initial`."""
+        """Return the values of a point in [0, 1]: a float, or an array shaped as `initial`."""
         low, high, _ = self._ends(self.initial)
         value = low + (high - low) * x.reshape(np.shape(self.initial))
         value = np.exp(value) if self.log else value
@@ -49,7 +50,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Space:
-    """Declared parameters of a search, the rule it starts from, and what makes a rule of values by name."""
+    """Declared parameters of a search, the rule it starts from, and a function that makes a rule of values by name."""
 
     parameters: tuple[Parameter, ...]
     initial: Any
@@ -58,7 +59,7 @@ class Space:
 
     @property
     def size(self) -> int:
-        """Numbers searched."""
+        """How many numbers the search varies."""
         return sum(parameter.size for parameter in self.parameters)
 
     @property
@@ -67,20 +68,20 @@ class Space:
         return np.concatenate([parameter.to_unit() for parameter in self.parameters])
 
     def values(self, x: np.ndarray) -> dict[str, Any]:
-        """Values by name of a point in the unit box."""
+        """Return the values of a point in the unit box, by name."""
         ends = np.cumsum([0, *(parameter.size for parameter in self.parameters)])
         parts = zip(self.parameters, ends[:-1], ends[1:], strict=True)
         return {parameter.name: parameter.from_unit(np.asarray(x)[a:b]) for parameter, a, b in parts}
 
     def build(self, x: np.ndarray) -> Any:
-        """The rule of a point in the unit box."""
+        """Return the rule of a point in the unit box."""
         return self.make(self.values(x))
 
 
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Lower end and width (n,) [rad, m] of where starts are drawn: the limits, at most one turn about their middle."""
+    """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, at most one turn about their middle."""
     n, chain = robot.n, robot.chain
-    ends = np.atleast_2d(chain.ends)[0]  # of several tips: what belongs to the coordinates is the same for all
+    ends = np.atleast_2d(chain.ends)[0]  # What belongs to the coordinates is the same for all of several tips.
     low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
     turning = chain.unit == 1.0
     width = np.where(turning, np.minimum(span, TAU), span)
@@ -88,6 +89,6 @@ def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def start_parameter(robot: Any, initial: np.ndarray) -> Parameter:
-    """Starts (M, n) [rad, m] as a parameter, anywhere in the box where starts are drawn."""
+    """Make starts (M, n) [rad, m] a parameter, anywhere in the box where starts are drawn."""
     low, width = sampling_box(robot)
     return Parameter("starts", low, low + width, np.clip(initial, low, low + width), "rad, m")

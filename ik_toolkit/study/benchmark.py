@@ -1,4 +1,4 @@
-"""Our own solvers side by side on a robot: success with its interval, times, iterations."""
+"""A benchmark of solvers on the same targets: success rates with their intervals, times and iterations."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -19,22 +19,35 @@ from ..solvers.status import Status, count_statuses
 from ..validate import one_of, solver_list
 from .statistics import wilson
 
-BLOCKS = 10  # blocks of targets on which the solvers alternate, so that background load affects all alike
-NEAR = 0.1  # rad (m): a near start lies within this distance of a solution in each joint
-RESTARTS = 99  # the same for every solver
+BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
+NEAR = 0.1  # rad or m, distance in each joint up to which a near start lies from a solution
+RESTARTS = 99  # restarts of every solver, so that each has 100 attempts
 STARTS = ("none", "home", "random", "near")
 TASKS = ("pose", "position")
 
 
 @dataclass(frozen=True)
 class BenchmarkRow:
-    """One solver on one robot, with restarts and, in `once`, the same targets with one attempt.
+    """What a benchmark found for one solver on one robot.
 
-    robot, tips, solver; task 'pose' or 'position'; targets, solved, and the 95 % Wilson interval low, high of the success
-    probability; median, mean, p99 [s] of one call from Python, failures included; iterations and fk_evaluations, medians;
-    restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes, the
-    largest over the tips (None without successes, or for positions). seconds and iteration_counts (N,) are kept for plots. once:
-    the row for one attempt per target (None in that row itself).
+    Attributes:
+        robot: Name of the robot.
+        tips: Names of its tips.
+        solver: Name of the solver.
+        task: 'pose' or 'position'.
+        targets: Number of targets.
+        solved: Number of targets that were solved.
+        low, high: 95 % Wilson interval of the success probability.
+        median, mean, p99: Time of one call from Python [s], failures included; p99 is the 99th percentile.
+        iterations: Median number of iterations.
+        restarts: Mean number of restarts.
+        fk_evaluations: Median number of evaluations of the forward kinematics.
+        statuses: Number of targets that ended with each status, by name.
+        worst_position_error: Largest error of all successes and tips [m], None without successes.
+        worst_orientation_error: Largest error of all successes and tips [rad], None without successes or for positions.
+        seconds: (N,) time of each call [s], solved targets first.
+        iteration_counts: (N,) iterations of each call, in the same order.
+        once: The row of the same targets with one attempt each; None in that row itself.
     """
 
     robot: str
@@ -59,14 +72,23 @@ class BenchmarkRow:
     once: "BenchmarkRow | None" = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers without the arrays, ready for JSON."""
+        """Return all but the arrays as plain numbers, ready for JSON."""
         plain = {key: value for key, value in self.__dict__.items() if not isinstance(value, np.ndarray)}
         return plain if self.once is None else {**plain, "once": self.once.to_dict()}
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Result of `benchmark`: rows, in the order robots x solvers; skipped: (robot, solver) -> why it does not apply."""
+    """What a benchmark found for all robots and solvers.
+
+    Attributes:
+        rows: A row for each robot and solver, robot by robot.
+        skipped: Why a solver does not apply to a robot, by (robot, solver).
+        targets: Number of targets for each robot.
+        start: Where the solvers started.
+        seed: Seed of the targets.
+        options: Options of the solvers.
+    """
 
     rows: tuple[BenchmarkRow, ...]
     skipped: dict[tuple[str, str], str]
@@ -76,7 +98,7 @@ class Benchmark:
     options: dict[str, Any]
 
     def by_robot(self) -> dict[str, list[BenchmarkRow]]:
-        """Rows by robot name, with its tips if it has several or the same robot occurs with other tips."""
+        """Return the rows by robot; its name includes the tips if it has several, or if it occurs with other tips too."""
         tips: dict[str, set] = {}
         for row in self.rows:
             tips.setdefault(row.robot, set()).add(row.tips)
@@ -86,7 +108,7 @@ class Benchmark:
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON."""
+        """Return all results as plain numbers, strings and lists, ready for JSON."""
         return {
             "targets": self.targets,
             "start": self.start,
@@ -101,7 +123,7 @@ class BenchmarkInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a benchmark; `result` is the Benchmark of the blocks of targets finished before it."""
 
     def __init__(self, result: Benchmark) -> None:
-        """Keep the finished part."""
+        """Keep the result of the finished part."""
         super().__init__(f"interrupted with {len(result.rows)} rows")
         self.result = result
 
@@ -118,18 +140,29 @@ def benchmark(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> Benchmark:
-    """Compare solvers on the same random reachable targets, one thread, each call timed from Python.
+    """Compare solvers on the same random reachable targets, in one thread, each call timed from Python.
 
-    Every solver solves the targets twice: with one attempt, and with the same number of restarts (`restarts=`, default 99).
-    robots: one or several, loaded or by name; for a Tree, all tips are solved together, and errors are the largest of them.
-    solvers: one or several names, classes or instances; default: every registered one that applies. targets: number per
-    robot, poses of random configurations inside the limits. start: 'none' (each solver's own choice), 'home', 'random', or
-    'near' (within 0.1 rad or m of a solution in each joint). task: 'pose' or 'position'; default 'pose' for six or more
-    joints per tip. executor: anything with the concurrent.futures interface, used instead of this process; times are then
-    those of the workers. progress(done, all) counts blocks. Options: as for `solve`, passed to every solver that accepts
-    them. A solver that does not apply to a robot is listed in `skipped` with the reason. Ctrl-C raises
-    BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds the finished blocks. Raises RobotNotFound, UnknownSolver,
-    InvalidOption.
+    Every solver solves the targets twice: with one attempt, and with restarts.
+
+    Args:
+        robots: One or several robots, loaded or by name. All tips of a Tree are solved together; errors are the largest of them.
+        solvers: One or several names, classes or instances. Default: every registered solver that applies.
+        targets: Number of targets for each robot: poses of random configurations inside the limits.
+        start: 'none' (each solver's own choice), 'home', 'random', or 'near' (within 0.1 rad or m of a solution in each joint).
+        task: 'pose' or 'position'. Default: 'pose' for robots of at least six joints a tip.
+        seed: Seed of the targets and starts.
+        executor: Anything with the interface of concurrent.futures, used instead of this process; it measures its own times.
+        progress: Called as progress(done, all) after each block of targets.
+        **options: As for `solve`, for every solver that accepts them; `restarts` is 99 if not given.
+
+    Returns:
+        The results; solvers that do not apply to a robot are in `skipped`, with the reason.
+
+    Raises:
+        RobotNotFound: There is no such robot.
+        UnknownSolver: There is no such solver, or none applies.
+        InvalidOption: An option is unknown or out of range.
+        BenchmarkInterrupted: Ctrl-C was pressed. It is a KeyboardInterrupt; its `result` holds the finished blocks.
     """
     one_of(start, STARTS, "start")
     if task is not None:
@@ -144,7 +177,7 @@ def benchmark(
     asked = [row.name for row in list_rows()] if solvers is None else solver_list(solvers)
     for solver in asked:
         if not is_auto(solver):
-            find_row(solver)  # raises for an unknown name; one that does not apply is only skipped
+            find_row(solver)  # an unknown name raises here; a solver that does not apply to a robot is only skipped
     if not arms or not asked:
         raise InvalidOption("a benchmark needs at least one robot and one solver")
     rows: list[BenchmarkRow] = []
@@ -171,7 +204,8 @@ def benchmark(
             rows.append(replace(many, once=one))
         if stopped:
             break
-    if last is not None and not rows and not stopped:  # nothing applies: more likely a wrong option than a wrong robot
+    # If nothing applies, an option is probably wrong, and this error says so.
+    if last is not None and not rows and not stopped:
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))
     if stopped:
@@ -180,7 +214,7 @@ def benchmark(
 
 
 def label(robot: str, tips: tuple[str, ...], always: bool = False) -> str:
-    """Name of a robot, with its tips if it has several (or always)."""
+    """Return the name of a robot, with its tips if it has several (or always)."""
     return f"{robot} ({' + '.join(tips)})" if always or len(tips) > 1 else robot
 
 
@@ -190,9 +224,10 @@ Bound = dict[tuple[str, bool], Solver]
 def _bind(
     robot: Robot | Tree, asked: list[Any], options: dict[str, Any], T: np.ndarray, Q0: np.ndarray | None, *, every: bool
 ) -> tuple[Bound, dict[str, IKError]]:
-    """Compiled solvers by (name, one attempt: True or with restarts: False), and the reasons of those that do not apply.
+    """Bind solvers to a robot and compile them.
 
-    every: the solvers were not chosen by name, so those that do not apply are left out.
+    Returns them by (name, True with one attempt or False with restarts), and the errors of those that do not apply. If `every`,
+    the solvers were not chosen by name, so any error is a reason to leave one out.
     """
     bound: Bound = {}
     refused: dict[str, IKError] = {}
@@ -200,7 +235,7 @@ def _bind(
     for solver in asked:
         try:
             one, many = Solver(robot, solver, **without), Solver(robot, solver, **options)
-            one(T[0], None if Q0 is None else Q0[0])  # compiles
+            one(T[0], None if Q0 is None else Q0[0])  # the first call compiles, which must not be timed
         except IKError as error:
             if not every and not isinstance(error, InvalidOption | UnknownSolver):
                 raise
@@ -218,7 +253,7 @@ def _measure(
     executor: Executor | None,
     parts: dict[tuple[str, bool], list[np.ndarray]],
 ) -> Iterator[tuple[int, int]]:
-    """Give blocks of targets to all solvers in turn; the tables of `run_block` go to `parts`. Yields (done, all)."""
+    """Give blocks of targets to all solvers in turn and put the tables of `run_block` into `parts`; yields (done, all)."""
     edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
     jobs = [
         (key, solver, T[a:b], None if Q0 is None else Q0[a:b])
@@ -227,13 +262,13 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        table = run_block(*job[1:]) if futures is None else futures[k].result()  # may be interrupted
+        table = run_block(*job[1:]) if futures is None else futures[k].result()  # Ctrl-C mostly comes here
         parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)
 
 
 def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Targets (N, 4, 4) or (N, 3) [m], for a Tree (N, F, ...), and starts (N, n) [rad or m], None for each solver's own."""
+    """Draw targets (N, 4, 4) or (N, 3) [m], for a Tree (N, F, ...), and starts (N, n) [rad or m] or None, see `benchmark`."""
     rng = np.random.default_rng(seed)
     Q = robot.random_q(rng, count)
     T = robot.chain.forward(Q)[0]
@@ -248,7 +283,10 @@ def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) 
 
 
 def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarray:
-    """Solve a block; rows (m, 7): seconds, status, iterations, restarts, FK evaluations, position and rotation error."""
+    """Solve targets one by one.
+
+    Returns a row for each (m, 7): time [s], status, iterations, restarts, evaluations, position error [m], rotation error [rad].
+    """
     table = np.empty((len(T), 7))
     for k, target in enumerate(T):
         q0 = None if Q0 is None else Q0[k]
@@ -262,7 +300,7 @@ def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarra
 
 
 def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
-    """Statistics of the rows of `run_block`; the stored arrays have the solved targets first."""
+    """Summarise the rows of `run_block`; the arrays of the result have the solved targets first."""
     good = table[:, 1] == Status.CONVERGED
     solved, count = int(good.sum()), len(table)
     low, high = wilson(solved, count)

@@ -1,13 +1,16 @@
-"""Optimisers for tuning: a particle swarm and CMA-ES, both in the unit box."""
+"""Optimisers for tuning, which search the unit box: a particle swarm and CMA-ES."""
 
 import numpy as np
 
 
 class Swarm:
-    """Particle swarm in the unit box, inertia 0.729, both accelerations 1.494 (Clerc and Kennedy 2002); walls stop a particle."""
+    """A particle swarm in the unit box, whose walls stop a particle.
+
+    Its inertia 0.729 and accelerations 1.494 are those of Clerc and Kennedy (2002).
+    """
 
     def __init__(self, start: np.ndarray, spread: float, population: int, seed: int) -> None:
-        """Place the particles around `start`; the first one is `start` itself."""
+        """Place the particles around `start` (d,), with standard deviation `spread`; the first one is `start` itself."""
         self.rng = np.random.default_rng(seed)
         self.x = np.clip(start + spread * self.rng.standard_normal((population, len(start))), 0.0, 1.0)
         self.x[0] = start
@@ -16,11 +19,11 @@ class Swarm:
         self.cost = np.full(population, np.inf)
 
     def ask(self) -> np.ndarray:
-        """Candidates (population, d)."""
+        """Return the candidates (population, d) to be evaluated next."""
         return self.x
 
     def tell(self, costs: np.ndarray) -> None:
-        """Update the swarm with the costs."""
+        """Move the swarm, given the costs (population,) of the candidates."""
         better = costs < self.cost
         self.own[better], self.cost[better] = self.x[better], costs[better]
         leader = self.own[np.argmin(self.cost)]
@@ -32,23 +35,23 @@ class Swarm:
 
 
 class Evolution:
-    """CMA-ES of the `cma` package in the unit box (Hansen 2016)."""
+    """CMA-ES (Hansen 2016) in the unit box, by the package `cma`."""
 
     def __init__(self, start: np.ndarray, spread: float, population: int, seed: int) -> None:
-        """Start at `start` with standard deviation `spread`."""
+        """Start at `start` (d,) with standard deviation `spread`."""
         import cma
 
         options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
         self.size = len(start)
-        if self.size == 1:  # the package fails on one dimension: an idle second one
+        if self.size == 1:  # the package fails in one dimension, so a second one is added that has no effect
             start = np.append(start, 0.5)
         self.engine = cma.CMAEvolutionStrategy(start, spread, options)
 
     def ask(self) -> np.ndarray:
-        """Candidates (population, d)."""
+        """Return the candidates (population, d) to be evaluated next."""
         self.asked = self.engine.ask()
         return np.array(self.asked)[:, : self.size]
 
     def tell(self, costs: np.ndarray) -> None:
-        """Update the distribution with the costs."""
+        """Update the distribution, given the costs (population,) of the candidates."""
         self.engine.tell(self.asked, list(costs))

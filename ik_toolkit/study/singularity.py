@@ -1,4 +1,4 @@
-"""Singularities: which methods stall at a start, which escape, and how near to singular configurations they pass."""
+"""Study of singularities: which solvers stall at a start, which escape, and how near to singular configurations they pass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,15 +13,23 @@ from ..solvers.registry import find_row
 from ..solvers.solve import Solver
 from .statistics import wilson
 
-STUCK = 1e-9  # [rad or reaches] a run that never moves a joint farther than this counts as stuck
+STUCK = 1e-9  # rad or reaches, a run that never moves a joint farther than this counts as stuck
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run from a start: errors, manipulability and condition of the Jacobian at each evaluation.
+    """One solve from a start, with what was measured at each of its k evaluations.
 
-    position_error (k,) [m]; manipulability (k,), the product of the singular values (lengths over the length scale); condition
-    (k,), largest over smallest singular value (infinite where singular); q (k, n); stands_still: no joint ever moved.
+    Attributes:
+        solver: Name of the solver.
+        success: Whether it converged.
+        status: Name of its status.
+        iterations: Number of iterations.
+        position_error: (k,) distance of the tip from the target [m].
+        manipulability: (k,) product of the singular values of the Jacobian, with lengths over the robot's length scale.
+        condition: (k,) largest over smallest singular value, infinite at a singular configuration.
+        q: (k, n) configurations [rad or m].
+        stands_still: Whether no joint ever moved.
     """
 
     solver: str
@@ -36,9 +44,17 @@ class Run:
 
 
 def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Manipulability (N,), condition (N,) and smallest singular value (N,) at Q (N, n), over the task rows the robot can move.
+    """Measure how near configurations are to singular ones.
 
-    Lengths over the robot's length scale. Source: Yoshikawa (1985).
+    Rows of the Jacobian that the robot cannot move at all are left out; lengths are divided by the robot's length scale.
+
+    Args:
+        robot: A robot with one tip.
+        Q: (N, n) configurations [rad or m].
+        position_only: Whether only the position of the tip counts.
+
+    Returns:
+        Manipulability (N,) (Yoshikawa 1985), condition number (N,) and smallest singular value (N,).
     """
     require_one_tip(robot, "a study of singularities")
     J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if position_only else 6] * robot.chain.unit
@@ -53,7 +69,10 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
 
 
 def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options: Any) -> Run:
-    """Solve one target from q0 without restarts, and measure the Jacobian at each evaluation."""
+    """Solve one target from q0 (n,) without restarts, and measure the Jacobian at each evaluation.
+
+    target: pose (4, 4) or position (3,) [m]; solver and options: as for `ik.solve`.
+    """
     require_one_tip(robot, "a study of singularities")
     asked: dict[str, Any] = {"restarts": 0, **options, "history": True}
     bound = Solver(robot, solver, **asked)
@@ -76,7 +95,16 @@ def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options
 
 @dataclass(frozen=True)
 class Escape:
-    """Success rate of a solver from a start, and from the start moved by `offset`."""
+    """How often a solver succeeds from a start, and from a start beside it.
+
+    Attributes:
+        solver: Name of the solver.
+        targets: Number of targets.
+        solved: Targets solved from the start.
+        stood_still: Targets at which no joint moved.
+        solved_offset: Targets solved from the start moved by the offset.
+        iterations: Mean number of iterations of the targets solved from the start.
+    """
 
     solver: str
     targets: int
@@ -86,7 +114,7 @@ class Escape:
     iterations: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values with Wilson intervals."""
+        """Return plain numbers, with the 95 % Wilson interval of the success rate."""
         return {
             "targets": self.targets,
             "solved": self.solved,
@@ -100,7 +128,19 @@ class Escape:
 def escapes(
     robot: Robot, targets: np.ndarray, solvers: Sequence[Any], q0: np.ndarray, offset: float = 1e-6, **options: Any
 ) -> list[Escape]:
-    """Success of each solver from q0 (for example singular) without restarts, and from q0 moved by `offset` [rad, reaches]."""
+    """Count how often solvers succeed from a start that may be singular, without restarts, and from one beside it.
+
+    Args:
+        robot: A robot with one tip.
+        targets: (N, 4, 4) poses or (N, 3) positions [m].
+        solvers: Names, classes or instances.
+        q0: (n,) start [rad or m].
+        offset: Largest distance of the other start in each joint [rad or reaches].
+        **options: As for `ik.solve_batch`.
+
+    Returns:
+        The counts of each solver.
+    """
     require_one_tip(robot, "a study of singularities")
     rng = np.random.default_rng(0)
     q0 = np.asarray(q0, dtype=float)

@@ -1,4 +1,4 @@
-"""The parameter space of a solver on a robot, for tuning."""
+"""The space of a solver's parameters that tuning searches."""
 
 import inspect
 from typing import Any
@@ -10,20 +10,26 @@ from ..solvers.registry import find_row, make_rule
 from ..solvers.tuning_space import Parameter, Space
 from ..validate import switch
 
-RANGES = {
-    "damping": (1e-4, 1.0, True),
-    "gain": (0.05, 1.9, False),
-}  # low, high, on a log scale; for any rule that has them
-MOST_MAPS = 4096  # far more than any use of them; a mistyped number would fill the memory
+# Ranges of parameters that several rules have: lowest and highest value, and whether the scale is logarithmic.
+RANGES = {"damping": (1e-4, 1.0, True), "gain": (0.05, 1.9, False)}
+MOST_MAPS = 4096  # far more than is of use, so that a mistyped number does not fill the memory
 
 
 def make_space(
     robot: Robot | Tree, solver: str, position_only: bool, maps: int | None = None, initial: Any = None
 ) -> Space:
-    """Parameter space of a solver on a robot: that of its class (`space`), or its damping and gain.
+    """Return the space of a solver's parameters on a robot: the one its class defines (`space`), or its damping and gain.
 
-    maps: for a solver with maps, their number; default its own choice. Raises InvalidOption for solvers without parameters and
-    rules it cannot start from, UnknownSolver.
+    Args:
+        robot: The robot to tune for.
+        solver: Name of the solver.
+        position_only: Whether targets are positions.
+        maps: Number of maps of a solver that has them. Default: its own choice.
+        initial: The rule that the search starts from. Default: the solver's own.
+
+    Raises:
+        InvalidOption: The solver has no parameters or maps, or cannot start from that rule.
+        UnknownSolver: There is no such solver.
     """
     switch(position_only, "position_only")
     row = find_row(solver)

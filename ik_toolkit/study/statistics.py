@@ -1,14 +1,14 @@
-"""Intervals for counted successes."""
+"""Confidence intervals of success rates."""
 
 import math
 
-Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
+Z95 = 1.959963984540054  # quantile of the normal distribution for a two-sided interval of 95 %
 
 
 def wilson(successes: int, trials: int, z: float = Z95) -> tuple[float, float]:
-    """Wilson score interval (low, high) of a success probability, default 95 %; (0, 1) without trials.
+    """Return the Wilson score interval (low, high) of a success probability; it is (0, 1) without trials.
 
-    Source: Wilson (1927); Brown, Cai, DasGupta (2001), eq. (4).
+    z is the quantile of the normal distribution, by default for 95 %. Source: Wilson (1927); Brown, Cai, DasGupta (2001), eq. (4).
     """
     if trials == 0:
         return 0.0, 1.0

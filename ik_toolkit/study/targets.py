@@ -1,4 +1,4 @@
-"""Random targets for studies: uniform in joint space, or uniform in the volume the tip reaches."""
+"""Random reachable targets for studies, uniform in joint space or in the volume that the tip reaches."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -12,17 +12,22 @@ from ..solvers.solve import require_robot
 from ..validate import one_of, switch
 
 HOW = ("joints", "volume")
-CELLS = 40  # voxels along the reach, for volume-uniform targets
-POOL = 200_000  # random configurations that fill the voxels
+CELLS = 40  # number of voxels along the reach, of which targets uniform in the volume pick one at random
+POOL = 200_000  # number of random configurations whose tips fill the voxels
 
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
-    """The tip to use: the one given, or a Robot's own. Raises InvalidOption (a Tree, and none given), FrameNotFound."""
-    if tip is None and robot.by_tip:
+    """Return the tip to use: the given one, or a Robot's own.
+
+    Raises:
+        InvalidOption: None is given, and the robot has several.
+        FrameNotFound: The robot has no such tip.
+    """
+    if tip is None and len(robot.tips) > 1:
         raise InvalidOption(f"this needs a single tip; choose it with tip=: {', '.join(robot.tips)}")
-    tip = robot.tips[0] if tip is None else tip
-    robot.check_tips([tip])
-    return tip
+    chosen = robot.arms[0].tip if tip is None else tip
+    robot.check_tips([chosen])
+    return chosen
 
 
 def sample_targets(
@@ -34,11 +39,23 @@ def sample_targets(
     position_only: bool = False,
     tip: str | None = None,
 ) -> np.ndarray:
-    """Reachable targets: poses (count, 4, 4), or positions (count, 3) [m]; for a Tree (count, F, 4, 4) or (count, F, 3).
+    """Draw random targets that the robot can reach.
 
-    how: 'joints', tip poses at uniformly drawn joint values; 'volume', all voxels (a fortieth of the reach wide) that the tip
-    can enter are equally likely. tip: for a Tree, only this tip's targets (required by 'volume'). seed: anything
-    `numpy.random.default_rng` accepts. Raises InvalidOption, FrameNotFound.
+    Args:
+        robot: The robot.
+        count: Number of targets.
+        seed: Anything that `numpy.random.default_rng` accepts.
+        how: 'joints' takes tip poses at uniformly drawn joint values; 'volume' makes all voxels that the tip can enter, each a
+            fortieth of the reach wide, equally likely.
+        position_only: Return positions instead of poses.
+        tip: Return the targets of this tip of a Tree only; 'volume' needs one.
+
+    Returns:
+        Poses (count, 4, 4), or positions (count, 3) [m], base frame; for all F tips of a Tree (count, F, 4, 4) or (count, F, 3).
+
+    Raises:
+        InvalidOption: An option is out of range, or a tip must be chosen.
+        FrameNotFound: The robot has no such tip.
     """
     require_robot(robot)
     one_of(how, HOW, "way of sampling")
@@ -67,7 +84,7 @@ def sample_targets(
 
 
 def _poses(robot: Robot | Tree, Q: np.ndarray, tip: str | None) -> np.ndarray:
-    """Poses of all tips, or of one, at Q (count, n)."""
+    """Return the poses of all tips, or of one, at Q (count, n)."""
     if tip is None:
         return robot.chain.forward(Q)[0]
     f = robot.tips.index(tip)
@@ -77,7 +94,7 @@ def _poses(robot: Robot | Tree, Q: np.ndarray, tip: str | None) -> np.ndarray:
 def stream_targets(
     robot: Robot | Tree, count: int, seed: int = 0, *, chunk: int = 8192, **asked: Any
 ) -> Iterator[np.ndarray]:
-    """The same in chunks, for more targets than fit in memory; chunk k depends only on (seed, k)."""
+    """Draw the targets of `sample_targets` in chunks, for more than fit in memory; chunk k depends only on (seed, k)."""
     count = whole(count, "the number of targets")
     for k, done in enumerate(range(0, count, chunk)):
         yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)

@@ -1,4 +1,4 @@
-"""Tuning: search a solver's parameters for the fewest failures and judge the best on held-out targets."""
+"""Tuning of a solver: search its parameters for the fewest failures, and judge the best on targets it has not seen."""
 
 import importlib.util
 import math
@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, UnknownSolver, check_progress, whole
-from ..files import as_path, whole_file
-from ..robot.pose_files import check_arrays
+from ..files import as_path, check_arrays, whole_file
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import solve_batch
@@ -29,20 +28,20 @@ from .statistics import wilson
 from .targets import sample_targets
 
 METHODS = ("cma", "pso")
-JUDGED_SOON = 1  # held-out sets after Ctrl-C, which must not take long
-FINALISTS = 8  # best candidates of the search, compared on the validation targets
-# Limit while searching: failures cost most of the time, and slow solves should count as failures.
+JUDGED_SOON = 1  # number of held-out sets that are solved after Ctrl-C, which must not take long
+FINALISTS = 8  # number of best candidates that are compared on the validation targets
+# Highest number of iterations during the search, where failures take most of the time and slow solves should count as failures.
 SEARCH_ITERATIONS = 300
-TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # random streams: the three sets never share a target
+TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # numbers of random streams, so that the three sets never share a target
 
 
 @dataclass
 class Score:
-    """Success rate: successes per set of targets, overall with a 95 % Wilson interval, and mean iterations of solved targets."""
+    """How well a rule solves sets of targets."""
 
-    successes: list[int]
-    targets: int
-    iterations: float
+    successes: list[int]  # number of solved targets in each set
+    targets: int  # number of targets in each set
+    iterations: float  # mean number of iterations of the solved targets, NaN if there are none
 
     @property
     def total(self) -> int:
@@ -51,21 +50,21 @@ class Score:
 
     @property
     def share(self) -> float:
-        """Successes over targets."""
+        """Share of all targets that were solved."""
         return sum(self.successes) / self.total
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson interval of the share."""
+        """95 % Wilson interval of the share."""
         return wilson(sum(self.successes), self.total)
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Larger is better: the share, then fewer iterations."""
+        """Order of scores, larger for a larger share, then for fewer iterations."""
         return self.share, -self.iterations if self.iterations == self.iterations else -math.inf
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain numbers and lists."""
         return {
             "successes": self.successes,
             "targets_a_set": self.targets,
@@ -75,7 +74,7 @@ class Score:
         }
 
     def __str__(self) -> str:
-        """Per thousand, with interval and range over the sets."""
+        """Return the successes of a thousand, with their interval and their range over the sets."""
         low, high = self.interval
         text = f"{1000 * self.share:.1f} of 1000 [{1000 * low:.1f}, {1000 * high:.1f}]"
         if len(self.successes) > 1:
@@ -88,7 +87,7 @@ def _share(one: Score) -> str:
 
 
 def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
-    """Solve equally large sets of targets with a rule or solver name, and count successes."""
+    """Solve equally large sets of targets with a rule or a solver by name, and count the successes."""
     successes, iterations = [], []
     for targets in sets:
         result = solve_batch(robot, targets, rule, check=0.0, **options)
@@ -100,29 +99,26 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 
 @dataclass
 class TuneResult:
-    """What `tune` found.
+    """What tuning found.
 
-    rule: the best on held-out targets (pass it to solve, Solver, solve_batch) of the `tuned` one, the `start` of the search and the
-    solver's `default`; kept names it. The default is not eligible if maps= or initial= asked for another structure. scores: Score
-    on the held-out targets, by those names. train, held_out, before: Score of the tuned rule on the training and on the held-out
-    targets, and of the start on the latter. history: best cost so far, best and median of each generation. interrupted: stopped by
-    Ctrl-C and judged on one set only.
+    Three rules are compared on held-out targets: the tuned one, the one that the search started from, and the solver's default.
+    The default cannot be kept if maps= or initial= asked for another structure.
     """
 
-    robot: str
-    solver: str
-    method: str
-    position_only: bool
-    rule: Any
-    train: Score
-    scores: dict[str, Score]
-    kept: str
-    options: dict[str, Any]
-    history: np.ndarray
-    evaluations: int
-    elapsed: float
-    seed: int
-    interrupted: bool = False
+    robot: str  # name of the robot
+    solver: str  # name of the solver
+    method: str  # method of the search
+    position_only: bool  # whether the targets are positions
+    rule: Any  # the best of the three rules, for solve, Solver and solve_batch
+    train: Score  # score of the tuned rule on the training targets
+    scores: dict[str, Score]  # scores on the held-out targets of the rules 'tuned', 'start' and 'default'
+    kept: str  # which of these three names `rule` has
+    options: dict[str, Any]  # options with which the targets were solved
+    history: np.ndarray  # (generations, 3) best cost so far, best and median cost of each generation
+    evaluations: int  # number of candidates that were evaluated
+    elapsed: float  # time of the whole tuning [s]
+    seed: int  # seed of the search and its targets
+    interrupted: bool = False  # whether Ctrl-C ended the search, so that the rules were judged on one set only
 
     @property
     def held_out(self) -> Score:
@@ -131,12 +127,12 @@ class TuneResult:
 
     @property
     def before(self) -> Score:
-        """Score of the rule the search started from, on the same targets."""
+        """Score on the held-out targets of the rule that the search started from."""
         return self.scores["start"]
 
     @property
     def verdict(self) -> str:
-        """One sentence: which rule is kept, and why if it is not the tuned one or the default is better."""
+        """Sentence that says which rule is kept, and why if it is not the tuned one, or if the default is better."""
         names = {"tuned": "the tuned rule", "start": "the search's starting point", "default": "the default"}
         kept = self.scores[self.kept]
         text = f"kept: {names[self.kept]}"
@@ -148,7 +144,7 @@ class TuneResult:
         return text
 
     def save(self, file: str | Path) -> Path:
-        """Write the preset that `ik solve --preset FILE` and `preset(FILE)` read."""
+        """Write the rule to a preset file, which `ik solve --preset FILE` and `preset(FILE)` read. Returns its path."""
         kept = self.scores[self.kept]
         low, high = kept.interval
         about = {
@@ -164,26 +160,10 @@ class TuneResult:
         return path
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        scores = {
-            "train": self.train,
-            "held_out": self.held_out,
-            "before": self.before,
-            "default": self.scores["default"],
-        }
-        names = (
-            "robot",
-            "solver",
-            "method",
-            "position_only",
-            "evaluations",
-            "elapsed",
-            "seed",
-            "interrupted",
-            "options",
-            "kept",
-            "verdict",
-        )
+        """Return plain numbers, strings and lists."""
+        names = "robot solver method position_only evaluations elapsed seed interrupted options kept verdict".split()
+        default = self.scores["default"]
+        scores = {"train": self.train, "held_out": self.held_out, "before": self.before, "default": default}
         return {
             **{name: getattr(self, name) for name in names},
             **{name: one.to_dict() for name, one in scores.items()},
@@ -211,18 +191,39 @@ def tune(
     checkpoint: str | Path | None = None,
     progress: Callable[[int, np.ndarray], None] | None = None,
 ) -> TuneResult:
-    """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
+    """Search the parameters and starts of a solver for the fewest failures, and keep the best rule on fresh targets.
 
-    robot: for a Tree, all tips are solved together; a target then has one pose per tip, and its errors are the largest of them.
-    maps: for a solver with maps, the number of starts (default: its own); 1 tunes the published structure (a, B, start; C fixed,
-    without loss), more tunes starts whose maps are designed. initial: the rule to start from; one with maps keeps its structure
-    (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. targets: training
-    targets; held_out: number of sets of 1000 fresh targets for the final score. Cost of a candidate: failure rate, plus a tenth
-    of the remaining error (over the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after
-    this time. checkpoint: file with the candidates evaluated so far; if it exists, the search continues from there.
-    progress(generation, costs). The tuned rule, the start and the solver's default are compared on the held-out targets, and
-    the best is kept. Ctrl-C keeps the best so far. Deterministic for a given seed (unless `seconds` ends it). Raises
-    InvalidOption, UnknownSolver, MissingExtra.
+    The cost of a candidate is its failure rate, plus a tenth of the remaining error (over the length scale), plus 0.02 times the
+    mean iterations / max_iterations. A seed gives the same result again, unless `seconds` ends the search. Ctrl-C ends it too.
+
+    Args:
+        robot: The robot. All tips of a Tree are solved together, and the error of a target is the largest of them.
+        solver: Name of the solver.
+        position_only: Tune for positions instead of poses.
+        method: 'cma' (CMA-ES) or 'pso' (particle swarm).
+        maps: Number of starts of a solver with maps (default: its own). 1 tunes the published structure (a, B and the start, with C
+            fixed, without loss), more tune starts whose maps are designed.
+        initial: The rule to start from. One with maps keeps its structure (a, B, C, literal delay); with several starts each B is
+            searched between the given one and its own.
+        targets: Number of training targets.
+        held_out: Number of sets of 1000 fresh targets for the final score.
+        generations: Highest number of generations.
+        population: Number of candidates in a generation. Default: by the number of parameters.
+        seconds: Time after which the search stops [s].
+        seed: Seed of the search and of all targets.
+        tolerance: Tolerance of a solve [m and rad].
+        max_iterations: Highest number of iterations of a solve.
+        how: How targets are drawn, 'joints' or 'volume', see `sample_targets`.
+        checkpoint: File of the candidates evaluated so far; if it exists, the search continues from there.
+        progress: Called as progress(generation, costs) after each generation.
+
+    Returns:
+        The kept rule and all scores.
+
+    Raises:
+        InvalidOption: An option is out of range, or the checkpoint is that of another search.
+        UnknownSolver: There is no such solver, or it does not fit the robot.
+        MissingExtra: The package `cma` is not installed.
     """
     row, default = _tunable(robot, solver, method)
     seed, generations = whole(seed, "seed", 0), whole(generations, "generations", 0)
@@ -287,7 +288,7 @@ def tune(
 
 
 def _tunable(robot: Any, solver: str, method: str) -> tuple[Row, Any]:
-    """Row and default rule of a solver to be tuned. Raises InvalidOption, UnknownSolver, MissingExtra."""
+    """Return the registry's row and the default rule of a solver that can be tuned; raises as `tune` does."""
     require_robot(robot)
     if one_of(method, METHODS, "tuning method") == "cma" and importlib.util.find_spec("cma") is None:
         raise MissingExtra("cma", "tune")
@@ -299,7 +300,7 @@ def _tunable(robot: Any, solver: str, method: str) -> tuple[Row, Any]:
 
 
 class _Search:
-    """Cost of candidates and the best of them; history: one row per generation, see TuneResult."""
+    """A search in progress: the best candidates so far, and the costs of each generation."""
 
     def __init__(self, robot: Robot | Tree, space: Space, train: np.ndarray, options: dict[str, Any]) -> None:
         self.robot, self.space, self.train, self.options = robot, space, train, options
@@ -314,7 +315,7 @@ class _Search:
         seconds: float | None,
         progress: Callable[[int, np.ndarray], None] | None,
     ) -> None:
-        """Search for a number of generations or seconds; sets the best candidate."""
+        """Search for a number of generations or seconds."""
         begun = perf_counter()
         for generation in range(generations):
             if seconds is not None and perf_counter() - begun > seconds:
@@ -322,11 +323,11 @@ class _Search:
             costs = self.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
-        if not self.best:  # no generation was requested, or there was no time for one
+        if not self.best:  # there was no generation, so the start is the best candidate
             self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:
-        """Costs of the engine's next candidates, from the record if they are known."""
+        """Return the costs of the engine's next candidates, from the record if it has them."""
         X = engine.ask()
         costs = record.replay(len(self.history), X)
         if costs is None:
@@ -357,7 +358,7 @@ def check_record(file: Path) -> None:
 
 
 class _Record:
-    """Costs of every generation, on disk; a resumed search replays them if its first candidates are the same."""
+    """The costs of every generation, kept in a file; a resumed search reads them if its first candidates are the same."""
 
     def __init__(self, file: str | Path | None, key: str) -> None:
         self.file, self.key = None if file is None else as_path(file, "checkpoint"), key

@@ -1,4 +1,4 @@
-"""Workspace study: the tip's reach, and where in it solvers succeed, how fast and how accurately."""
+"""Study of a robot's workspace: where the tip can reach, and where in it solvers succeed, how fast and how accurately."""
 
 import csv
 import io
@@ -23,31 +23,31 @@ from ..validate import solver_list
 from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
-GRID = 24  # cells along the longest side of the success map
-ENVELOPE = 100_000  # random configurations that give the envelope
-KEEP = 20_000  # targets kept in memory for plots; with a file all of them are on disk
-FAILURES = 1000  # failures kept in memory
+GRID = 24  # number of cells along the longest side of the success map
+ENVELOPE = 100_000  # number of random configurations whose tips give the envelope of the reach
+KEEP = 20_000  # number of targets kept in memory for plots; a file receives all of them
+FAILURES = 1000  # number of failures kept in memory for each solver
 
 
 @dataclass
-class Outcome:
-    """Counts of one solver over the workspace; iterations: sum over solved targets; worst: largest error among failures [m]."""
+class SolverCounts:
+    """Counts of one solver over the workspace."""
 
-    solver: str
-    targets: int = 0
-    solved: int = 0
-    iterations: int = 0
-    worst: float = 0.0
-    elapsed: float = 0.0
-    statuses: dict[str, int] = field(default_factory=dict)
+    solver: str  # name of the solver
+    targets: int = 0  # number of targets
+    solved: int = 0  # number of targets it solved
+    iterations: int = 0  # sum of the iterations of the solved targets
+    worst: float = 0.0  # largest position error among the failures [m]
+    elapsed: float = 0.0  # time of all solves together [s]
+    statuses: dict[str, int] = field(default_factory=dict)  # number of targets that ended with each status
 
     @property
     def share(self) -> float:
-        """Success rate."""
+        """Share of the targets that were solved."""
         return self.solved / max(self.targets, 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values with the Wilson interval."""
+        """Return plain numbers, with the 95 % Wilson interval of the share."""
         return {
             "targets": self.targets,
             "solved": self.solved,
@@ -62,28 +62,22 @@ class Outcome:
 
 @dataclass
 class Workspace:
-    """Result of `workspace`.
+    """What a workspace study found: the reach of the tip, and where solvers succeed."""
 
-    tip: the tip whose reach is studied. low, high (3,) [m]: bounding box of the reach in the base frame; radius (nearest,
-    farthest) [m] of the tip from the base origin. outcomes: by solver. map: by solver, (2, nx, ny, nz) targets and successes per
-    cell, cells starting at `low`, `cell` [m] wide.
-    failures: by solver, rows (x, y, z, error) of the first failures [m]. points (N, 3), solved: by solver (N,), for plots.
-    """
-
-    robot: str
-    low: np.ndarray
-    high: np.ndarray
-    radius: tuple[float, float]
-    cell: float
-    tip: str
-    outcomes: dict[str, Outcome]
-    map: dict[str, np.ndarray]
-    failures: dict[str, np.ndarray]
-    points: np.ndarray
-    solved: dict[str, np.ndarray]
+    robot: str  # name of the robot
+    low: np.ndarray  # (3,) lower corner of the box around the reach [m], base frame
+    high: np.ndarray  # (3,) upper corner of the box around the reach [m], base frame
+    radius: tuple[float, float]  # least and largest distance of the tip from the base's origin [m]
+    cell: float  # width of a cell of the map [m]; the first cell begins at `low`
+    tip: str  # the tip whose reach is studied
+    outcomes: dict[str, SolverCounts]  # counts by solver
+    map: dict[str, np.ndarray]  # targets and solved targets in each cell (2, nx, ny, nz), by solver
+    failures: dict[str, np.ndarray]  # x, y, z and position error [m] of the first failures (M, 4), by solver
+    points: np.ndarray  # (N, 3) positions of the first targets [m], for plots
+    solved: dict[str, np.ndarray]  # whether each of these targets was solved (N,), by solver
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, without the map and the points."""
+        """Return plain numbers, strings and lists, without the map and the points."""
         return {
             "robot": self.robot,
             "tip": self.tip,
@@ -99,7 +93,7 @@ class WorkspaceInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a workspace study; `result` is the Workspace of the targets finished before it."""
 
     def __init__(self, result: Workspace) -> None:
-        """Keep what was finished."""
+        """Keep the result of the finished part."""
         super().__init__(f"interrupted after {next(iter(result.outcomes.values())).targets} targets")
         self.result = result
 
@@ -107,7 +101,10 @@ class WorkspaceInterrupted(Portable, KeyboardInterrupt):
 def envelope(
     robot: Robot | Tree, count: int = ENVELOPE, seed: int = 0, *, tip: str | None = None
 ) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-    """Box (low, high) and nearest and farthest distance [m] from the base origin of the sampled tip: inner bounds of the reach."""
+    """Return the reach of a tip: corners of its box (low, high) (3,) and least and largest distance from the base's origin [m].
+
+    It is sampled at `count` random configurations, so the true reach is a little larger.
+    """
     points = sample_targets(robot, count, seed, position_only=True, tip=one_tip(robot, tip))
     away = np.linalg.norm(points, axis=1)
     return points.min(0), points.max(0), (float(away.min()), float(away.max()))
@@ -128,15 +125,30 @@ def workspace(
     progress: Callable[[int], None] | None = None,
     **options: Any,
 ) -> Workspace:
-    """Solve targets over the workspace with each solver.
+    """Solve random targets all over the workspace with one or several solvers.
 
-    tip: for a Tree, the tip whose reach is sampled; the others are free (and with avoid_collisions move out of the way).
-    solvers: one or several names, classes or instances, or a mapping of labels to them. how: 'joints' or 'volume', see
-    `sample_targets`. file: a .csv that receives every target as it is solved (x, y, z, then success, status, iterations,
-    position_error, orientation_error per solver), so that millions of targets need no more memory than a chunk; if the run
-    ends early it is named NAME.partial. executor: as for `solve_batch`. options: as for `solve`. Targets depend only on
-    (seed, chunk). Ctrl-C raises WorkspaceInterrupted, a KeyboardInterrupt whose `result` (like the file) holds the finished
-    chunks. Raises InvalidOption and the errors of `solve_batch`.
+    Args:
+        robot: The robot.
+        solvers: One or several names, classes or instances, or a mapping of labels to them.
+        tip: The tip of a Tree whose reach is sampled; the others are free (and with avoid_collisions move out of the way).
+        targets: Number of targets.
+        how: How targets are drawn, 'joints' or 'volume', see `sample_targets`.
+        position_only: Solve positions instead of poses.
+        seed: Seed of the targets.
+        q0: (n,) start [rad or m]. Default: each solver's own.
+        file: A .csv file that receives every target as it is solved, so that millions need no more memory than a chunk: x, y, z,
+            then success, status, iterations, position_error, orientation_error of each solver. If the run ends early, the file
+            is named NAME.partial.
+        executor: As for `solve_batch`.
+        progress: Called as progress(done) after each chunk of targets.
+        **options: As for `solve`.
+
+    Returns:
+        The reach, and the counts and the map of each solver.
+
+    Raises:
+        InvalidOption: An option is unknown or out of range; all errors of `solve_batch` may be raised, too.
+        WorkspaceInterrupted: Ctrl-C was pressed. It is a KeyboardInterrupt; its `result`, like the file, holds the finished chunks.
     """
     require_robot(robot)
     tip = one_tip(robot, tip)
@@ -151,7 +163,7 @@ def workspace(
     interrupted = finished = False
     try:
         for part in stream_targets(robot, targets, seed, how=how, position_only=position_only, tip=tip):
-            asked = {tip: part} if robot.by_tip else part
+            asked = {tip: part}
             xyz = part if part.ndim == 2 else part[:, :3, 3]
             columns, seconds = [], []
             for solver in named.values():
@@ -165,7 +177,7 @@ def workspace(
                 angle = [one.orientation_error for one in parts if one.orientation_error is not None]
                 part["orientation_error"] = np.concatenate(angle) if angle else np.full(len(xyz), np.nan)
                 columns.append(part)
-            # Done first because it is slow: Ctrl-C then comes before or after the chunk is counted, hardly ever in between.
+            # The lines are made first because that is slow: Ctrl-C then hardly ever comes between writing and counting a chunk.
             lines = table.lines(xyz, columns)
             table.write(lines)
             tally.add(xyz, columns, seconds)
@@ -185,14 +197,14 @@ def workspace(
 
 
 class _Tally:
-    """Running totals of a Workspace over the chunks so far."""
+    """The totals of a workspace study over the chunks so far."""
 
     def __init__(self, robot: Robot | Tree, tip: str, names: list[str]) -> None:
         self.robot, self.tip = robot.name, tip
         self.low, self.high, self.radius = envelope(robot, tip=tip)
         self.cell = float(max((self.high - self.low).max() / GRID, 1e-9))
         self.shape = np.maximum(np.ceil((self.high - self.low) / self.cell), 1).astype(int)
-        self.outcomes = {name: Outcome(name) for name in names}
+        self.outcomes = {name: SolverCounts(name) for name in names}
         self.maps = {name: np.zeros((2, *self.shape), np.int64) for name in names}
         self.failures: dict[str, list[np.ndarray]] = {name: [] for name in names}
         self.points: list[np.ndarray] = []
@@ -200,7 +212,7 @@ class _Tally:
         self.kept = self.done = 0
 
     def add(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]], seconds: list[float]) -> None:
-        """Count a chunk: target positions (m, 3), each solver's results and its time."""
+        """Count a chunk, given its target positions (m, 3) [m], and the results and times [s] of each solver."""
         index = np.clip(((xyz - self.low) / self.cell).astype(int), 0, self.shape - 1)
         for name, part, elapsed in zip(self.outcomes, columns, seconds, strict=True):
             self.outcomes[name].elapsed += elapsed
@@ -218,7 +230,7 @@ class _Tally:
         self.done += len(xyz)
 
     def result(self) -> Workspace:
-        """The Workspace of the chunks counted so far."""
+        """Return the result of the chunks counted so far."""
         return Workspace(
             robot=self.robot,
             low=self.low,
@@ -237,7 +249,7 @@ class _Tally:
 
 
 def _named(solvers: list[Any]) -> dict[str, Any]:
-    """Solvers under a distinct name each."""
+    """Give each solver a name of its own."""
     named: dict[str, Any] = {}
     for solver in solvers:
         name = base = "auto" if is_auto(solver) else find_row(solver).name
@@ -248,7 +260,7 @@ def _named(solvers: list[Any]) -> dict[str, Any]:
     return named
 
 
-def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
+def _count(outcome: SolverCounts, part: dict[str, np.ndarray]) -> None:
     good = part["success"]
     outcome.targets += len(good)
     outcome.solved += int(good.sum())
@@ -260,7 +272,7 @@ def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
 
 
 class _Table:
-    """CSV file of all targets; writes nothing without a file."""
+    """The CSV file of all targets; without a file it writes nothing."""
 
     FIELDS = ("success", "status", "iterations", "position_error", "orientation_error")
 
@@ -277,7 +289,8 @@ class _Table:
             return ""
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
-        if self.head:  # written with the first targets: a file with only a header is not worth keeping
+        # The header is written with the first targets, because a file of a header alone is not worth keeping.
+        if self.head:
             csv.writer(text).writerow(map(inert, self.head))
             self.head = []
         csv.writer(text).writerows(zip(*xyz.T.tolist(), *lists, strict=True))

@@ -14,7 +14,7 @@ import numpy as np  # noqa: E402
 import pinocchio as pin  # noqa: E402
 
 import ik_toolkit as ik  # noqa: E402
-from ik_toolkit.kernel.chain import forward  # noqa: E402
+from ik_toolkit.kernel.chain import forward_kinematics  # noqa: E402
 from ik_toolkit.kernel.counted_error import POSE  # noqa: E402
 from ik_toolkit.kernel.records import ANSWER  # noqa: E402
 from ik_toolkit.kernel.simd_search import lanes  # noqa: E402
@@ -78,8 +78,8 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
             assert ik.solve(robot, target).status == ik.Status.UNREACHABLE
 
     return {
-        "kernel: FK": (lambda: forward(chain.rows, chain.ends, Q, chain.unit, poses, none), count),
-        "kernel: FK + Jacobian": (lambda: forward(chain.rows, chain.ends, Q, chain.unit, poses, J), count),
+        "kernel: FK": (lambda: forward_kinematics(chain.rows, chain.ends, Q, chain.unit, poses, none), count),
+        "kernel: FK + Jacobian": (lambda: forward_kinematics(chain.rows, chain.ends, Q, chain.unit, poses, J), count),
         "kernel: one iteration of `lm` (all in)": (solve, iterations),
         "kernel: one solve": (solve, count),
         "kernel: one solve, eight side by side": (side_by_side, count),

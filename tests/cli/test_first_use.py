@@ -146,7 +146,8 @@ def test_the_second_run_ends_with_the_command(number, code):
     script = f"""
 import sys
 from ik_toolkit import cli
-from ik_toolkit.cli import first_use, solve
+from ik_toolkit.cli import first_use
+from ik_toolkit.cli.options import RobotOptions
 def needed(*_):
     raise first_use.CompileNeeded(None)
 second = '''
@@ -160,7 +161,7 @@ except KeyboardInterrupt:
     print(2, flush=True)
     sys.exit({code})
 '''
-solve.load_robot, run = needed, first_use._run
+RobotOptions.load, run = needed, first_use._run
 first_use._run = lambda command, *more: run([sys.executable, "-c", second], *more)
 sys.exit(cli.main())
 """

@@ -7,7 +7,6 @@ import pytest
 import typer
 
 from ik_toolkit.cli import application, main
-from ik_toolkit.cli.arguments import join_vectors
 
 ROOT = typer.main.get_command(application())
 NAMES = [name for name, command in ROOT.commands.items() if not command.hidden]
@@ -35,7 +34,7 @@ def test_help_ends_with_examples_that_are_commands(name, capsys):
     for line in examples:
         _, command, *arguments = shlex.split(line)
         assert len(line) <= 80  # with their indent, they fit a terminal that wide
-        ROOT.commands[command].make_context(command, join_vectors(arguments))
+        ROOT.commands[command].make_context(command, arguments)
 
 
 def test_options_of_solve_stand_in_groups(capsys):

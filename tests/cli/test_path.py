@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import ik_toolkit as ik
-from ik_toolkit.robot.pose import matrix_quat
+from ik_toolkit.robot.rotation import matrix_quat
 
 ARM = "hydrolek_7w"
 

@@ -8,7 +8,7 @@ import pytest
 from robots import have_data
 
 import ik_toolkit as ik
-from ik_toolkit.robot.pose import matrix_quat, matrix_rpy
+from ik_toolkit.robot.rotation import matrix_quat, matrix_rpy
 
 BROKK = "brokk_hydrolek"
 LEFT, RIGHT = "left_tip", "right_tip"

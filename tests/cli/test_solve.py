@@ -6,21 +6,52 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+import typer
 
 import ik_toolkit as ik
-from ik_toolkit.cli.arguments import join_vectors
+from ik_toolkit.cli import application
 
 SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
 
 
-def test_numbers_after_a_vector_option_are_joined():
-    joined = join_vectors(["fk", "arm", "--q", "1", "-2e-1", ".3", "--deg", "--xyz", "1,2", "-3", "--seed", "4"])
-    assert joined == ["fk", "arm", "--q=1,-2e-1,.3", "--deg", "--xyz=1,2,-3", "--seed", "4"]
+def read(name, *words):
+    """What a command line comes to, by option."""
+    command = typer.main.get_command(application()).commands[name]
+    return command.make_context(name, [*words]).params
 
 
-@pytest.mark.parametrize("argv", [["--q=1,2", "3"], ["--q", "word"], ["--", "--q", "1", "2"], ["--q"], ["--q", ""]])
-def test_other_arguments_are_left_alone(argv):
-    assert join_vectors(argv) == argv
+def test_numbers_after_an_option_that_takes_several_are_joined():
+    words = [
+        "arm",
+        "--q0",
+        "1",
+        "-2e-1",
+        ".3",
+        "--deg",
+        "--xyz",
+        "1,2",
+        "-3",
+        "--seed",
+        "4",
+        "--target",
+        "a:1",
+        "2",
+        "3",
+    ]
+    found = read("solve", *words)
+    assert (found["q0"], found["xyz"], found["seed"]) == ("1,-2e-1,.3", "1,2,-3", 4) and found["deg"]
+    assert found["targets"] == ["a:1,2,3"]
+
+
+@pytest.mark.parametrize(("words", "q"), [(["--q=1,2"], "1,2"), (["--q", "word"], "word"), (["--q", ""], "")])
+def test_other_values_are_left_alone(words, q):
+    assert read("fk", "arm", *words)["q"] == q
+
+
+@pytest.mark.parametrize("words", [["--q=1,2", "3"], ["--", "--q", "1", "2"], ["--q"]])
+def test_numbers_elsewhere_are_not_joined(run, words):
+    code, _, err = run("fk", "planar_2r", *words)
+    assert code == 2 and err.endswith("See ik fk --help\n")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import robots
 
-from ik_toolkit.cli import bench, main, path, targets, tune, workspace
+from ik_toolkit.cli import batch, bench, main, path, tune, workspace
 from ik_toolkit.cli.streams import stoppable
 from ik_toolkit.papers.report import Report
 from ik_toolkit.servo.tracker import Tracker
@@ -86,9 +86,9 @@ COMMANDS = {
                          lambda out: sum(int(row["targets"]) for row in rows_of(out)), 400),
     "workspace": (["workspace", "planar_2r", "-s", "planar-2r", "-n", "100000", "--csv", "OUT.csv"], at_progress(workspace),
                   lambda out: len(rows_of(out)), 100_000),
-    "solve, csv": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.csv"], at_progress(targets),
+    "solve, csv": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.csv"], at_progress(batch),
                    lambda out: len(rows_of(out)), 60_000),
-    "solve, npz": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.npz"], at_progress(targets),
+    "solve, npz": (["solve", "planar_2r", "--targets", "in.npz", "-s", "planar-2r", "-o", "OUT.npz"], at_progress(batch),
                    lambda out: len(np.load(out)["q"]), 60_000),
     "track": (["track", "planar_2r", "--path", "circle", "--avoid-collisions", "-o", "OUT.csv"], while_it_tracks,
               lambda out: len(rows_of(out)), 1001),

@@ -14,7 +14,7 @@ import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidTarget
 from ik_toolkit.robot import pose_files
-from ik_toolkit.robot.pose import matrix_quat, matrix_rpy
+from ik_toolkit.robot.rotation import matrix_quat, matrix_rpy
 
 ARM = "hydrolek_7w"
 
@@ -175,7 +175,6 @@ def test_what_does_not_go_together(tmp_path, capsys):
         (["--targets", tmp_path / "none.csv", "-o", out], "no targets file"),
         (["--targets", tmp_path, "-o", out], "no targets file"),
         (["--targets", good, "-o", out, "--xyz", 1, 2, 3], "--xyz"),
-        (["--xyz", 1, 2, 3, "--chain"], "ik path"),
         (["--xyz", 1, 2, 3, "--threads", 2], "--targets"),
         (["--targets", good, "-o", out, "--threads", 0], "threads"),
         (["--targets", good, "-o", out, "--mask", 1, 1, 1, 0, 0, 0, "--target", "tool:1,2,3"], "--target"),

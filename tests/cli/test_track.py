@@ -62,7 +62,20 @@ def test_words_and_what_somebody_typed_are_not_taken_for_options(run):
 
 
 def test_a_line_of_no_turns_goes_one_way(run):
-    words = ("track", "planar_2r", "--path", "line", "--axis", "-1", "0", "0", "--position-only", "--duration", "2", "--json")
+    words = (
+        "track",
+        "planar_2r",
+        "--path",
+        "line",
+        "--axis",
+        "-1",
+        "0",
+        "0",
+        "--position-only",
+        "--duration",
+        "2",
+        "--json",
+    )
     shown = [json.loads(run(*words, *turns)[1])["figures"]["peak_speed"] for turns in ((), ("--turns", "0"))]
     assert shown[0] == shown[1]
 

@@ -19,7 +19,7 @@ import ik_toolkit
 from ik_toolkit.compile import cache
 from ik_toolkit.compile.jit import INLINE, PARTS
 from ik_toolkit.compile.pipeline import PartLibrary
-from ik_toolkit.kernel.chain import forward
+from ik_toolkit.kernel.chain import forward_kinematics
 from ik_toolkit.kernel.null_space import refine
 from ik_toolkit.kernel.simd_search import lanes
 
@@ -88,7 +88,7 @@ def test_refine_sees_an_edit_of_another_kernel_file(copy):
     assert again.returncode != 0 and "edited" in again.stderr
 
 
-@pytest.mark.parametrize("function", [forward, refine, lanes()], ids=["forward", "refine", "lanes"])
+@pytest.mark.parametrize("function", [forward_kinematics, refine, lanes()], ids=["forward", "refine", "lanes"])
 def test_what_is_used_of_numba_is_there(function):
     """The stamp rests on two private names of numba. When they move, edits would be missed in silence: fail here."""
     assert "_index_key" in vars(Cache), "numba's Cache has no _index_key any more"
@@ -232,7 +232,7 @@ def test_doctor_finds_damaged_files_and_mends_them(copy):
 
     path = copy / "ik_toolkit" / "kernel" / "__pycache__" / f"ik-one.{cache.stamp_of(*cache.STAMPED)[:12]}.two.nbc"
     path.parent.mkdir(exist_ok=True)
-    cache.write(path, bytes(2000))
+    cache.write_whole(path, bytes(2000))
     data = path.read_bytes()
     path.write_bytes(data[:1000] + bytes([data[1000] ^ 4]) + data[1001:])
     torn = path.with_name("ik-something.part")

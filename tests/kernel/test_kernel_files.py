@@ -12,7 +12,8 @@ import pytest
 from numba import config
 from numba.core.serialize import dumps
 
-from ik_toolkit.cli import main, output, robots
+from ik_toolkit.cli import main, output
+from ik_toolkit.cli.options import RobotOptions
 from ik_toolkit.compile import cache
 
 SOURCE = """
@@ -86,7 +87,7 @@ def test_a_file_of_another_key_is_not_taken(double):
     double()
     (path,) = double.files()
     _, payload = pickle.loads(cache.content(path))
-    cache.write(path, dumps((("another", "key"), payload)))
+    cache.write_whole(path, dumps((("another", "key"), payload)))
     assert double() == [MADE]
 
 
@@ -172,8 +173,8 @@ def test_files_are_no_more_open_than_they_have_to_be(double):
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_the_command_says_that_it_compiles_only_when_it_does(double, capsys, monkeypatch):
     """With a small kernel for that of a solver."""
-    load = robots.load_robot
-    monkeypatch.setattr(robots, "load_robot", lambda *words: double.use() or load(*words))
+    load = RobotOptions.load
+    monkeypatch.setattr(RobotOptions, "load", lambda *words: double.use() or load(*words))
     output.notice_once.cache_clear()
     for said in ("compiling the solver (first use on this machine, up to half a minute) ...\n", ""):
         assert main(["fk", "planar_2r", "--q", "0,0"]) == 0

@@ -22,9 +22,9 @@ ARMS = ("hydrolek_7w", "inspection_7dof", "planar_3r", "cartesian_pp", "panda", 
 
 @njit
 def arithmetic(a, b, out):
-    x, y = simd.load(a, 0), simd.load(b, 0)
+    x, y = simd.lane_load(a, 0), simd.lane_load(b, 0)
     simd.store(out, 0, -x + y * 2.0 - 3.0 / y)
-    simd.store(out, W, simd.choose((x < y) & (x > 0.0) | (y >= 4.0), abs(x), np.rint(y)))
+    simd.store(out, W, simd.lane_select((x < y) & (x > 0.0) | (y >= 4.0), abs(x), np.rint(y)))
     simd.store(out, 2 * W, math.sqrt(y) + simd.full(1.5))
     s, c = sincos(x)
     simd.store(out, 3 * W, s)

@@ -112,7 +112,7 @@ def test_readme_names_the_extras_that_exist():
 
 def test_every_command_module_is_listed():
     folder = ROOT / "ik_toolkit" / "cli"
-    files = {path.stem for path in folder.glob("*.py") if "def register(" in path.read_text(encoding="utf-8")}
+    files = {path.stem for path in folder.glob("*.py") if "\n@command\n" in path.read_text(encoding="utf-8")}
     assert files == set(MODULES)
 
 

@@ -10,7 +10,7 @@ import trees
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import AXIS, POSE, POSITION
-from ik_toolkit.paths.continuity import bounds, check, densify, interpolate, settle
+from ik_toolkit.paths.continuity import bounds, check, densify, interpolate_poses, settle_on_targets
 from ik_toolkit.solvers.options import make_options
 from ik_toolkit.solvers.plan import Plan
 from ik_toolkit.solvers.registry import find_row
@@ -76,7 +76,7 @@ def sampled(robot, plan, kinds, a, b, T):
     """Largest counted errors [m], [rad] of the tips between two configurations."""
     worst = [0.0, 0.0]
     for share in np.linspace(0.0, 1.0, SAMPLES):
-        goal = interpolate(T, np.array([share]), kinds)[0]
+        goal = interpolate_poses(T, np.array([share]), kinds)[0]
         for _, position, angle in all_errors(robot, a + share * (b - a), goal, kinds, plan.options):
             worst = [max(worst[0], position), max(worst[1], angle or 0.0)]
     return worst
@@ -141,7 +141,7 @@ def followed(plan, T):
     """Joints (N, n) along poses, each solved from the last."""
     q, rows = plan.robot.home[None], []
     for pose in T:
-        q, good = settle(plan, (POSE,), q, pose[None])
+        q, good = settle_on_targets(plan, (POSE,), q, pose[None])
         assert good.all()
         rows.append(q[0])
     return np.array(rows)
@@ -162,7 +162,7 @@ def test_poses_are_inserted_until_steps_and_bounds_hold():
     assert proof.largest[0] <= tolerance[0] and proof.largest[1] <= tolerance[1]
     assert np.isnan(proof.deviation[cut]).all()
     for row, place in zip(curve, at, strict=True):
-        position, angle = robot.errors(row, interpolate(T, np.array([place]), (POSE,))[0, 0])
+        position, angle = robot.errors(row, interpolate_poses(T, np.array([place]), (POSE,))[0, 0])
         assert position <= 1e-6 and angle <= 1e-6
 
 

@@ -10,7 +10,7 @@ import trees
 import ik_toolkit as ik
 from ik_toolkit.compile.jit import jit
 from ik_toolkit.kernel.counted_error import POSE, POSITION
-from ik_toolkit.paths.continuity import settle
+from ik_toolkit.paths.continuity import settle_on_targets
 from ik_toolkit.paths.finish import smooth
 from ik_toolkit.paths.smoothing import band_cholesky, band_solve
 from ik_toolkit.solvers.options import make_options
@@ -70,7 +70,7 @@ def wavy(name, count=120):
         robot.lower,
         robot.upper,
     )
-    q, good = settle(plan, kinds, q, T)
+    q, good = settle_on_targets(plan, kinds, q, T)
     assert good.all()
     return plan, kinds, T, q
 
@@ -86,7 +86,7 @@ def test_a_path_gets_shorter_and_stays_on_its_poses(name):
     made = smooth(plan, kinds, q, T, STEP)
     assert length(made) < 0.995 * length(q)
     assert (robot.lower <= made).all() and (made <= robot.upper).all()
-    again, good = settle(plan, kinds, made, T)
+    again, good = settle_on_targets(plan, kinds, made, T)
     assert good.all() and np.abs(again - made).max() < 1e-9  # the task error is zero already
     assert np.abs(np.diff(made, axis=0)).max() <= max(STEP[0], np.abs(np.diff(q, axis=0)).max()) + 1e-12
     assert np.abs(np.diff(made, n=2, axis=0)).max() < 0.2 * np.abs(np.diff(q, n=2, axis=0)).max()
@@ -132,4 +132,4 @@ def test_joints_at_their_limits_slide_along_them():
     made = smooth(narrow, kinds, q, T, STEP)
     assert made[:, joint].max() == pytest.approx(limit, abs=1e-5) and (made <= narrow.robot.upper).all()
     assert length(free) < length(made) < length(q)
-    assert settle(narrow, kinds, made, T)[1].all()
+    assert settle_on_targets(narrow, kinds, made, T)[1].all()

@@ -28,7 +28,9 @@ def by_toppra(path, s, speed, acceleration):
         toppra.constraint.JointAccelerationConstraint(limits[1], discretization_scheme=both),
     ]
     curve = toppra.SplineInterpolator(np.linspace(0.0, 1.0, 8), path(np.linspace(0.0, 1.0, 8)), bc_type="not-a-knot")
-    rate = toppra.algorithm.TOPPRA(constraints, curve, gridpoints=s, solver_wrapper="seidel").compute_parameterization(0, 0)
+    rate = toppra.algorithm.TOPPRA(constraints, curve, gridpoints=s, solver_wrapper="seidel").compute_parameterization(
+        0, 0
+    )
     return times_of(s, rate[1])[-1]
 
 

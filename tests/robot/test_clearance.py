@@ -7,7 +7,7 @@ import pytest
 from robots import BALLS_MIMIC, have_data, load
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.clearance import along, free_until
+from ik_toolkit.kernel.clearance import BrakingPath, Separation, along, free_until
 from ik_toolkit.robot.geometry.distance import APART, CORNERS, NEARBY, Clearance
 from ik_toolkit.servo.viability import brake
 
@@ -280,11 +280,11 @@ def test_planes_hold_against_every_turn():
         closer = normal @ (gone[space.a[k[0]]] - gone[space.b[k[0]]])
         if closer <= 0.0:
             continue
-        parts = space._V, space.coordinates, space._at, space._radius, space.a, space.b, space.by_a, space.by_b
         until = np.empty(1)
         for margin in (0.999, 1.5):
             distance = np.array([margin * closer])
-            free_until(*parts, k, normal[None], distance, space.levers(L[1])[0], Q, R, L, 1.0, 0.1, 0.0, until)
+            pairs = Separation(k, normal[None], distance)
+            free_until(space._parts, pairs, space.levers(L[1])[0], BrakingPath(Q, R, L, 1.0, 0.1), 0.0, until)
             assert until[0] < 1.0 or margin > 1.0
         close += closer > 0.02 and until[0] == 1.0
     assert close > 10  # nor is it far from what happens

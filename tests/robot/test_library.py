@@ -16,7 +16,7 @@ import ik_toolkit as ik
 from ik_toolkit.errors import MissingExtra, ModelError, RobotNotFound
 from ik_toolkit.robot import library
 from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data, find, list_robots, shipped_robots
-from ik_toolkit.robot.load import read
+from ik_toolkit.robot.load import read_source
 
 SCRIPT = SCRIPTS / "make_urdfs.py"
 PAPERS = {"hydrolek_7w", "brokk_hydrolek", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof"}
@@ -156,7 +156,7 @@ def test_every_file_of_example_robot_data_has_a_name():
     refused = []
     for name in names:
         try:
-            read(name, ())
+            read_source(name, ())
         except ModelError:
             refused.append(name)
     assert refused == ["ur_ur3"]

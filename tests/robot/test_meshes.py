@@ -318,7 +318,8 @@ def test_shapes_without_extent_are_said(shape, place):
     arm = robot("a.stl", place / "robot")
     vars(arm)["urdf"] = arm.urdf.replace('<mesh filename="a.stl"/>', f"<{shape}/>" if shape else "")
     with pytest.raises(
-        ModelError, match=r"link 'l1': .*(is not a valid shape|is zero or too large|has no|is not a shape)"
+        ModelError,
+        match=r"link 'l1': .*(is not a valid shape|is zero or too large|has no|<blob> is not a shape; use one of: mesh)",
     ):
         ik.CollisionModel(arm)
     scene = ik.view(arm)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget
-from ik_toolkit.robot.pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
+from ik_toolkit.robot.pose import check_target
+from ik_toolkit.robot.rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
 angle = st.floats(-math.pi, math.pi)
 
@@ -127,3 +128,15 @@ def test_a_nearly_rigid_rotation_is_projected_and_said_so():
     with pytest.raises(InvalidTarget, match="not rigid"):
         check_target(far)
     assert check_target(pin.SE3(T))[1] == ""
+
+
+def test_a_rotation_that_is_changed_is_said(caplog):
+    R = np.eye(3)
+    R[0, 1] = 3e-3
+    for call in (
+        lambda: ik.pose((0, 0, 0), rotation=R),
+        lambda: ik.line(np.block([[R, np.zeros((3, 1))], [np.eye(4)[3:]]]), np.eye(4), duration=1.0),
+    ):
+        caplog.clear()
+        call()
+        assert "was projected to the nearest rotation" in caplog.text

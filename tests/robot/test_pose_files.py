@@ -28,13 +28,17 @@ REFUSED = {
     "x,y,z\n1,2,3,\n": "line 2: 4 columns, more",
     "x,y,z,note\n1,2,3\n": "line 2: 3 columns, fewer than in the header",
     "x,y,z\n1,2\n": "line 2: 2 columns, fewer",
-    "x;y;z\n0,5;1,0;0\n": "not semicolons: columns are separated by commas, and decimals written with a point",
-    "x\ty\tz\n0.5\t1\t0\n": "not tabs",
     "0.5,1,0\n0.5,1,0.1\n": "has no column x, y, z; its first line must be x,y,z",
     "x,y,z,x\n1,2,3,4\n": "has the column x more than once",
     'x,y,z\n"0,5",1,0\n': "line 2: '0,5' is not a finite number",
     'x,y,z\n1,"2,3\n': "line 2: .*unclosed quote",
     "x,y,z\n1,2,3\n\n1,2,3,4\n": "line 4: 4 columns",
+    "x;y;z\n1;2;3;4\n": "line 2: 4 columns, more than in the header$",
+    "x\ty\tz\n0.5\t1\n": "line 2: 2 columns, fewer",
+    "x,y,z\n0.5;1;0\n": "line 2: 1 columns, fewer",
+    "x,y,z,rx,ry,rz\n0,0,0,1,0,0\n": "columns rx, ry, rz: say with --euler about which axes the angles turn",
+    "x,y,z,a,b,c\n0,0,0,1,0,0\n": "columns a, b, c: say with --euler",
+    "x,y,z,roll,pitch\n0,0,0,1,0\n": "has the columns roll, pitch; the first line must be",
 }
 
 
@@ -51,6 +55,9 @@ def test_rows_that_do_not_fit_their_header_are_refused_with_their_line(tmp_path,
         '"x","y","z"\r\n"0.5","1","-2"\r\n',
         '\ufeffnote,x,y,z\n"a, b",0.5,1,-2\n',
         " X , y,z\n 0.5, 1 ,-2",
+        "x;y;z\n0.5;1;-2\n",
+        '\ufeffnote;x;y;z\r\n"a; b, c";0,5;1,0;-2\r\n',
+        "x\ty\tz\n0,5\t1\t-2\n",
     ],
 )
 def test_what_is_meant_is_read(tmp_path, text):

@@ -115,7 +115,7 @@ def test_the_plane_of_a_planar_joint_is_perpendicular_to_its_axis(axis, root):
         ('<mimic joint="shoulder" multiplyer="2"/>', "multiplyer= of <mimic>"),
         ('<mimic joint="shoulder" ofset="2"/>', "ofset= of <mimic>"),
         ('<parent_link link="base"/>', "<parent_link>"),
-        ('<origin xyz="0 0 0"/><origin xyz="0 0 1"/>', "2 <origin> (lines 5 and 5): the first counts"),
+        ('<origin xyz="0 0 0"/><origin xyz="0 0 1"/>', "2 <origin> (lines 5 and 5): only the first is read"),
         (LIMIT * 2, "2 <limit>"),
         ('<axis xyz="0 0 1"/><axis xyz="0 1 0"/>', "2 <axis>"),
         ('<parent link="base"/>', "2 <parent>"),
@@ -131,7 +131,7 @@ def test_names_that_no_reader_knows(part, word, caplog):
 
 
 def test_misspelled_items_and_shapes():
-    assert (1, "robot: <Joint> is not known and is ignored; <joint> is meant?") in said(
+    assert (1, "robot: <Joint> is not known and is ignored; did you mean <joint>?") in said(
         elbow(extra='<Joint name="x"/>')
     )
     assert any("<drake:joint>" in told for _, told in said(elbow(extra='<drake:joint name="x"/>')))
@@ -216,7 +216,7 @@ def test_a_velocity_of_zero_is_no_velocity_limit():
     """One meaning everywhere: check says it, info shows inf, tracking has no limit and a trajectory asks for one."""
     text = elbow(limit='<limit lower="-1" upper="1" effort="1" velocity="0"/>')
     assert [told for _, told in said(text)] == [
-        "joint 'elbow': its velocity limit is 0: taken for none, because a joint that may not move would be fixed"
+        "joint 'elbow': its velocity limit is 0, read as no limit: a joint that cannot move would be fixed"
     ]
     robot = ik.Robot.load(text)
     assert (

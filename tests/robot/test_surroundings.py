@@ -92,6 +92,8 @@ def test_what_is_held_moves_with_the_tip():
     arm = load(ARM).with_tool((0, 0, 0.1))
     T = as_pose((0.1, 0.0, 0.15))
     model = ik.CollisionModel(arm).attach(ik.Shape.sphere(0.1), T, name="load", touch=("link_3",))
+    one = ik.CollisionModel(arm).attach(ik.Shape.sphere(0.1), T, name="load", touch="link_3")
+    assert one.pairs == model.pairs
     model.add_box((0.4, 0.4, 0.4), (0.8, 0.2, -0.2), "crate")
     assert model.attached == ("load",) and model.obstacles == ("crate",)
     assert (

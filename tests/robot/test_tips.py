@@ -8,7 +8,7 @@ from robots import joint
 import ik_toolkit as ik
 from ik_toolkit.errors import FrameNotFound
 from ik_toolkit.robot.library import DATA_ROBOTS, find
-from ik_toolkit.robot.load import read
+from ik_toolkit.robot.load import read_source
 from ik_toolkit.robot.tips import guess_tip, words
 
 
@@ -17,7 +17,7 @@ def test_tips_of_example_robot_data_are_guessed(name):
     """The rows of the library name their tips by hand; the guess knows nothing of them."""
     pytest.importorskip("yourdfpy")
     entry = find(name)
-    assert guess_tip(read(str(entry.path), ())[1]["model"]).tips == entry.tips
+    assert guess_tip(read_source(str(entry.path), ())[1]["model"]).tips == entry.tips
 
 
 def arm(*ends):

@@ -334,3 +334,19 @@ def test_random_trees_agree_with_the_second_fk():
             assert position.max() < 1e-11 * max(tree.reach, judge.largest_offset()) and angle.max() < 1e-11
             assert not judge.outside(Q, tree.joint_names).any()
     assert tried > 30
+
+
+def test_a_tree_of_one_tip_is_solved_as_its_robot_is():
+    """Only its targets and poses go by tip: closed forms, proofs and bytes are the robot's."""
+    robot = Robot.load("inspection_7dof")
+    tree, tip, q = Tree([robot]), robot.tip, robot.random_q(np.random.default_rng(4))
+    T = robot.fk(q).homogeneous
+    assert np.array_equal(tree.fk(q)[tip].homogeneous, T)
+    alone, named = ik.solve(robot, T), ik.solve(tree, {tip: T})
+    assert (alone.solver, alone.q.tobytes()) == (named.solver, named.q.tobytes()) and named.solver == "inspection"
+    assert np.array_equal(ik.solve_all(tree, [T]).q, ik.solve_all(robot, T).q)
+    rows = ik.solve_batch(tree, np.array([[T], [T]]), "lm").q
+    assert np.array_equal(rows, ik.solve_batch(robot, np.array([T, T]), "lm").q)
+    with pytest.raises(errors.InvalidTarget, match="not a single one"):
+        ik.solve(tree, T)
+    assert np.array_equal(ik.solve(Tree([robot], q), {tip: T}, "lm", restarts=0).q, q)

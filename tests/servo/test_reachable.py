@@ -131,7 +131,9 @@ def test_what_is_asked_for_is_kept(arm):
     q0 = arm.home + 0.05
     motion = joint_motion(arm, q0, position_only=True, duration=4.0)
     assert motion.position_only and motion.duration == 4.0
-    assert np.allclose(motion.target(0.0), arm.fk(q0).translation) and np.allclose(motion.target(4.0), motion.target(0.0))
+    assert np.allclose(motion.target(0.0), arm.fk(q0).translation) and np.allclose(
+        motion.target(4.0), motion.target(0.0)
+    )
     with pytest.raises(InvalidOption, match="Did you mean 'circle'"):
         draw("circel", np.eye(4), 0.1)
 

@@ -16,9 +16,9 @@ def panel(request):
 @pytest.fixture
 def desk(panel, request):
     """A visitor's desk on the server itself: the same controls as a browser's, without one."""
-    from ik_toolkit.show.panel.page import Desk
+    from ik_toolkit.show.panel.page import PanelPage
 
-    made = Desk(panel.server, request.module.ROBOT)
+    made = PanelPage(panel.server, request.module.ROBOT)
     assert made.worker.idle()
     yield made
     made.close()

@@ -100,7 +100,7 @@ def test_what_is_in_the_way_is_named():
     place[:3, 3] = goal[:3, 3]
     name = session.add_box([0.12, 0.12, 0.12], place)
     session.avoid = True
-    assert session.follow(goal).message.endswith(f"to go: link_6 and {name} would touch")
+    assert session.follow(goal).message.endswith(f"from the target: link_6 and {name} would touch")
     assert any(session.follow(goal).settled for _ in range(20)) and not session.contacts()[0]
     assert session.followed.message.startswith("the closest pose is")
     assert session.followed.message.endswith(f"away: link_6 and {name} would touch")
@@ -157,7 +157,7 @@ def test_a_target_dragged_out_of_reach_is_joined_to_the_tip_by_a_line(desk):
 
 
 def test_the_page_of_view_follow_has_a_target_to_drag(panel):
-    from ik_toolkit.show.panel.follower import Follower
+    from ik_toolkit.show.panel.panel import Follower
 
     made = Follower(panel.server, "hydrolek_7w")
     assert made.worker.idle()
@@ -176,7 +176,7 @@ def test_the_page_of_view_follow_has_a_target_to_drag(panel):
 
 def test_view_follow_serves_that_page_and_refuses_what_it_cannot_show(monkeypatch, capsys):
     from ik_toolkit.cli import main, view
-    from ik_toolkit.show.panel.follower import Follower
+    from ik_toolkit.show.panel.panel import Follower
 
     served = []
     monkeypatch.setattr(view, "wait", lambda words, url, browse: served.append((words, url)))

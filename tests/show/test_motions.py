@@ -3,13 +3,14 @@
 import motions
 import numpy as np
 import pytest
+from robots import CONTINUOUS
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration
 from ik_toolkit.kernel.counted_error import POSITION
 
 pytest.importorskip("meshcat")
-from ik_toolkit.show.animation import from_file, motion_of
+from ik_toolkit.show.animation import motion_from_file, motion_of
 
 
 def result(breaks=()):
@@ -32,6 +33,15 @@ def test_nothing_is_drawn_across_a_change_of_branch():
     np.testing.assert_array_equal(broken.q[broken.breaks[0]], result().q[14])
 
 
+def test_the_chart_of_a_path_draws_joints_without_limits_in_half_turns():
+    robot = ik.Robot.load(CONTINUOUS)
+    path = motions.as_result(robot, motions.wave(robot, 30), kind=POSITION)
+    drawn = {line.get_label(): line.get_ydata() for line in ik.plot(path).axes[0].lines}
+    for i, name in enumerate(robot.joint_names):
+        shown = path.curve[:, i] / (np.pi if np.isinf(robot.upper[i]) else 2.0)
+        np.testing.assert_allclose(drawn[name], shown, atol=1e-12)
+
+
 def test_trajectories_are_shown_in_real_time_and_read_back(tmp_path):
     pytest.importorskip("scipy")
     made = result().retime(1.0, 2.0, rate=50.0)
@@ -40,7 +50,7 @@ def test_trajectories_are_shown_in_real_time_and_read_back(tmp_path):
     assert told["count"] / told["fps"] == pytest.approx(made.duration, rel=0.1)
     shown = motion_of(made)
     for file in (made.to_csv(tmp_path / "t.csv"), made.to_json(tmp_path / "t.json")):
-        read = from_file(made.robot, file)
+        read = motion_from_file(made.robot, file)
         np.testing.assert_allclose(read.q, made.q)
         np.testing.assert_allclose(read.t, made.t, atol=1e-9)
         assert np.abs(read.values - shown.values).max() < 0.1 * shown.values.max()
@@ -52,7 +62,7 @@ def test_paths_are_read_back_without_the_poses_not_reached(tmp_path):
     q[3], curve[made.at == 3.0] = np.nan, np.nan
     part = type(made)(**{**vars(made), "q": q, "curve": curve})
     for name, rows in (("p.csv", q), ("p.npz", curve), ("p.json", curve)):
-        read = from_file(made.robot, part.save(tmp_path / name))
+        read = motion_from_file(made.robot, part.save(tmp_path / name))
         np.testing.assert_allclose(read.q, rows[np.isfinite(rows).all(axis=1)])
 
 
@@ -60,7 +70,7 @@ def test_paths_are_read_back_without_the_poses_not_reached(tmp_path):
 def test_tracking_runs_are_read_back_with_their_times(suffix, tmp_path):
     robot = motions.load("planar_2r")
     run = ik.track(robot, ik.circle(robot.fk(robot.home).translation, 0.1, duration=0.5), "cv", dt=0.05)
-    read = from_file(robot, run.save(tmp_path / f"run{suffix}"))
+    read = motion_from_file(robot, run.save(tmp_path / f"run{suffix}"))
     np.testing.assert_allclose(read.q, run.q)
     np.testing.assert_allclose(read.t, run.t, atol=1e-9)
     assert np.isfinite(read.values).all()
@@ -69,14 +79,14 @@ def test_tracking_runs_are_read_back_with_their_times(suffix, tmp_path):
 def test_arrays_of_no_motion_are_refused_with_what_is_missing(tmp_path):
     np.savez(tmp_path / "bad.npz", joint_names=["joint_1", "joint_2"], x=np.zeros(3))
     with pytest.raises(InvalidConfiguration, match=r"cannot read the motion in 'bad\.npz': it has neither 'curve'"):
-        from_file(motions.load("planar_2r"), tmp_path / "bad.npz")
+        motion_from_file(motions.load("planar_2r"), tmp_path / "bad.npz")
 
 
 def test_files_of_another_robot_are_refused(tmp_path):
     made = result()
     file = made.save(tmp_path / "p.csv")
     with pytest.raises(InvalidConfiguration, match="no values of joint azimuth_yaw"):
-        from_file(motions.load("hydrolek_7w"), file)
+        motion_from_file(motions.load("hydrolek_7w"), file)
     (tmp_path / "bad.json").write_text("{}")
     with pytest.raises(InvalidConfiguration, match=r"cannot read the motion in 'bad\.json'"):
-        from_file(made.robot, tmp_path / "bad.json")
+        motion_from_file(made.robot, tmp_path / "bad.json")

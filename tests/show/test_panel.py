@@ -240,7 +240,7 @@ def test_other_addresses(monkeypatch, capsys):
 
     with contextlib.closing(Panel("planar_2r", host="127.0.0.2")) as made:
         assert asked(made)[0] == 200 and made.url.startswith("http://127.0.0.2:")
-    monkeypatch.setattr("ik_toolkit.cli.pictures.wait", lambda words, url, browse: print(words))
+    monkeypatch.setattr("ik_toolkit.cli.view.wait", lambda words, url, browse: print(words))
     assert main(["panel", "planar_2r", "--host", "0.0.0.0", "--no-open"]) == 0
     said = capsys.readouterr()
     assert "anyone who knows the address" in said.err and "http://127.0.0.1:" in said.out
@@ -264,11 +264,11 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
 
 def test_the_camera_shows_the_robot_as_large_as_fits():
     """All corners are seen, none further out than the share that the robot may fill, and one of them that far."""
-    from ik_toolkit.show.panel.viser_scene import FILL, LENS, VIEW, look
+    from ik_toolkit.show.panel.viser_scene import FILL, LENS, VIEW, camera_for
 
     box = np.array([[-0.2, -0.5, 0.0], [0.9, 0.4, 1.3]])
     for aspect, free in ((1.1, 1.0), (2.5, 1.0), (0.5, 0.5)):
-        eye, to = look(box, VIEW, aspect, free)
+        eye, to = camera_for(box, VIEW, aspect, free)
         ahead = (to - eye) / np.linalg.norm(to - eye)
         across = np.cross(ahead, (0, 0, 1)) / np.linalg.norm(np.cross(ahead, (0, 0, 1)))
         P = np.array(np.meshgrid(*box.T)).reshape(3, -1).T - eye
@@ -355,9 +355,9 @@ def test_robots_of_the_data_package_are_offered(desk):
 
 
 def test_desks_do_not_share_a_robot(panel, desk):
-    from ik_toolkit.show.panel.page import Desk
+    from ik_toolkit.show.panel.page import PanelPage
 
-    other = Desk(panel.server, "hydrolek_7w")
+    other = PanelPage(panel.server, "hydrolek_7w")
     assert other.worker.idle()
     desk.session.q = desk.session.q + 0.01
     assert not np.array_equal(desk.session.q, other.session.q)
@@ -381,15 +381,15 @@ def test_a_worker_does_the_newest_and_survives():
 def test_refusals_by_header():
     from websockets.datastructures import Headers
 
-    from ik_toolkit.show.access import is_loopback, refusal
+    from ik_toolkit.show.access import is_loopback, refused_request
 
     assert is_loopback("127.0.0.1") and is_loopback("localhost") and is_loopback("::1") and not is_loopback("0.0.0.0")
-    assert refusal({"Host": "localhost:1"}, "127.0.0.1") == ""
-    assert "only" in refusal({"Host": "evil.example:1"}, "127.0.0.1")
-    assert "only" in refusal({"Host": "localhost:1, evil.example:1"}, "127.0.0.1")
-    assert refusal({"Host": "arm.example:1", "Origin": "http://arm.example:1"}, "0.0.0.0") == ""
-    assert "other sites" in refusal({"Host": "arm.example:1", "Origin": "http://evil.example"}, "0.0.0.0")
+    assert refused_request({"Host": "localhost:1"}, "127.0.0.1") == ""
+    assert "only" in refused_request({"Host": "evil.example:1"}, "127.0.0.1")
+    assert "only" in refused_request({"Host": "localhost:1, evil.example:1"}, "127.0.0.1")
+    assert refused_request({"Host": "arm.example:1", "Origin": "http://arm.example:1"}, "0.0.0.0") == ""
+    assert "other sites" in refused_request({"Host": "arm.example:1", "Origin": "http://evil.example"}, "0.0.0.0")
     host, origin = ("Host", "localhost:1"), ("Origin", "http://localhost:1")
-    assert refusal(Headers([host, origin]), "127.0.0.1") == ""
+    assert refused_request(Headers([host, origin]), "127.0.0.1") == ""
     for twice in ([host, ("host", "evil.example"), origin], [host, origin, ("origin", "http://evil.example")]):
-        assert "more than one header" in refusal(Headers(twice), "127.0.0.1")
+        assert "more than one header" in refused_request(Headers(twice), "127.0.0.1")

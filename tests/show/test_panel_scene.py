@@ -5,7 +5,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget
-from ik_toolkit.show.panel.scene_tab import freedom, slide
+from ik_toolkit.show.panel.scene_tab import null_directions, slide
 from ik_toolkit.show.panel.session import Session
 
 ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
@@ -18,7 +18,7 @@ def test_self_motion_holds_the_tip_and_comes_back(name, turns, free):
     robot = ik.Robot.load(name)
     rng = np.random.default_rng(3)
     q = robot.lower + (0.3 + 0.4 * rng.random(robot.n)) * (robot.upper - robot.lower)
-    assert len(freedom(robot, q, turns)) == free
+    assert len(null_directions(robot, q, turns)) == free
     along = np.cos(np.arange(robot.n))
     to = slide(robot, q, along, 0.1, turns, True)
     target = robot.fk(q).homogeneous
@@ -32,7 +32,7 @@ def test_self_motion_holds_the_tip_and_comes_back(name, turns, free):
 
 def test_an_arm_without_freedom_has_no_self_motion():
     robot = ik.Robot.load("hydrolek_7w")
-    assert not len(freedom(robot, robot.home, True))
+    assert not len(null_directions(robot, robot.home, True))
     assert np.array_equal(slide(robot, robot.home, np.ones(6), 1.0, True, True), robot.home)
 
 

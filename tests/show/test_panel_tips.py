@@ -36,7 +36,7 @@ def test_random_poses_are_others_at_every_call_and_can_be_taken():
     again = Session("brokk_hydrolek")
     assert np.array_equal(again.random_poses()[RIGHT], first[RIGHT])
     single = Session("planar_2r")
-    assert single.solve(single.joined(single.random_poses())).status.name in ("CONVERGED", "UNREACHABLE")
+    assert single.solve(single.robot.for_tips(single.random_poses())).status.name in ("CONVERGED", "UNREACHABLE")
 
 
 def test_tips_are_chosen_one_or_several():
@@ -133,7 +133,7 @@ def test_tips_are_chosen_in_the_page(desk):
 def test_the_command_takes_several_tips(monkeypatch, capsys):
     from ik_toolkit.cli import main
 
-    monkeypatch.setattr("ik_toolkit.cli.pictures.wait", lambda words, url, browse: print(words))
+    monkeypatch.setattr("ik_toolkit.cli.view.wait", lambda words, url, browse: print(words))
     assert main(["panel", "brokk_hydrolek", "--tip", LEFT, "--tip", RIGHT, "--no-open"]) == 0
     assert "http://127.0.0.1:" in capsys.readouterr().out
     assert main(["panel", "brokk_hydrolek", "--tip", LEFT, "--tip", LEFT, "--no-open"]) == 2

@@ -13,7 +13,7 @@ from ik_toolkit.errors import InvalidConfiguration, InvalidOption, ModelError
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 
-from ik_toolkit.show.body import Body, Shape, tube
+from ik_toolkit.show.body import Body, DrawnShape, tube
 from ik_toolkit.show.scene import Scene, view
 
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
@@ -190,7 +190,7 @@ def test_tube_is_round_and_follows_its_line():
     assert len(rings) == 4 and shape.faces.max() < len(shape.vertices)
     assert np.allclose(rings.mean(axis=1), P[[0, 1, 2, 4]], atol=1e-6)
     assert np.allclose(np.linalg.norm(rings - rings.mean(axis=1, keepdims=True), axis=2), 0.1, atol=1e-6)
-    assert isinstance(tube(P[:1], 0.1, (1, 0, 0)), Shape)
+    assert isinstance(tube(P[:1], 0.1, (1, 0, 0)), DrawnShape)
 
 
 def test_page_is_self_contained_and_small(tmp_path):

@@ -198,7 +198,7 @@ def test_an_axis_target_is_looked_at_when_it_is_made():
     robot, T = good()
     kept = AxisTarget(T.tolist(), [0, 0, 2])
     assert kept.axis == (0.0, 0.0, 1.0) and ik.solve(robot, kept, "lm").success
-    for T_base_tip, axis in ((np.zeros((4, 4)), (0, 0, 1)), (T, (0, 0, 0)), (T, "z"), (T[:3, 3], (0, 0, 1))):
+    for T_base_tip, axis in ((np.zeros((4, 4)), (0, 0, 1)), (T, (0, 0, 0)), (T, "w"), (T[:3, 3], (0, 0, 1))):
         with pytest.raises(InvalidTarget):
             AxisTarget(T_base_tip, axis)
 

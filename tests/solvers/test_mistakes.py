@@ -50,7 +50,9 @@ def test_closest_and_a_start(arm):
     q = arm.home
     with pytest.raises(InvalidOption, match="give closest=q_ref or q0, not both: the search starts at q_ref"):
         ik.solve(arm, arm.fk(q), closest=q, q0=q)
-    with pytest.raises(InvalidOption, match=r"closest must be True or False here \(what it is nearest to is q0\)"):
+    with pytest.raises(
+        InvalidOption, match=r"closest must be True or False here \(q0 is what the solution is nearest to\)"
+    ):
         ik.Solver(arm, "lm", closest=q)
 
 

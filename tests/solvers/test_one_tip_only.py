@@ -5,7 +5,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.solvers.closed_form import describe, fits
+from ik_toolkit.solvers.closed_form import describe_fit, fits
 from ik_toolkit.study.singularity import measures
 
 
@@ -22,4 +22,4 @@ def test_studies_of_one_tip(brokk):
 
 
 def test_no_closed_form_fits_a_tree(brokk):
-    assert describe(brokk) == "" and fits(brokk, 0) is None and fits(ik.Tree(brokk.arms[:1]), 0) is None
+    assert describe_fit(brokk) == "" and fits(brokk, 0) is None and fits(ik.Tree(brokk.arms[:1]), 0) is None

@@ -12,8 +12,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption, UnknownSolver
-from ik_toolkit.solvers.registry import ROWS, Length, find_row, list_rows, registered
-from ik_toolkit.solvers.solver_file import from_file
+from ik_toolkit.solvers.registry import ROWS, Length, find_row, list_rows, registered, solver_from_file
 
 RULE = '''
 from typing import NamedTuple
@@ -99,7 +98,7 @@ def test_listing_in_a_new_process_imports_nothing_heavy(tmp_path):
         ({"half-step": "rows:HALF"}, "1 / 0", "division by zero"),
         ({"half-step": "rows:NONE"}, ROW, "NONE"),
         ({"half-step": "rows:HALF"}, "HALF = 'half'", "is a str, not a Row"),
-        ({"half": "rows:HALF"}, ROW, "its row is called 'half-step'"),
+        ({"half": "rows:HALF"}, ROW, "its row has the name 'half-step'"),
         ({"half,step": "rows:HALF"}, ROW.replace("half-step", "half,step"), "lowercase letters"),
         ({"auto": "rows:HALF"}, ROW.replace("half-step", "auto"), "not be 'auto'"),
         ({"lm": "rows:HALF"}, ROW.replace("half-step", "lm"), "has a solver of that name"),
@@ -227,7 +226,7 @@ def test_two_files_of_one_name_are_two(tmp_path):
     for folder, gain in (("a", "0.1"), ("b", "0.2")):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "numpy.py").write_text(RULE.replace("0.5", gain))
-    first, second = (from_file(f"{tmp_path}/{folder}/numpy.py:HalfStep") for folder in "ab")
+    first, second = (solver_from_file(f"{tmp_path}/{folder}/numpy.py:HalfStep") for folder in "ab")
     assert (first().gain, second().gain) == (0.1, 0.2)
 
 
@@ -255,12 +254,12 @@ def test_mistakes_with_files_are_named(asked, says, tmp_path, monkeypatch, capsy
     (tmp_path / "ends.py").write_text("raise SystemExit(3)\n")
     (tmp_path / "folder.py").mkdir()
     with pytest.raises(InvalidOption, match=says):
-        from_file(asked)
+        solver_from_file(asked)
     assert main(["bench", "planar_2r", "-n", "2", "--solver", asked]) == 2
     assert not capsys.readouterr().out
 
 
 def test_the_docstring_of_a_class_is_its_summary(tmp_path):
     (tmp_path / "mine.py").write_text(textwrap.dedent(RULE))
-    row = find_row(from_file(f"{tmp_path}/mine.py:HalfStep"))
+    row = find_row(solver_from_file(f"{tmp_path}/mine.py:HalfStep"))
     assert (row.name, row.summary, row.length()) == ("HalfStep", "Half of the step down the gradient.", Length())

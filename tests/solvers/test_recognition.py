@@ -11,7 +11,7 @@ from serial_arms import apart, urdf
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, UnknownSolver
 from ik_toolkit.kernel.counted_error import POSE, POSITION
-from ik_toolkit.solvers.closed_form import describe, fits, inspection, planar_2r
+from ik_toolkit.solvers.closed_form import describe_fit, fits, inspection, planar_2r
 
 PI = math.pi
 
@@ -54,7 +54,7 @@ def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_
     assert found.solver == "planar-2r" and found.complete
     for x in found:
         assert np.linalg.norm(robot.fk(x).translation - tip) < 1e-9
-    bend = planar_2r.recognise(robot.chain)[0]
+    bend = planar_2r.recognise_planar(robot.chain)[0]
     s2 = abs(math.sin(bend[planar_2r.ANGLES + 2] * q2 + bend[planar_2r.ANGLES + 3]))
     if s2 > 1e-3:
         assert len(found) == 2 and apart([q], found.q).min() < 1e-6
@@ -131,7 +131,9 @@ def bent(angle):
 
 def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothing():
     robot = bent(3e-5)
-    assert fits(robot, POSITION) == "planar-2r" and "3e-05" in describe(robot) and "exactly" in describe(bent(0.0))
+    assert (
+        fits(robot, POSITION) == "planar-2r" and "3e-05" in describe_fit(robot) and "exactly" in describe_fit(bent(0.0))
+    )
     rng = np.random.default_rng(3)
     for _ in range(50):
         q = robot.random_q(rng)
@@ -148,7 +150,7 @@ def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothin
 def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
     text = arm.urdf.replace("1.5707963267948966", "1.5708")
     robot = ik.Robot.load(text, tip=arm.tip, base=arm.base)
-    assert fits(robot, POSE) == "inspection" and "approximately" in describe(robot)
+    assert fits(robot, POSE) == "inspection" and "approximately" in describe_fit(robot)
     rng = np.random.default_rng(4)
     for held in (robot, robot.locked({"lift": 0.3})):
         Q = rng.uniform(held.lower, held.upper, (100, held.n))
@@ -158,3 +160,36 @@ def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
         assert sum(batch[k].solver == "inspection" for k in range(100)) > 90
         found = [ik.solve_all(held, pose, q0=q) for pose, q in zip(T[:20], Q, strict=False)]
         assert not any(one.complete for one in found) and all(len(one) for one in found)
+
+
+H = PI / 2
+STRUCTURE = [  # column, shoulder, elbow and wrist of an arm without a lift, at right angles and parallel in turn
+    ((0, 0, 0), (0, 0, 0)),
+    ((0, 0, 0), (H, 0, 0)),
+    ((0, 0, 0), (H, 0, 0)),
+    ((0.5, 0, 0), (0, 0, 0)),
+    ((0, 0, 0), (-H, 0, 0)),
+    ((0.4, 0, 0), (0, 0, 0)),
+]
+
+
+@pytest.mark.parametrize(
+    ("joint", "moved", "turned", "words"),
+    [
+        (1, (0, 0, 0), (H - 0.5, 0, 0), "joints 1 and 2 are not at right angles"),
+        (2, (0, 0, 0), (H - 0.5, 0, 0), "joints 2 and 3 are not at right angles"),
+        (3, (0.5, 0, 0), (0.5, 0, 0), "joints 3 and 4 are not parallel"),
+        (4, (0, 0, 0), (-H + 0.5, 0, 0), "joints 4 and 5 are not at right angles"),
+        (5, (0.4, 0, 0), (0.5, 0, 0), "joints 5 and 6 are not parallel"),
+        (2, (0.2, 0, 0), (H, 0, 0), "third revolute axis misses the point"),
+        (4, (0, 0, 0.2), (-H, 0, 0), "fifth revolute axis does not cross the fourth"),
+        (3, (0, 0, 0), (0, 0, 0), "parallel revolute axes coincide"),
+    ],
+)
+def test_each_part_of_the_inspection_structure_is_required(joint, moved, turned, words):
+    def recognised(places):
+        joints = [("continuous", where, angles, (0, 0, 1), -1.0, 1.0) for where, angles in places]
+        return inspection.recognise(ik.Robot.load(urdf(joints, ((0.1, 0, 0.2), (0, 0, 0.3))), tip="tip").chain)[1]
+
+    assert recognised(STRUCTURE) == ""
+    assert words in recognised([*STRUCTURE[:joint], (moved, turned), *STRUCTURE[joint + 1 :]])

@@ -122,7 +122,8 @@ def test_blocked_by_limits():
         result = ik.solve(robot, (-1.0, 1.0, 0.0), "lm", restarts=restarts)
         assert result.status == Status.LIMIT_BLOCKED and result.limited_joints
         starts = f"{restarts + 1} start{'s' * (restarts > 0)}"
-        told = f"joint limits ({', '.join(result.limited_joints)}) appear to block the target; closest {left(result)}"
+        joints = ", ".join(result.limited_joints)
+        told = f"joint limits ({joints}) block the target, which is reached without them; closest {left(result)}"
         assert result.message == f"{told} after {starts}; {ADVICE[result.status]}"
     shut = ik.solve(robot, (-1.0, 1.0, 0.0), "planar-2r")
     assert shut.status == Status.LIMIT_BLOCKED

@@ -10,7 +10,7 @@ from trees import TREES, direct, mixed, poses, tree_of
 
 import ik_toolkit as ik
 from ik_toolkit import cli, errors
-from ik_toolkit.robot.pose import matrix_quat
+from ik_toolkit.robot.rotation import matrix_quat
 from ik_toolkit.robot.tree import Tree
 
 

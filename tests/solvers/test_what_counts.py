@@ -196,7 +196,6 @@ def test_closed_forms_refuse_and_auto_searches():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"mask_frame": "tip"}, "now called frame"),
         ({"frame": "tool"}, "base, tip, target"),
         ({"frame": np.array(["base", "tip"])}, "base, tip, target"),
         ({"slack": [0.1] * 3}, "six half widths"),
@@ -206,7 +205,7 @@ def test_closed_forms_refuse_and_auto_searches():
         ({"mask": [1, 0, 0, 0, 0, 0], "slack": [np.inf, 0, 0, 0, 0, 0]}, "nothing that counts"),
         ({"free_turn": [0, 0, 0]}, "axis of the tip"),
         ({"free_turn": [0, 0]}, "axis of the tip"),
-        ({"free_turn": "z"}, "free_turn must be numbers"),
+        ({"free_turn": "w"}, "free_turn must be x, y, z"),
         ({"mask": {"tool": [1] * 6}}, "not one of the tips"),
         ({"relative_to": {"a": "b"}}, "several tips"),
         ({"avoid_collisions": np.zeros(3)}, "avoid_collisions must be"),

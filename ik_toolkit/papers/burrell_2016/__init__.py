@@ -1,1 +1,1 @@
-"""Burrell et al. 2016, reproduced."""
+"""Reproduction of Burrell et al. (2016)."""

@@ -1,4 +1,4 @@
-"""Fig. 4 of Burrell et al. (2016) at an existence goal, found by a search because the published goal is out of reach."""
+"""Fig. 4 of Burrell et al. (2016) at a goal that behaves like the published one, which is out of reach; a search finds it."""
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from ..report import Report
 from .figures import draw_existence
 from .published import PAPER_OPTIONS, TO_PAPER
 
-CANDIDATES, MATCHES = 200_000, 40  # random goals searched; goals compared at every gain
+CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and of those that are compared at every gain
 
 
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
-    """Add the section on Fig. 4; returns a goal (3,) [m] that behaves from q0 (n,) [rad] like the paper's."""
+    """Add the section on Fig. 4 to the report. Returns a goal (3,) [m] that behaves from q0 (n,) [rad] as the paper's does."""
     report.heading("Fig. 4: the gain K_p on one goal")
     goal = TO_PAPER.T @ np.array([-10.0, 50.0, -20.0])
     miss = {unit: least_distance(robot, goal * f) for unit, f in (("mm", 1e-3), ("cm", 1e-2))}
@@ -28,7 +28,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         rule = PID(kp=kp, units="mm-deg")
         return solve_batch(robot, points, rule, q0=q0, check=0.0, **PAPER_OPTIONS)
 
-    # The search: 0.0848 fails and 0.0847 succeeds, then a coarse grid of gains, then every gain.
+    # A goal must fail at the gain 0.0848 and succeed at 0.0847; then a coarse grid of gains is compared, then every gain.
     left = sample_targets(robot, CANDIDATES, 2016, position_only=True)
     result = solve_batch(robot, left, published, q0=q0, check=0.0)
     left, steps = left[result.success], result.iterations[result.success]
@@ -38,7 +38,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         good = batch(left, kp).success == wanted
         left, steps = left[good], steps[good]
         threshold = threshold or len(left) * (kp == 0.0847)
-    nearest = np.argsort(np.abs(steps - 100), kind="stable")[:MATCHES]  # iterations of Fig. 5
+    nearest = np.argsort(np.abs(steps - 100), kind="stable")[:MATCHES]  # Fig. 5 needs about 100 iterations
     above, below = np.round(np.arange(0.0848, 0.30005, 0.0001), 4), np.round(np.arange(0.001, 0.08475, 0.0001), 4)
     reached, lost = (
         np.array([batch(left[nearest], float(kp)).success == wanted for kp in grid]).sum(0)
@@ -79,13 +79,16 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
 
 
 def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int = 0) -> float:
-    """Distance [m] from a point (3,) to the nearest tip found: random moves of decreasing size from the nearest of 200,000."""
+    """Return the distance [m] from a point (3,) to the nearest tip that a search finds.
+
+    It makes random moves of decreasing size from the nearest of 200,000 random configurations.
+    """
     rng = np.random.default_rng(seed)
     Q = robot.random_q(rng, 200_000)
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
     best = np.argsort(far)[:starts]
     Q, far = Q[best], far[best]
-    for width in np.geomspace(0.3, 1e-6, 60):  # rad (m)
+    for width in np.geomspace(0.3, 1e-6, 60):  # the largest move of a joint, in rad or m
         tries = np.clip(Q[:, None] + width * rng.standard_normal((starts, 64, robot.n)), robot.lower, robot.upper)
         away = np.linalg.norm(robot.chain.forward(tries.reshape(-1, robot.n))[0][:, :3, 3] - point, axis=1)
         away = away.reshape(starts, -1)

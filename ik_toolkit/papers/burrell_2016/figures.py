@@ -10,7 +10,7 @@ from ...style import COLOURS
 
 
 def draw_existence(runs: dict[float, np.ndarray], gains: np.ndarray, ends: np.ndarray) -> Callable[[Any], Any]:
-    """Errors [mm] over sweeps for each K_p, and the final error [mm] over gains (k,)."""
+    """Draw the errors [mm] over sweeps for each K_p, and the final error [mm] over gains (k,)."""
 
     def draw(plt: Any) -> Any:
         figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained", sharey=True)
@@ -37,7 +37,7 @@ def draw_existence(runs: dict[float, np.ndarray], gains: np.ndarray, ends: np.nd
 
 
 def draw_response(curves: dict[str, np.ndarray]) -> Callable[[Any], Any]:
-    """Errors [mm] over iterations of each solver, one panel each."""
+    """Draw the errors [mm] over iterations of each solver in a panel of its own."""
 
     def draw(plt: Any) -> Any:
         figure, axes = plt.subplots(len(curves), 1, figsize=(6.0, 5.0), layout="constrained", sharex=True)
@@ -53,7 +53,7 @@ def draw_response(curves: dict[str, np.ndarray]) -> Callable[[Any], Any]:
 
 
 def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[[Any], Any]:
-    """Goals (N, 3) [mm, paper frame], reached ones as dots and others as circles, one panel per solver."""
+    """Draw goals (N, 3) [mm, frame of the paper], reached ones as dots and others as circles, in a panel for each solver."""
 
     def draw(plt: Any) -> Any:
         figure = plt.figure(figsize=(3.7 * len(maps), 3.9))
@@ -80,7 +80,7 @@ def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[
 
 
 def draw_planar(runs: dict[str, Run]) -> Callable[[Any], Any]:
-    """Error and manipulability along the runs; runs that stand still are one marker."""
+    """Draw error and manipulability along the runs; a run that stands still is one marker."""
 
     def draw(plt: Any) -> Any:
         figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained")
@@ -102,7 +102,7 @@ def draw_planar(runs: dict[str, Run]) -> Callable[[Any], Any]:
 
 
 def draw_gains(gains: Sequence[float], swept: dict[str, list[int]]) -> Callable[[Any], Any]:
-    """Goals of 1000 reached over K_p, one line per start."""
+    """Draw how many of 1000 goals are reached over K_p, with a line for each start."""
 
     def draw(plt: Any) -> Any:
         figure, axis = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
@@ -122,7 +122,7 @@ def draw_gains(gains: Sequence[float], swept: dict[str, list[int]]) -> Callable[
 def draw_reach(
     reachable: np.ndarray, shapes: dict[str, np.ndarray], target: tuple[float, float]
 ) -> Callable[[Any], Any]:
-    """Reachable points of the planar arm (N, 2), and its joints and tip (4, 2) in each named configuration."""
+    """Draw the reachable points of the planar arm (N, 2), and its joints and tip (4, 2) in each named configuration."""
 
     def draw(plt: Any) -> Any:
         figure, axis = plt.subplots(figsize=(6.4, 5.2), layout="constrained")

@@ -1,4 +1,4 @@
-"""Burrell et al. (2016) on IK-PID's gains: how many points a poor tuning reaches, and where the lost ones lie."""
+"""The gains of IK-PID in Burrell et al. (2016): how many points a poor tuning reaches, and where those lie that it loses."""
 
 from typing import Any
 
@@ -12,13 +12,14 @@ from ..report import Report
 from .figures import draw_gains
 from .published import PAPER_OPTIONS
 
-GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)  # deg per mm
-EDGE = (0.02, 0.05, 0.1)  # [m] distances around a goal at which points are tested
-POOR = 200.0  # of 1000: "say 20 % of reachable points", section 4
+# K_p, in degrees a millimetre.
+GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)
+EDGE = (0.02, 0.05, 0.1)  # m, distances around a goal at which points are tested
+POOR = 200.0  # successes of 1000 that make a tuning poor: "say 20 % of reachable points", section 4
 
 
 def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: Any) -> None:
-    """Add the section on tuning IK-PID; starts by name (n,) [rad]; seeds: sets of 1000 goals."""
+    """Add the section on tuning IK-PID to the report; starts (n,) [rad] by name; each seed gives a set of 1000 goals."""
     report.heading("IK-PID: poorly tuned, and at the edge of the workspace")
     sets = [sample_targets(robot, 1000, k, position_only=True) for k in seeds]
     swept = {
@@ -45,7 +46,7 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
 
 
 def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> None:
-    """Add where the goals lost with the published gains lie, compared with goals that were reached."""
+    """Add a table of where the goals lie that the published gains lose, compared with goals that they reach."""
     good = _solved(robot, points, PID.preset("burrell-2016"), q0)
     lost = points[~good]
     reached = points[good][: 2 * len(lost)]
@@ -65,7 +66,10 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
 
 
 def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Smallest distance (N,) [m] in EDGE at which a point around each of `points` (N, 3) is out of reach; else twice the last."""
+    """Return for each of points (N, 3) the least distance (N,) [m] of EDGE at which a point around it is out of reach.
+
+    Where there is none, it is twice the largest.
+    """
     axis = np.array([-1.0, 0.0, 1.0])
     directions = np.array([(x, y, z) for x in axis for y in axis for z in axis if x or y or z])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

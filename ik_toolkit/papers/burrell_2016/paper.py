@@ -1,4 +1,4 @@
-"""Burrell, Montazeri, Monk, Taylor (2016): feedback control-based IK for the HydroLek-7W, published results next to ours.
+"""Report on Burrell, Montazeri, Monk and Taylor (2016), feedback control-based inverse kinematics of the HydroLek-7W.
 
 Source: T. Burrell, A. Montazeri, S. Monk, C. J. Taylor, "Feedback control-based inverse kinematics solvers for a nuclear
 decommissioning robot", IFAC-PapersOnLine 49-21 (2016). The paper's frame is Rx(-90 deg) of base_link (x forward, y up, z
@@ -32,17 +32,17 @@ from .speed import speed
 from .swarm import swarm
 
 SEEDS = range(100, 110)
-# Of 150 random starts, the one nearest to the counts 960, 994 and 665.
+# The start, of 150 random ones, whose counts come nearest to the published 960, 994 and 665.
 FITTED = np.radians([18.0, 51.0, -18.0, -6.0, -20.0, -78.0])
 
 
 def goals(robot: Robot, seed: int, count: int = 1000) -> np.ndarray:
-    """Goals (count, 3) [m]: tip positions at joint values drawn uniformly with `numpy.random.default_rng(seed)`."""
+    """Draw goals (count, 3) [m]: positions of the tip at joint values that `numpy.random.default_rng(seed)` draws uniformly."""
     return sample_targets(robot, count, seed, position_only=True)
 
 
 def starts(robot: Robot) -> dict[str, np.ndarray]:
-    """The three start configurations (n,) [rad] used for the counts, by name."""
+    """Return by name the three start configurations (n,) [rad] that are used for the counts."""
     return {
         "mid-range": 0.5 * (robot.lower + robot.upper),
         "clipped zero": np.clip(0.0, robot.lower, robot.upper),
@@ -51,26 +51,26 @@ def starts(robot: Robot) -> dict[str, np.ndarray]:
 
 
 def undelayed(rule: StateSpace) -> StateSpace:
-    """The same matrices with the output computed after the state update with e(k): dq = C A x + C B e."""
+    """Return the rule whose output is computed after the update of its state with e(k): dq = C A x + C B e."""
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     return rule._replace(C=C @ A, D=C @ B)
 
 
 def planar_rule(B: Any) -> StateSpace:
-    """State-space rule of the planar arm: A = -0.5 I, C = -0.05 I, B (3, 2) over x and y."""
+    """Return the state-space rule of the planar arm: A = -0.5 I, C = -0.05 I, and B (3, 2) over x and y."""
     return StateSpace(
         A=-0.5 * np.eye(3), B=np.column_stack([np.asarray(B, dtype=float), np.zeros(3)]), C=-0.05 * np.eye(3)
     )
 
 
 def counts(robot: Robot, rule: Any, q0: np.ndarray | None = None, seeds: Any = SEEDS, **options: Any) -> list[int]:
-    """Successes of 1000 goals for each seed, at the paper's tolerance and iteration limit unless given in options."""
+    """Count the successes of 1000 goals for each seed, with PAPER_OPTIONS unless other options are given."""
     options = {**PAPER_OPTIONS, **options}
     return [int(solve_batch(robot, goals(robot, k), rule, q0=q0, check=0.0, **options).success.sum()) for k in seeds]
 
 
 def reproduce(seeds: int = 10) -> Report:
-    """Compute the report; `seeds`: sets of 1000 goals for the counts."""
+    """Compute the report; each seed gives a set of 1000 goals for the counts."""
     with Report(
         "burrell", "Burrell et al. (2016): IK-PID and state-space solver of the HydroLek-7W, reproduced"
     ) as report:
@@ -312,7 +312,7 @@ def _planar(report: Report, seeds: Any) -> None:
 
 
 def _planar_joints(q: np.ndarray, link: float = 2.0) -> np.ndarray:
-    """Positions (4, 2) of base, joints and tip of the planar arm."""
+    """Return the positions (4, 2) of base, joints and tip of the planar arm."""
     angle = np.cumsum(q)
     return np.vstack([np.zeros(2), np.cumsum(link * np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)])
 
@@ -362,7 +362,7 @@ def _other_robots(report: Report) -> None:
 
 
 def _one_map(robot: Robot, position_only: bool) -> StateSpace:
-    """The published structure with designed gains, from home."""
+    """Return a rule of the published structure with gains designed for a robot at its home."""
     from ...study.spaces import make_space
 
     return make_space(robot, "state-space", position_only, 1).initial

@@ -1,13 +1,15 @@
-"""Published data of Burrell et al. (2016): tables, and misprints with the reading used."""
+"""Published data of Burrell et al. (2016): its tables, and its misprints with the reading that is used here."""
 
 import math
 from typing import Any
 
 import numpy as np
 
-TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # base_link -> paper axes, Rx(-90 deg)
-PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}  # our choice: the paper gives neither
-# Table I and III as printed: theta offset, d, a, alpha, lower, upper (mm, degrees; planar arm in its units).
+# Rotation from the axes of base_link to those of the paper.
+TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+# Our choice of tolerance [m] and iterations, as the paper gives neither.
+PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}
+# Tables I and III as printed: offset of theta, d, a, alpha, lower and upper limit (mm, degrees; the planar arm in its own units).
 TABLE_1 = (
     (0, 0, 70.0, 90, -27.07, 40.60),
     (0, 0, 523.4, 0, -10.32, 65.64),
@@ -17,19 +19,19 @@ TABLE_1 = (
     (-90, 284.8, 0, 0, -260.0, 260.0),
 )
 TABLE_3 = ((0, 0, 2, 0, -60, 60),) * 3
-TABLE_2 = {  # ms at 5, 2, 1 and 0.1 mm
+TABLE_2 = {  # times [ms] for the tolerances 5, 2, 1 and 0.1 mm
     "J+": (0.823, 1.115, 1.368, 1.727),
     "J^T": (0.951, 1.327, 1.602, 2.391),
     "DLS": (1.091, 1.524, 1.780, 2.538),
     "IK-PID": (16.258, 16.231, 16.147, math.nan),
     "state space": (0.604, 0.763, 0.875, 1.310),
 }
-TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)  # of Table II [m]
+TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)  # m, tolerances of Table II
 PLANAR_B = (
     [[2, -2], [-1, 0], [1, -2]],
     [[0, -2], [-1, -1], [-2, -1]],
-)  # integer matrices found by a search; the paper's is unpublished
-MISPRINTS = (  # place, problem, reading used
+)  # B of the planar arm, found by a search over whole numbers, as the paper does not print it
+MISPRINTS = (  # place, problem and the reading used here
     ("eq. (2), element (2,4)", "+sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit", "minus"),
     (
         "eq. (2), Table I",

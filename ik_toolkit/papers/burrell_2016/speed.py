@@ -1,4 +1,4 @@
-"""Table II of Burrell et al. (2016): time per goal, compiled and interpreted, and the counts that explain it."""
+"""Table II of Burrell et al. (2016): the time for a goal, compiled and interpreted, and the counts that explain it."""
 
 import math
 from functools import partial
@@ -17,22 +17,22 @@ from ..timing import Work, rounds, spread
 from .published import TABLE_2, TOLERANCES
 from .uncompiled import LIMIT, Interpreted, PlainPinv
 
-SETS = range(7, 14)  # seeds of the sets of goals: one per round
-FEW = 25  # goals per set for the interpreted versions
+SETS = range(7, 14)  # seeds of the sets of goals, one for each round
+FEW = 25  # number of goals in a set for the interpreted versions, which are slow
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
-BASE = "J+"  # denominator of the ratios
+BASE = "J+"  # the method by whose time all times are divided
 SAME_AS = {
     "J+, plain": "J+",
     "DLS, clipped": "DLS",
     "DLS, limits held": "DLS",
-}  # our row -> the row of Table II it is compared with
+}  # the row of Table II that each of our rows is compared with
 
-Times = dict[str, list[np.ndarray]]  # name -> times [s] of the rounds for each tolerance
+Times = dict[str, list[np.ndarray]]  # times [s] of all rounds for each tolerance, by method
 
 
 def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
-    """Add the section on Table II; q0 (n,) [rad]: start of the solvers that have none of their own."""
+    """Add the section on Table II to the report; q0 (n,) [rad] is the start of solvers that have none of their own."""
     report.heading("Table II: time per goal")
     damping = 0.1 / robot.chain.scale
     rules: dict[str, tuple[Any, np.ndarray | None]] = {
@@ -74,7 +74,7 @@ def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
 
 
 def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tuple[Times, dict[str, list[dict]]]:
-    """Times of the toolkit's loops, and counts, for the goals that every rule solves; each round has its own goals."""
+    """Time and count the toolkit's solvers on the goals that all of them solve; each round has its own goals."""
     times: Times = {name: [] for name in rules}
     steps: dict[str, list[dict]] = {name: [] for name in rules}
     for tolerance in TOLERANCES:
@@ -107,7 +107,7 @@ def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tu
 
 
 def _interpreted(robot: Robot, sets: list[np.ndarray], q0: np.ndarray) -> Times:
-    """Times in numpy, goal by goal, for the goals that all solve."""
+    """Time the methods in numpy, goal by goal, on the goals that all of them solve."""
     plain = Interpreted(robot)
     times: Times = {name: [] for name in plain.names}
     for tolerance in TOLERANCES:
@@ -171,7 +171,7 @@ def _explain(
 
 
 def _same_starts(robot: Robot, sets: list[np.ndarray]) -> dict[str, dict[str, Any]]:
-    """Time [us] and mean successes of 1000 from the nearest of the 32 tuned starts."""
+    """Return the time of a solve [us] and the mean successes of 1000 from the nearest of the 32 tuned starts."""
     rule = StateSpace.preset("hydrolek-7w")
     starts = np.asarray(rule.starts, dtype=float)
     tips = robot.chain.forward(starts)[0][:, :3, 3]

@@ -1,4 +1,4 @@
-"""The 90 entries of A, B and C tuned by a particle swarm, as in Burrell et al. (2016), whose result is unpublished."""
+"""Tuning of the 90 entries of A, B and C by a particle swarm, as in Burrell et al. (2016), who did not publish their result."""
 
 import math
 from typing import Any
@@ -16,11 +16,11 @@ from ..report import Report
 from .published import PAPER_OPTIONS
 
 GENERATIONS, PARTICLES, GOALS = 60, 40, 300
-SEARCH_STEPS = 400  # iterations while searching; the paper's result needs about 350
+SEARCH_STEPS = 400  # highest number of iterations while searching; the result of the paper needs about 350
 
 
 def swarm(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray]) -> None:
-    """Add the section; q0 (n,) [rad]: the start, which is not tuned; sets: held-out goals (1000, 3) [m] each."""
+    """Add the section to the report; q0 (n,) [rad] is the start, which is not tuned; sets are held-out goals (1000, 3) [m]."""
     report.heading("The 90 numbers by a particle swarm")
     published = StateSpace.preset("burrell-2016")
     space = all_entries(published)
@@ -45,7 +45,7 @@ def swarm(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray]) 
 
 
 def all_entries(rule: StateSpace) -> Space:
-    """Search space: every entry of A, B and C within a margin of the published value."""
+    """Return the space that is searched: every entry of A, B and C within a margin of its published value."""
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     parameters = (
         Parameter("A", A - 0.5, A + 0.5, A),
@@ -56,7 +56,7 @@ def all_entries(rule: StateSpace) -> Space:
 
 
 def search(robot: Robot, space: Space, q0: np.ndarray) -> tuple[StateSpace, int]:
-    """Best rule of the swarm on training goals that no other section uses, and the number of evaluations."""
+    """Return the best rule of the swarm on training goals that no other section uses, and the number of evaluations."""
     train = sample_targets(robot, GOALS, [90, 1], position_only=True)
     engine = Swarm(space.start, space.spread, PARTICLES, 90)
     best, least = space.start, math.inf

@@ -17,28 +17,27 @@ from ...robot.robot import Robot
 from ...solvers.protocol import Asked, rule
 from ...solvers.rules.state_space import StateSpace
 
-LIMIT = 1000  # iterations
-NEAR_SINGULAR = (
-    1e-8  # det(JJ') over (trace / 3)^3: above a condition number of J of about 1e4 the inverse is inaccurate
-)
+LIMIT = 1000  # highest number of iterations
+# Least det(JJ') over (trace / 3)^3: below it the condition number of J is above about 1e4, and the inverse inaccurate.
+NEAR_SINGULAR = 1e-8
 
 
 @rule
 class PlainPinv(NamedTuple):
-    """Pseudo-inverse for positions by dq = J'(JJ')^-1 e, eq. (8); by singular values near a singularity.
+    """Pseudo-inverse for positions: dq = J'(JJ')^-1 e, eq. (8), and by singular values near a singularity.
 
-    rcond: singular values below this share of the largest count as zero there.
+    There, singular values below the share `rcond` of the largest count as zero.
     """
 
     rcond: float = 1e-8
 
     def refuses(self, asked: Asked) -> str:
-        """Why it cannot solve the task, or ''."""
+        """Return why the rule cannot solve the task, '' if it can."""
         return "" if asked.rows == 3 else f"is for positions in space, and this task has {asked.rows} rows"
 
     def step(self, p, e):
         s = p.desk
-        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # JJ'
+        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the matrix JJ'
         for i in range(s.dq.shape[0]):
             u = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2])
             gram = gram.plus(u, u)
@@ -55,10 +54,10 @@ class PlainPinv(NamedTuple):
 
 # --------------------------------------------------------------------------------------------------------- interpreted
 class Interpreted:
-    """The methods in numpy on a robot with a D-H table: `run(name, goal, start, tolerance)` returns whether it converged."""
+    """The methods in numpy, for a robot with a table of D-H parameters."""
 
     def __init__(self, robot: Robot) -> None:
-        """Read the D-H rows, and the matrices of the tuned one-map state-space solver."""
+        """Read the D-H parameters of the robot, and the matrices of the tuned state-space solver with one map."""
         path = find(robot.name).path
         assert path is not None
         rows = read_dh_table(path.parent / "dh" / f"{robot.name}.toml").rows
@@ -76,7 +75,7 @@ class Interpreted:
         self.names = (*self.steps, "IK-PID", "state space")
 
     def frames(self, q: np.ndarray) -> list[np.ndarray]:
-        """Frames 0 to n."""
+        """Return the poses of frames 0 to n at q (n,) [rad]."""
         T = np.eye(4)
         found = [T]
         for (offset, d, a, ca, sa), x in zip(self.joints, q.tolist(), strict=True):
@@ -86,7 +85,10 @@ class Interpreted:
         return found
 
     def run(self, name: str, goal: np.ndarray, start: np.ndarray, tolerance: float) -> bool:
-        """Solve one goal (3,) [m] from `start` (n,); the state-space solver has its own start."""
+        """Solve one goal (3,) [m] from start (n,) [rad], and return whether it converged.
+
+        The state-space solver has a start of its own.
+        """
         if name == "IK-PID":
             return self._pid(goal, start, tolerance)
         step = self.steps.get(name)
@@ -108,7 +110,7 @@ class Interpreted:
         return False
 
     def _pid(self, goal: np.ndarray, start: np.ndarray, tolerance: float) -> bool:
-        """Algorithm I with the published gains (mm, degrees)."""
+        """Make a step of Algorithm I with the published gains, which are for mm and degrees."""
         kp, ki, kd = (gain * 1000.0 * math.pi / 180.0 for gain in (0.012, 1e-7, 0.08))
         q = start.copy()
 
@@ -153,10 +155,10 @@ class Interpreted:
     @staticmethod
     def _damped(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
         J = jacobian(frames)
-        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)  # 100 mm, squared
+        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)  # the damping is (100 mm)^2
 
 
 def jacobian(frames: list[np.ndarray]) -> np.ndarray:
-    """Position Jacobian (3, n) from the frames of a chain of revolute joints."""
+    """Return the position Jacobian (3, n) of a chain of revolute joints, given the poses of its frames."""
     tip = frames[-1][:3, 3]
     return np.array([np.cross(T[:3, 2], tip - T[:3, 3]) for T in frames[:-1]]).T

@@ -1,1 +1,1 @@
-"""Chinyai, reproduced."""
+"""Reproduction of Chinyai's comparison of Newton-Raphson with a closed form."""

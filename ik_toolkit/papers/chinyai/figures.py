@@ -8,11 +8,11 @@ import numpy as np
 
 from ...style import COLOURS
 
-KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # see chinyai.newton
+KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # numbers of the variants of Newton's step, see formulas.py
 
 
 def _outcome(rows: np.ndarray) -> np.ndarray:
-    """0 not converged, 1 theta_2 > 0, 2 theta_2 < 0, as floats with NaN for 0."""
+    """Return outcomes as floats for a picture: 1 for theta_2 > 0, 2 for theta_2 < 0, NaN where it did not converge."""
     return np.where(rows[:, 2] < 0, np.nan, np.where(np.sin(rows[:, 1]) >= 0, 0.0, 1.0))
 
 
@@ -23,7 +23,7 @@ def _legend(figure: Any, plt: Any) -> None:
 
 
 def target_basins(converge: Callable, limit: float) -> Any:
-    """Figure of the outcome over all targets, from the start (45, 90) deg."""
+    """Draw the outcome for all targets from the start (45, 90) degrees."""
 
     def draw(plt: Any) -> Any:
         side = np.linspace(-2.0, 2.0, 401)
@@ -66,7 +66,7 @@ def target_basins(converge: Callable, limit: float) -> Any:
 
 
 def start_basins(converge: Callable, target: tuple[float, float]) -> Any:
-    """Figure of the outcome over all starting angles, for one target."""
+    """Draw the outcome for one target from all starting angles."""
 
     def draw(plt: Any) -> Any:
         side = np.radians(np.linspace(-180.0, 180.0, 481))

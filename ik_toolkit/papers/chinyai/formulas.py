@@ -1,4 +1,4 @@
-"""Chinyai's formulas (1) to (9), corrected: closed form and Newton-Raphson, compiled and in idiomatic numpy."""
+"""Chinyai's formulas (1) to (9), corrected: the closed form and Newton-Raphson, compiled and in numpy."""
 
 import math
 from typing import Any
@@ -8,8 +8,8 @@ import numpy as np
 from ...compile.jit import cached
 
 PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # variants of Newton's step
-LONGEST = 0.5  # [rad] largest step of a joint, for STEP
-LIMIT = math.radians(150.0)  # joint limit of our planar_2r; the paper gives none
+LONGEST = 0.5  # rad, largest step of a joint in the variant STEP
+LIMIT = math.radians(150.0)  # rad, joint limit of our robot planar_2r, as the paper gives none
 TOLERANCE = 1e-10
 ITERATIONS = 50
 NO_CLIP = 1e9
@@ -17,7 +17,7 @@ NO_CLIP = 1e9
 
 @cached
 def closed_form(x, y, l1, l2):
-    """Both solutions (theta_1, theta_2, theta_1', theta_2') by eqs. (2) to (5), corrected: signed sine, atan2, clamp."""
+    """Return both solutions (theta_1, theta_2, theta_1', theta_2') by eqs. (2) to (5), with a signed sine, atan2 and a clamp."""
     c2 = (x * x + y * y - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
     c2 = min(1.0, max(-1.0, c2))
     s2 = math.sqrt((1.0 - c2) * (1.0 + c2))
@@ -29,10 +29,10 @@ def closed_form(x, y, l1, l2):
 
 @cached
 def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
-    """Newton-Raphson by eqs. (6) to (9): angles, steps taken, final |error|; a negative count if it did not converge.
+    """Return angles, number of steps (negative if it did not converge) and final |error| of Newton-Raphson by eqs. (6) to (9).
 
-    kind: the full step (PLAIN), halved until the error falls (SEARCH), Levenberg-Marquardt, or at most LONGEST per joint
-    (STEP). clip: joints are cut to +-clip after every step.
+    The step is the full one (PLAIN), halved until the error falls (SEARCH), that of Levenberg-Marquardt (LEVENBERG), or at most
+    LONGEST for each joint (STEP), as `kind` says. After every step the joints are cut to +-clip.
     """
     damping, k, n1, n2 = 1e-3, 0, t1, t2
     ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x
@@ -44,14 +44,14 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
         if k == iterations or not ee < 1e300:
             break
         b1, b2 = l2 * math.cos(t1 + t2), l2 * math.sin(t1 + t2)
-        a1, a2 = l1 * math.cos(t1) + b1, l1 * math.sin(t1) + b2  # J = [[-a2, -b2], [a1, b1]]
+        a1, a2 = l1 * math.cos(t1) + b1, l1 * math.sin(t1) + b2  # the Jacobian is [[-a2, -b2], [a1, b1]]
         if kind == LEVENBERG:
             g1, g2 = -a2 * ex + a1 * ey, -b2 * ex + b1 * ey
             h11, h12, h22 = a1 * a1 + a2 * a2 + damping, a1 * b1 + a2 * b2, b1 * b1 + b2 * b2 + damping
             det = h11 * h22 - h12 * h12
             d1, d2 = (h12 * g2 - h22 * g1) / det, (h12 * g1 - h11 * g2) / det
         else:
-            det = a1 * b2 - a2 * b1  # = l1 l2 sin(theta_2)
+            det = a1 * b2 - a2 * b1  # the determinant l1 l2 sin(theta_2)
             if det == 0.0:
                 break
             d1, d2 = -(b1 * ex + b2 * ey) / det, (a1 * ex + a2 * ey) / det
@@ -72,7 +72,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
                 damping = max(0.1 * damping, 1e-15)
             elif kind == SEARCH:
                 break
-            else:  # rejected: stay, and try a shorter step
+            else:  # the step is rejected, and a shorter one is tried from the same place
                 damping *= 10.0
                 ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x
                 ey = l1 * math.sin(t1) + l2 * math.sin(t1 + t2) - y
@@ -85,14 +85,14 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
 
 @cached
 def closed_form_all(X, l1, l2, out):
-    """Both branches of targets X (N, 2) in out (N, 4)."""
+    """Write both branches for targets X (N, 2) to out (N, 4)."""
     for i in range(X.shape[0]):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = closed_form(X[i, 0], X[i, 1], l1, l2)
 
 
 @cached
 def newton_all(X, l1, l2, Q0, kind, clip, out):
-    """Newton on targets X (N, 2) from Q0 (1 or N, 2): out (N, 4) receives angles, count and |error|."""
+    """Solve targets X (N, 2) from Q0 (1 or N, 2) by `newton`; out (N, 4) receives angles, count and |error|."""
     tolerance = TOLERANCE * (l1 + l2)
     for i in range(X.shape[0]):
         q = Q0[i if Q0.shape[0] > 1 else 0]
@@ -101,14 +101,14 @@ def newton_all(X, l1, l2, Q0, kind, clip, out):
 
 
 def closed_form_numpy(x: float, y: float, l1: float, l2: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same formulas in idiomatic numpy."""
+    """Return both solutions by eqs. (2) to (5), computed in numpy."""
     c2 = np.clip((x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1)
     s2 = np.sqrt(1 - c2**2) * np.array([1, -1])
     return np.arctan2(y, x) - np.arctan2(l2 * s2, l1 + l2 * c2), np.arctan2(s2, c2)
 
 
 def newton_numpy(x: float, y: float, l1: float, l2: float, t1: float, t2: float) -> np.ndarray:
-    """Eqs. (6) to (9) in idiomatic numpy."""
+    """Iterate by eqs. (6) to (9) in numpy."""
     theta, goal = np.array([t1, t2]), np.array([x, y])
     for _ in range(ITERATIONS):
         s1, s12 = np.sin(theta[0]), np.sin(theta.sum())
@@ -125,14 +125,14 @@ def newton_numpy(x: float, y: float, l1: float, l2: float, t1: float, t2: float)
 
 
 def targets(rng: np.random.Generator, count: int, l1: float, l2: float) -> np.ndarray:
-    """Reachable points (N, 2), uniform over the area of the ring."""
+    """Draw reachable points (N, 2) that are uniform over the area of the ring."""
     r = np.sqrt(rng.uniform((l1 - l2) ** 2, (l1 + l2) ** 2, count))
     angle = rng.uniform(-np.pi, np.pi, count)
     return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
 
 
 def converge(X: np.ndarray, l1: float, l2: float, start: Any, kind: int, clip: float = NO_CLIP) -> np.ndarray:
-    """Rows (N, 4) of `newton_all` from one start (2,) or one start per target (N, 2)."""
+    """Return the rows (N, 4) of `newton_all` from one start (2,), or from one for each target (N, 2)."""
     out = np.empty((len(X), 4))
     newton_all(X, l1, l2, np.atleast_2d(np.asarray(start, dtype=float)), kind, clip, out)
     return out

@@ -1,7 +1,7 @@
-"""Chinyai, "Numerical optimization - inverse kinematics in robotic manipulators": Newton-Raphson against the closed form.
+"""Report on Chinyai, "Numerical optimization - inverse kinematics in robotic manipulators".
 
-The paper claims that Newton-Raphson is faster on a planar two-link arm and prints no number: its section "Application" is
-empty. So the claim is tested here. Lengths in metres, angles in radians unless a name says otherwise.
+The paper claims that Newton-Raphson is faster than the closed form on a planar two-link arm but prints no number, as its section
+"Application" is empty. So the claim is tested here. Lengths are in metres, angles in radians unless a name says otherwise.
 """
 
 import math
@@ -39,7 +39,7 @@ ROUNDS = 15
 
 
 def reproduce(count: int = 20_000, seed: int = 0) -> Report:
-    """Compute the report: `count` random targets for the convergence table."""
+    """Compute the report, with `count` random targets for the table of convergence."""
     with Report("chinyai", "Chinyai: Newton-Raphson against the closed form, tested") as report:
         report.text(
             "The paper compares Newton-Raphson with the closed form of a planar two-link arm and concludes that Newton "
@@ -121,7 +121,7 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
 
 
 def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, tuple[float, float]]]:
-    """Times [s] by implementation and start; mean steps and converged share [%] by start."""
+    """Measure times [s] by implementation and start, and mean steps and converged share [%] by start."""
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     X = targets(rng, n, l1, l2)
     both, out = np.empty((n, 4)), np.empty((n, 4))
@@ -176,7 +176,10 @@ def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str,
 
 
 def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Add the table of times; returns Newton over closed form by round: compiled, Python, numpy, and compiled from a warm start."""
+    """Add the table of times. Returns the time of Newton over that of the closed form in each round.
+
+    There is one array of ratios each for compiled code, Python, numpy, and compiled code from a warm start.
+    """
     report.heading("Time per solve")
     times, counts = _measure(rng)
     rows = []
@@ -226,7 +229,7 @@ def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
     return ratio
 
 
-STARTS = {  # arm (l1, l2) -> starts in degrees
+STARTS = {  # starting angles [degrees] by arm (l1, l2)
     (1.0, 1.0): ((0.0, 5.7), (0.0, 0.06), (28.6, 28.6), (0.0, 90.0), (45.0, 90.0), (0.0, 143.0), (0.0, 0.0)),
     (1.0, 0.6): ((0.0, 5.7), (45.0, 90.0), (0.0, 143.0), (0.0, 0.0)),
 }

@@ -1,1 +1,1 @@
-"""Patko and Zelei 2019, reproduced."""
+"""Reproduction of Patko and Zelei (2019)."""

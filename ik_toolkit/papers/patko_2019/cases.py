@@ -1,4 +1,4 @@
-"""Patko and Zelei (2019): the published systems, gains and paths, and measures of a run on them."""
+"""The systems, gains and paths of Patko and Zelei (2019), and what is measured of a run on them."""
 
 import functools
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from ...servo.methods import Run, System, simulate
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-# Methods by their names in the report; aad is ours.
+# The methods by their names in the report; the method aad is ours.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
     "av": ("av", {}),
@@ -26,7 +26,7 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class GainSet:
-    """One published gain set: h [s], kappa [1/s], kp [1/s^2], kd [1/s], the paper's verdict and figure."""
+    """A published set of gains: h [s], kappa [1/s], kp [1/s^2] and kd [1/s], with the verdict and the figure of the paper."""
 
     name: str
     h: float
@@ -48,7 +48,7 @@ SETS = {
 
 # ------------------------------------------------------------------------------------------------ the three systems
 def one_dof(c: float = 0.2) -> System:
-    """Eq. (37): r = c + sqrt(q), not defined for q < 0."""
+    """Return r = c + sqrt(q), eq. (37), which is not defined for q < 0."""
     return System(
         lambda q: c + np.sqrt(q),
         lambda q: np.array([[0.5 / np.sqrt(q[0])]]),
@@ -57,12 +57,12 @@ def one_dof(c: float = 0.2) -> System:
 
 
 def pp_arm(length: float = 0.5) -> System:
-    """Eq. (38): two perpendicular prismatic joints."""
+    """Return the tip of two perpendicular prismatic joints, eq. (38)."""
     return System(lambda q: length + q, lambda q: np.eye(2), lambda q, x, y: np.zeros(2))
 
 
 def rr_arm(length: float = 1.0) -> System:
-    """Eq. (43): two links, both angles measured from the base."""
+    """Return the tip of two links whose angles are both measured from the base, eq. (43)."""
     return System(
         lambda q: length * np.array([np.cos(q).sum(), np.sin(q).sum()]),
         lambda q: length * np.array([-np.sin(q), np.cos(q)]),
@@ -71,20 +71,20 @@ def rr_arm(length: float = 1.0) -> System:
 
 
 def rr_inverse(p: np.ndarray, length: float = 1.0) -> np.ndarray:
-    """Absolute angles of the RR arm at p, elbow to the left of the line (the second angle is the larger)."""
+    """Return the angles of the RR arm at a tip p (2,), both measured from the base, where the second is the larger."""
     spread = np.arccos(np.hypot(p[0], p[1]) / (2.0 * length))
     return np.arctan2(p[1], p[0]) + np.array([-spread, spread])
 
 
 def sine(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eq. (36): r_d = a0 + a1 sin(w t), with its derivatives."""
+    """Return r_d = a0 + a1 sin(w t), eq. (36), with its derivatives."""
     a, w = 0.6, 0.28
     s, c = np.sin(w * t), np.cos(w * t)
     return np.array([1.2 + a * s]), np.array([a * w * c]), np.array([-a * w * w * s])
 
 
 def circle(center: tuple[float, float], radius: float, w: float) -> Path:
-    """Circle in the plane at w [rad/s], with its derivatives."""
+    """Return a circle in the plane that is run through at w [rad/s], with its derivatives."""
 
     def path(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         u = np.array([np.cos(w * t), np.sin(w * t)])
@@ -95,7 +95,7 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system on a path: steps of a run, and its start for a given initial error (opposite in sign to target - actual)."""
+    """A system on a path, with the number of steps of a run and its start for an initial error (actual - target)."""
 
     system: System
     path: Path
@@ -112,7 +112,7 @@ CASES = {
 
 
 def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, **changes: Any) -> Run:
-    """Run one method of METHODS on a case with an initial error of `offset` [m]; changes: h, steps, rate0."""
+    """Run one of METHODS on a case with an initial error `offset` [m]; h, steps and rate0 may be changed."""
     name, options = METHODS[key]
     options = dict(options)
     if name == "cv":
@@ -121,19 +121,26 @@ def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, 
         options.update(kp=gains.kp, kd=gains.kd)
     options.update(changes)
     h, steps = options.pop("h", gains.h), options.pop("steps", case.steps)
-    with np.errstate(all="ignore"):  # leaving the domain is reported, not warned about
+    with np.errstate(all="ignore"):  # a run that leaves the domain is reported, so numpy need not warn
         return simulate(case.system, case.path, name, h, steps, case.start(case.path(0.0)[0] + offset), **options)
 
 
 @functools.cache
 def known_run(name: str, gains: GainSet, key: str, start: float = 0.0, **changes: Any) -> Run:
-    """Run a method on the case of that name, from `start` times its initial error; the same run is made once. Not to be changed."""
+    """Run a method on the case of that name from `start` times its initial error.
+
+    Each run is made once and its result used again, so the result must not be changed.
+    """
     case = CASES[name]
     return run(case, gains, key, start * case.offset, **changes)
 
 
 def settled(case: Case, made: Run) -> dict[str, float]:
-    """Largest and RMS error of the second half, RMS of the whole run, largest between samples (second half); NaN after a stop."""
+    """Return four errors of a run, all NaN if it stopped early.
+
+    They are the largest and the RMS error of the second half, the RMS error of the whole run, and the largest error between
+    samples of the second half.
+    """
     if made.stopped:
         return dict.fromkeys(("max", "rms", "rms_all", "dense"), np.nan)
     e = np.linalg.norm(made.error, axis=1)
@@ -150,7 +157,7 @@ def settled(case: Case, made: Run) -> dict[str, float]:
 
 
 def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float = 1e-6) -> float:
-    """Largest factor by which a small disturbance is multiplied in one lap [s] of the moving target (Floquet multiplier).
+    """Return the largest factor by which a small disturbance grows in one lap [s] of the moving target (Floquet multiplier).
 
     The state (angles, and rates or the previous command if the method has them) is disturbed one component at a time at the
     start of a lap; returns the spectral radius of the resulting matrix. h is adjusted to divide the lap.
@@ -161,7 +168,8 @@ def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float 
     n = len(q0)
     rate0 = np.linalg.solve(case.system.jacobian(q0), case.path(0.0)[1])
     command0 = rate0 if key == "cv" else run(case, gains, key, h=h, steps=1, rate0=rate0).command
-    sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))  # which of q, rate, command are states
+    # The indices of those of q, rate and command that are states of the method.
+    sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))
     start = np.concatenate([q0, rate0, command0])
 
     def after_a_lap(state: np.ndarray) -> np.ndarray:

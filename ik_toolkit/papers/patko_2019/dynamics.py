@@ -1,4 +1,4 @@
-"""Eqs. (1)-(4) of Patko and Zelei (2019): the auxiliary input of inverse dynamics, with Pinocchio's recursive Newton-Euler."""
+"""Eqs. (1) to (4) of Patko and Zelei (2019): inverse-dynamics control, computed by Pinocchio's recursive Newton-Euler."""
 
 from collections.abc import Callable
 
@@ -8,19 +8,19 @@ import pinocchio as pin
 from ...robot.robot import Robot
 from ..report import Report
 
-MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03  # kg, m, m: our slender links; the paper gives none
-GRAVITY = (0.0, -9.81, 0.0)  # m/s^2; in the plane of the arm, so that it matters
-SHIFT = np.array([0.1, -0.05])  # rad; initial error
-STEP, STEPS = 1e-3, 4000  # time step [s], and steps of a run
-HEAVIER = 1.2  # true masses over those of the controller, for the second run
+MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03  # kg, m, m of our slender links, as the paper gives none
+GRAVITY = (0.0, -9.81, 0.0)  # m/s^2, in the plane of the arm so that it has an effect
+SHIFT = np.array([0.1, -0.05])  # rad, initial error
+STEP, STEPS = 1e-3, 4000  # time step [s], and number of steps of a run
+HEAVIER = 1.2  # ratio of the true masses to those of the controller in the second run
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def heavy_arm(mass: float = MASS) -> pin.Model:
-    """The planar arm with two slender links in a vertical plane."""
+    """Make a model of a planar arm with two slender links in a vertical plane."""
     model = Robot.load("planar_2r").model.copy()
-    link = pin.Inertia.FromCylinder(mass, RADIUS, LENGTH)  # along z; the links lie along x
+    link = pin.Inertia.FromCylinder(mass, RADIUS, LENGTH)  # a cylinder lies along z, the links along x
     along_x = pin.SE3(pin.utils.rotate("y", np.pi / 2), np.array([0.5 * LENGTH, 0.0, 0.0]))
     for joint in (1, 2):
         model.inertias[joint] = along_x.act(link)
@@ -29,13 +29,16 @@ def heavy_arm(mass: float = MASS) -> pin.Model:
 
 
 def swing(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Desired joint angles with their derivatives."""
+    """Return the desired joint angles at time t [s], with their first and second derivatives."""
     a, w = np.array([0.6, 0.4]), np.array([1.0, 1.7])
     return a * np.sin(w * t), a * w * np.cos(w * t), -a * w * w * np.sin(w * t)
 
 
 def follow(model: pin.Model, controller: pin.Model, kp: float, kd: float, path: Path = swing) -> np.ndarray:
-    """Errors q - q_d (STEPS + 1, 2) [rad] under eq. (2), u = M v + C from `controller`, moving `model`; Runge-Kutta, H = I."""
+    """Simulate `model` under the control of eq. (2), whose u = M v + C is computed from `controller`, by Runge-Kutta.
+
+    Returns the errors q - q_d (STEPS + 1, 2) [rad].
+    """
     data, known = model.createData(), controller.createData()
 
     def acceleration(t: float, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -60,7 +63,7 @@ def follow(model: pin.Model, controller: pin.Model, kp: float, kd: float, path: 
 
 
 def linear_error(kp: float, kd: float) -> np.ndarray:
-    """Solution (STEPS + 1, 2) of eq. (4), e'' + kd e' + kp e = 0, from SHIFT at rest."""
+    """Return the exact solution (STEPS + 1, 2) of eq. (4), e'' + kd e' + kp e = 0, from SHIFT at rest."""
     roots = np.roots([1.0, kd, kp]).astype(complex)
     weights = np.array([-roots[1], roots[0]]) / (roots[0] - roots[1])
     t = STEP * np.arange(STEPS + 1)
@@ -68,7 +71,7 @@ def linear_error(kp: float, kd: float) -> np.ndarray:
 
 
 def cancellation(model: pin.Model, count: int = 100, seed: int = 0) -> float:
-    """Largest |qdd - v| [rad/s^2] after u = M v + C, eqs. (1) to (3), over random states and inputs."""
+    """Return the largest |qdd - v| [rad/s^2] under u = M v + C, eqs. (1) to (3), over random states and inputs."""
     rng = np.random.default_rng(seed)
     data = model.createData()
     worst = 0.0
@@ -79,7 +82,7 @@ def cancellation(model: pin.Model, count: int = 100, seed: int = 0) -> float:
 
 
 def dynamics(made: Report, sets: dict[str, tuple[float, float]]) -> None:
-    """Add the section on inverse dynamics; sets: name -> (kp [1/s^2], kd [1/s])."""
+    """Add the section on inverse dynamics to the report; sets of gains (kp [1/s^2], kd [1/s]) are given by name."""
     made.heading("Eqs. (1) to (4): the auxiliary input of inverse dynamics")
     model = heavy_arm()
     off = made.number("cancellation", cancellation(model))

@@ -1,4 +1,4 @@
-"""Figures of the Patko and Zelei (2019) report."""
+"""Figures of the report on Patko and Zelei (2019)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,11 +19,11 @@ COLOUR = {
 }
 DASH = {"aa1": "--", "aad": "--"}
 NAMES = {"aa1": "aa, reading 1", "aa2": "aa, reading 2", "aa3": "aa, reading 3", "aad": "aad (ours)"}
-FLOOR = 1e-8  # [m] lower end of the error axes; runs that stay below are named in the panel
+FLOOR = 1e-8  # m, lower end of the error axes; runs that stay below are named in the panel
 
 
 def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
-    """Fig. 9: stable region of cv over (h, kappa), and of ca over (kd, kp) for several h."""
+    """Draw Fig. 9: the stable region of cv over (h, kappa), and that of ca over (kd, kp) for several h."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.2), layout="constrained")
     h = np.linspace(0.002, 0.35, 600)
     left.fill_between(h, 0, 1 / h, color="#D9D9D9", lw=0)
@@ -64,7 +64,7 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
 
 
 def draw_errors(plt: Any, panels: Mapping[str, Mapping[str, Any]], xlim: tuple[float, float]) -> Any:
-    """Fig. 4: error over time, one panel per start, logarithmic."""
+    """Draw Fig. 4: the error over time on a logarithmic axis, in a panel for each start."""
     figure, axes = plt.subplots(1, len(panels), figsize=(9.6, 3.8), sharey=True, layout="constrained")
     for ax, (title, runs) in zip(axes, panels.items(), strict=True):
         for key, run in runs.items():
@@ -92,7 +92,7 @@ def _curve(ax: Any, key: str, run: Any, until: float) -> None:
 
 
 def _below(ax: Any, runs: Mapping[str, Any]) -> None:
-    """Name the runs whose error leaves the axes for good."""
+    """Write the names of runs whose error leaves the axes for good."""
     ends = {
         key: np.linalg.norm(run.error[len(run.error) // 2 :], axis=1).max()
         for key, run in runs.items()
@@ -113,7 +113,10 @@ def _below(ax: Any, runs: Mapping[str, Any]) -> None:
 
 
 def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Figs. 5 to 8: tip path in its first lap [s] above (half of it for the bad set), error below; one column per gain set."""
+    """Draw Figs. 5 to 8 with a column for each set of gains: the tip's path in its first lap [s] above, its error below.
+
+    Of the bad set only half a lap is drawn.
+    """
     figure, axes = plt.subplots(2, 2, figsize=(9.6, 7.2), height_ratios=(1.25, 1.0), layout="constrained")
     for (top, low), (title, runs), shown in zip(axes.T, panels.items(), (0.5 * lap, lap), strict=True):
         t = np.linspace(0, lap, 600)
@@ -139,7 +142,7 @@ def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str
 
 
 def draw_orders(plt: Any, steps: Sequence[float], curves: Mapping[str, Sequence[float]]) -> Any:
-    """Error against h, log-log, with slopes 2 and 3 for comparison."""
+    """Draw the error over h on logarithmic axes, with the slopes 2 and 3 for comparison."""
     figure, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     for label, errors in curves.items():
         key = label.split(",")[0]

@@ -1,4 +1,4 @@
-"""Patko and Zelei (2019): velocity- and acceleration-level tracking, published results next to ours.
+"""Report on Patko and Zelei (2019), tracking at velocity and acceleration level.
 
 Source: D. Patko, A. Zelei, "Alternative inverse kinematic calculation methods in velocity and acceleration level", in:
 Theoretical Approaches in Non-Linear Dynamical Systems (DSTA), Lodz 2019, pp. 405-417. The paper prints no error numbers and
@@ -15,7 +15,7 @@ from .figures import draw_charts, draw_errors, draw_orders, draw_plane
 
 
 def reproduce() -> Report:
-    """Everything in the paper that can be checked, next to our results; takes about ten seconds."""
+    """Compute the report, with everything in the paper that can be checked; it takes about ten seconds."""
     with Report("patko_2019", "Patko and Zelei (2019): tracking at velocity and acceleration level") as made:
         made.text(
             """The paper compares four ways of following a moving target: classical feedback at velocity level (cv) and at

@@ -1,1 +1,1 @@
-"""Shanmugasundar et al. 2012, reproduced."""
+"""Reproduction of Shanmugasundar and Sivaramakrishnan (2012)."""

@@ -13,7 +13,7 @@ from ...style import COLOURS
 
 
 def _skeleton(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shoulder, elbow, wrist and tip (4, 3) [m] of one configuration, and the axes of joints 3, 4 and 6 (3, 3)."""
+    """Return shoulder, elbow, wrist and tip (4, 3) [m] of one configuration, and the axes of joints 3, 4 and 6 (3, 3)."""
     tip = robot.fk(q).translation
     joints = robot.data.oMi
     points = [joints[3].translation, joints[5].translation, joints[7].translation, tip]
@@ -21,13 +21,13 @@ def _skeleton(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gallery(robot: Robot) -> Any:
-    """Drawing of the eight branches of one pose."""
+    """Draw the eight branches of one pose."""
 
     def draw(plt: Any) -> Any:
         q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
         goal = robot.fk(q)
         found = solve_all(robot, goal, Inspection(lift=0.22), q0=q, limits=False)
-        # One row per shape of the elbow: configurations in a row differ only by half turns of the joints.
+        # Each row has one shape of the elbow; the configurations in a row differ by half turns of the joints only.
         found = sorted(found, key=lambda x: (-_skeleton(robot, x)[0][1, 2].round(6), len(robot.outside(x))))
         figure, axes = plt.subplots(2, 4, figsize=(9.5, 4.8), subplot_kw={"projection": "3d"}, layout="constrained")
         names = ("axis of joint 3", "axis of joint 4", "axis of joint 6")
@@ -69,21 +69,21 @@ def gallery(robot: Robot) -> Any:
 def self_motion(
     p: np.ndarray, goal: np.ndarray, exact: np.ndarray, lift: float, published: float, origin: float
 ) -> Any:
-    """Drawing of theta_1 over the lift for the pose of Table 2, and near the published lift also for the exact pose.
+    """Draw theta_1 over the lift for the pose of Table 2, and near the published lift for the exact pose, too.
 
     p: parameters of the closed form; goal, exact: the two poses (4, 4) [m]; lift [mm], published and true theta_1 [deg].
     """
     box = np.vstack([np.full(7, -np.inf), np.full(7, np.inf), np.zeros(7), np.ones(7)])
 
     def loops(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Lifts (L,) [mm] and theta_1 (L, 4) [deg], ascending, of the branches with cos(theta_5) > 0."""
+        """Return lifts (L,) [mm] and theta_1 (L, 4) [deg], in ascending order, of the branches with cos(theta_5) > 0."""
         low, high = inspection.feasible_lifts(p, T)[0]
         lifts = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, math.pi, 801))
         out, broken, theta = np.empty((8, 7)), np.empty(8), np.empty((len(lifts), 4))
         for k, d in enumerate(lifts[1:-1], 1):
             found = inspection.every_branch(p, T, box, np.array([d]), out, broken)
             theta[k] = np.sort(out[:found, 0][np.abs(out[:found, 4]) < math.pi / 2])
-        for k, nearby in ((0, 1), (-1, -2)):  # at the ends the two elbow branches merge
+        for k, nearby in ((0, 1), (-1, -2)):  # the two branches of the elbow meet at the ends
             theta[k] = np.repeat(theta[nearby].reshape(2, 2).mean(axis=1), 2)
         return 1000.0 * lifts, np.degrees(theta)
 

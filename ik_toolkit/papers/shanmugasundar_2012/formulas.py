@@ -1,17 +1,18 @@
-"""Shanmugasundar and Sivaramakrishnan (2012): published numbers and formulas. Millimetres and degrees as in the paper."""
+"""Numbers and formulas of Shanmugasundar and Sivaramakrishnan (2012), in millimetres and degrees as published."""
 
 import math
 from typing import Any
 
 import numpy as np
 
-# Table 2 and Fig 8: the input pose as printed (columns n, o, a; p in mm).
+# The input pose as printed in Table 2 and Fig 8: columns n, o, a, and p in mm.
 PRINTED_POSE = {
     "n_x": "0.78", "n_y": "-0.06", "n_z": "0.62", "o_x": "-0.63", "o_y": "-0.10", "o_z": "0.77",
     "a_x": "0.02", "a_y": "-0.99", "a_z": "-0.12", "p_x": "461.54", "p_y": "87.12", "p_z": "935.16",
 }  # fmt: skip
-D1, D2, A4, A6, A7 = 530.0, 220.0, 290.0, 180.0, 45.0  # Table 2, mm
-TABLE_2 = ((0, 0, 530), (90, 0, 220), (90, 0, 0), (0, 290, 0), (-90, 0, 0), (0, 180, 0), (0, 45, 0))  # alpha, a, d
+D1, D2, A4, A6, A7 = 530.0, 220.0, 290.0, 180.0, 45.0  # mm, from Table 2
+# The D-H parameters alpha, a and d of each joint.
+TABLE_2 = ((0, 0, 530), (90, 0, 220), (90, 0, 0), (0, 290, 0), (-90, 0, 0), (0, 180, 0), (0, 45, 0))
 ORIGIN = (
     20.0,
     220.0,
@@ -20,17 +21,17 @@ ORIGIN = (
     20.0,
     0.0,
     20.0,
-)  # ours: deg, mm, deg ...; the paper does not say where the pose is from
+)  # our values (deg, mm, deg ...), as the paper does not say at which ones the pose was computed
 ANGLES = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
-MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # Table 3
-SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # Table 4 and Fig 8
-# Sample calculation, section 4.2: intermediate values of the hand calculation.
+MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # joint values of Table 3
+SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # joint values of Table 4 and Fig 8
+# Intermediate values of the calculation by hand in section 4.2.
 THETA_45, S3, THETA_67, S6, S4 = 21.721, 0.324, 23.22, 0.043, 0.018
 PI_22_7 = 22.0 / 7.0
 
 
 def pose_matrix(printed: dict[str, str]) -> np.ndarray:
-    """The printed pose as (4, 4), lengths in mm."""
+    """Return the printed pose as a matrix (4, 4), with lengths in mm."""
     T = np.eye(4)
     for c, column in enumerate("noap"):
         T[:3, c] = [float(printed[f"{column}_{axis}"]) for axis in "xyz"]
@@ -38,7 +39,7 @@ def pose_matrix(printed: dict[str, str]) -> np.ndarray:
 
 
 def printed_fk(q: np.ndarray, lift: float) -> np.ndarray:
-    """The paper's matrix (section 3.1) at theta_1, theta_3 .. theta_7 [rad] and lift [mm], as (4, 4).
+    """Return the paper's matrix (4, 4) of section 3.1 at theta_1, theta_3 to theta_7 [rad] and a lift [mm].
 
     n_y, o_y and p_y are printed only in part, n_z and o_z only inside the equations; they follow the printed pattern.
     """
@@ -70,12 +71,18 @@ def fig4(
     signs: tuple[int, int, int, int, int] = (1, 1, 1, 1, 1),
     complement: bool = False,
 ) -> np.ndarray:
-    """Joint angles (6,) [rad] by Fig 4 and eqs. (9), (13), (14) for T (4, 4) [mm]; NaN where a root fails.
+    """Return joint angles (6,) [rad] by Fig 4 and eqs. (9), (13), (14) for T (4, 4) [mm], NaN where a root is imaginary.
 
-    theta_1: None uses the printed 2 atan2(py, px). height: value used for d1 + d2 (default the sum itself). signs: of
-    theta_45, theta_3, theta_6, theta_4, theta_67. complement: a negative sign of an arc sine gives pi - theta, which has the
-    same sine, and not the printed -theta. S4, C4 for the misprinted S2, C2. theta_67 is used but never given: its arc
-    cosine from n reproduces the printed 23.22 deg.
+    S4 and C4 stand for the misprinted S2 and C2. theta_67 is used but never given; its arc cosine from n reproduces the printed
+    23.22 deg.
+
+    Args:
+        T: Pose of the tip (4, 4) [mm].
+        lift: Lift of the arm [mm].
+        theta_1: First angle [rad]. Default: the printed 2 atan2(py, px).
+        height: Value used for d1 + d2 [mm]. Default: the sum itself.
+        signs: Signs of theta_45, theta_3, theta_6, theta_4, theta_67.
+        complement: A negative sign of an arc sine gives pi - theta, which has the same sine, instead of the printed -theta.
     """
     n, a, p = T[:3, 0], T[:3, 2], T[:3, 3]
     t1 = 2.0 * math.atan2(p[1], p[0]) if theta_1 is None else theta_1
@@ -100,7 +107,7 @@ def fig4(
 
 
 def pose_error(T: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    """Distance [unit of T] and rotation angle [rad] between two poses."""
+    """Return the distance [in the unit of the poses] and the rotation angle [rad] between two poses (4, 4)."""
     trace = float(np.trace(T[:3, :3].T @ goal[:3, :3]))
     skew = T[:3, :3].T @ goal[:3, :3]
     sine = 0.5 * math.hypot(skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1])

@@ -1,7 +1,7 @@
-"""Shanmugasundar and Sivaramakrishnan (2012): closed-form inverse of a 7-joint inspection robot, published results next to ours.
+"""Report on Shanmugasundar and Sivaramakrishnan (2012), the closed-form inverse of a 7-joint inspection robot.
 
-International Journal of Computer Applications 58 (18), 2012. Published numbers are data in shanmugasundar_formulas.
-Millimetres and degrees as in the paper; the toolkit's own calls use metres and radians.
+The paper appeared in the International Journal of Computer Applications 58 (18), 2012. Its numbers are in formulas.py, in
+millimetres and degrees; the toolkit's own calls use metres and radians.
 """
 
 import itertools
@@ -14,8 +14,8 @@ from ...kernel.counted_error import POSE
 from ...kernel.records import WEIGHTS
 from ...robot.formats.dh import read_dh_table
 from ...robot.library import find
-from ...robot.pose import nearest_rotation
 from ...robot.robot import Robot
+from ...robot.rotation import nearest_rotation
 from ...solvers.closed_form import inspection, reach
 from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import Solver
@@ -49,7 +49,7 @@ from .sample import sample
 
 
 def reproduce(poses: int = 2000, seed: int = 0) -> Report:
-    """Compute the report: `poses` random poses for the formulas of Fig 4."""
+    """Compute the report, with a number of random poses for the formulas of Fig 4."""
     with Report("shanmugasundar", "Shanmugasundar and Sivaramakrishnan (2012), reproduced") as report:
         robot = Robot.load("inspection_7dof")
         printed = pose_matrix(PRINTED_POSE)
@@ -66,7 +66,7 @@ def reproduce(poses: int = 2000, seed: int = 0) -> Report:
 
 
 def model(report: Report, robot: Robot) -> None:
-    """Add the section on the D-H table."""
+    """Add the section on the table of D-H parameters."""
     report.heading("The robot")
     rng = np.random.default_rng(0)
     worst = 0.0
@@ -116,13 +116,13 @@ def _target(report: Report, printed: np.ndarray) -> None:
 
 
 def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None:
-    """Add the section on the published angles: printed (4, 4) [mm], table_pose the same with a rotation made exact."""
+    """Add the section on the published angles, for the pose as printed (4, 4) [mm] and as table_pose, whose rotation is exact."""
     report.heading("Tables 3 and 4: the published angles")
     origin = np.radians([x for i, x in enumerate(ORIGIN) if i != 1])
     exact = printed_fk(origin, D2)
     table = fig4(printed, D2)
     t1, t3, t4, t5, t6, t7 = table
-    degrees = 180.0 / PI_22_7  # the program also converts radians to degrees with 22/7
+    degrees = 180.0 / PI_22_7  # the program of the paper also converts radians to degrees with 22/7 for pi
     program = [f"{degrees * x:.1f}" for x in table]
     report.number("software_angles_reproduced", sum(a == f"{b:.1f}" for a, b in zip(program, SOFTWARE, strict=True)))
     hand = "three-digit intermediate values"
@@ -192,8 +192,10 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
     T = robot.chain.forward(Q)[0]
     T[:, :3, 3] *= 1000.0
     every = list(itertools.product((1, -1), repeat=5))
-    given = [signs for signs in every if signs[0] == signs[4] == 1]  # the paper prints +- for theta_3, theta_4, theta_6
-    variants: dict[str, tuple[bool, bool, bool, list]] = {  # true theta_1, d1 + d1, complement branches, sign choices
+    # The paper gives theta_3, theta_4 and theta_6 both signs.
+    given = [signs for signs in every if signs[0] == signs[4] == 1]
+    # Each variant says whether theta_1 is the true one, d1 counts twice and branches are complementary, and which signs are tried.
+    variants: dict[str, tuple[bool, bool, bool, list]] = {
         "as printed: theta_1 = 2 atan2(py, px), d1 + d1, all signs +": (False, True, False, every[:1]),
         "the same with d1 + d2": (False, False, False, every[:1]),
         "the same, any of the printed signs": (False, False, False, given),
@@ -251,7 +253,7 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
 
 
 def _rate(successes: int, trials: int) -> str:
-    """Percentage with its Wilson interval."""
+    """Return a percentage with its Wilson interval, as text."""
     low, high = wilson(successes, trials)
     return f"{100 * successes / trials:.4g} [{100 * low:.3g}-{100 * high:.3g}]"
 

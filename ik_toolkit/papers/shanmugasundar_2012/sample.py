@@ -1,4 +1,4 @@
-"""Shanmugasundar and Sivaramakrishnan (2012): the sample pose solved, and why its published angle looks right."""
+"""The sample pose of Shanmugasundar and Sivaramakrishnan (2012), solved, and why its published angle looks right."""
 
 import math
 from typing import Any
@@ -21,12 +21,15 @@ from .formulas import (
 
 
 def _q(angles: Any, lift: float) -> np.ndarray:
-    """Toolkit q [rad, m] of theta_1, theta_3 .. theta_7 [rad] and lift [mm]."""
+    """Return q of the toolkit [rad, m] from theta_1, theta_3 to theta_7 [rad] and the lift [mm]."""
     return np.insert(np.asarray(angles, dtype=float), 1, lift / 1000.0)
 
 
 def sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.ndarray) -> None:
-    """Add the section on the sample pose: printed (4, 4) [mm], table_pose the same with a rotation made exact."""
+    """Add the section on the sample pose to the report.
+
+    It takes the pose as printed (4, 4) [mm], and `table_pose`, the same with a rotation made exact.
+    """
     report.heading("The sample pose, solved")
     raw, goal = printed.copy(), table_pose.copy()
     raw[:3, 3] /= 1000.0
@@ -76,7 +79,7 @@ def sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nda
 
 
 def _lift_of(p: np.ndarray, T: np.ndarray, theta_1: float) -> float:
-    """Lift [mm], just above the lowest feasible one, at which the upper of the two nearest branches has theta_1 [rad]."""
+    """Return the lift [mm], just above the least feasible one, at which the upper of the two nearest branches has theta_1 [rad]."""
     box = np.vstack([np.full(7, -np.inf), np.full(7, np.inf), np.zeros(7), np.ones(7)])
     out, broken = np.empty((8, 7)), np.empty(8)
     low = inspection.feasible_lifts(p, T)[0][0]

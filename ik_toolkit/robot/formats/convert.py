@@ -1,4 +1,4 @@
-"""Any description that loads -> one plain URDF: macros expanded, meshes named by their actual paths."""
+"""Writes any description that `Robot.load` reads as a plain URDF: macros are expanded, meshes get their actual paths."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
@@ -7,12 +7,16 @@ from typing import Any, NamedTuple
 
 from ...errors import ModelError
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
-from ..load import read
+from ..load import read_source
 from .urdf import plain_origin
 
 
 class Converted(NamedTuple):
-    """A URDF: robot name, text; meshes (name in the description -> in the text) and lost (name -> why it was not changed)."""
+    """A plain URDF made from another description.
+
+    name is the robot's; meshes maps each mesh name of the description to the name in the text; lost maps each mesh that
+    was not found to the reason.
+    """
 
     name: str
     text: str
@@ -27,12 +31,12 @@ def convert(
     package_dirs: Iterable[str | Path] = (),
     xacro_args: Mapping[str, Any] | None = None,
 ) -> Converted:
-    """Plain URDF of anything `Robot.load` reads.
+    """Return any description that `Robot.load` reads as a plain URDF.
 
-    folder: where it will be saved: meshes below it are named relative to it, all others by their absolute path. Meshes that are
-    not found keep their name. Raises as `Robot.load` does.
+    A mesh below `folder`, where the text will be saved, is named relative to it, every other mesh by its absolute path.
+    A mesh that is not found keeps its name. Raises what `Robot.load` raises.
     """
-    made = read(source, package_dirs, xacro_args)[1]
+    made = read_source(source, package_dirs, xacro_args)[1]
     home = None if folder is None else Path(folder).expanduser().resolve()
     root = ET.fromstring(made["urdf"], ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     for origin in root.iter("origin"):

@@ -1,8 +1,8 @@
-"""Denavit-Hartenberg tables: read them (TOML or CSV), write them as URDF with primitive shapes, compute their FK.
+"""Reads Denavit-Hartenberg tables from TOML or CSV, computes their forward kinematics and writes them as URDF.
 
-Classic rows (Denavit, Hartenberg 1955): T_i = Rz(theta) Tz(d) Tx(a) Rx(alpha). Modified rows (Craig 1986):
-T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A revolute joint adds q to theta, a prismatic
-joint adds q to d. T_base_tool = base T_1 ... T_n tool.
+Classic rows (Denavit, Hartenberg 1955) are T_i = Rz(theta) Tz(d) Tx(a) Rx(alpha). Modified rows (Craig 1986) are T_i =
+Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A revolute joint adds q to theta, a prismatic joint
+adds q to d. The pose of the tool is T_base_tool = base T_1 ... T_n tool.
 """
 
 import csv
@@ -19,19 +19,23 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidConfiguration, ModelError, near_match
-from ..pose import rpy_matrix
+from ..rotation import rpy_matrix
 from .urdf_write import add_bar, add_gripper, add_joint, add_link, add_shape, new_robot, shift, to_text
 
 KINDS = ("revolute", "prismatic", "continuous")
 COLUMNS = ("name", "type", "theta", "d", "a", "alpha", "lower", "upper", "velocity", "effort")
 SETTINGS = ("name", "convention", "angles", "lengths", "base", "tool", "joint")
-MAX_ROWS = 1000
-MAX_BYTES = 1_000_000
+MAX_ROWS = 1000  # Limit on the number of joints, the same as that of a URDF.
+MAX_BYTES = 1_000_000  # Limit on the size of a file [bytes].
 
 
 @dataclass(frozen=True)
 class DHRow:
-    """One joint: theta, alpha [rad], d, a [m]; lower, upper [rad or m]; velocity [per second]; effort [Nm or N]."""
+    """One joint of a D-H table.
+
+    The angles theta and alpha are in rad, the lengths d and a in m, the limits lower and upper in rad or m, velocity in
+    rad/s or m/s, effort in Nm or N.
+    """
 
     name: str
     type: str = "revolute"
@@ -47,7 +51,10 @@ class DHRow:
 
 @dataclass(frozen=True)
 class DHTable:
-    """A D-H table in metres and radians: name, convention ('classic' or 'modified'), rows, base and tool (4x4)."""
+    """A D-H table in metres and radians.
+
+    The convention is 'classic' or 'modified'; base and tool are poses (4x4) before the first and after the last row.
+    """
 
     name: str
     convention: str
@@ -57,7 +64,7 @@ class DHTable:
 
 
 def dh_fk(table: DHTable, q: Sequence[float]) -> np.ndarray:
-    """T_base_tool (4x4) [m] of a D-H table at q (n,) [rad or m]: the plain product of the rows."""
+    """Compute the pose of the tool, T_base_tool (4x4) [m], of a D-H table at joint values q (n,) [rad or m]."""
     if len(q) != len(table.rows):
         raise InvalidConfiguration(f"D-H table '{table.name}' has {len(table.rows)} joints; q has {len(q)} values")
     T = table.base.copy()
@@ -70,7 +77,7 @@ def dh_fk(table: DHTable, q: Sequence[float]) -> np.ndarray:
 
 
 def joint_origins(table: DHTable) -> list[np.ndarray]:
-    """Constant transforms (n+1 of 4x4): before each joint's motion about or along z, and from the last joint to the tool."""
+    """Return the constant transforms (4x4) of a D-H table: one before each joint, whose axis is z, and one to the tool."""
     origins, before = [], table.base
     for row in table.rows:
         about_z, about_x = _screw(2, row.theta, row.d), _screw(0, row.alpha, row.a)
@@ -84,7 +91,7 @@ def joint_origins(table: DHTable) -> list[np.ndarray]:
 
 
 def _screw(axis: int, angle: float, distance: float) -> np.ndarray:
-    """Rotation about a coordinate axis and translation along it; multiples of 90 degrees are exact."""
+    """Rotate about a coordinate axis [rad] and move along it [m]; the 4x4 is exact at multiples of 90 degrees."""
     c, s = math.cos(angle), math.sin(angle)
     c, s = (0.0 if abs(c) < 1e-15 else c), (0.0 if abs(s) < 1e-15 else s)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -97,20 +104,20 @@ def _screw(axis: int, angle: float, distance: float) -> np.ndarray:
 
 # ---------------------------------------------------------------------------------------------------------- reading
 def read_dh_table(path: str | Path) -> DHTable:
-    """D-H table of a `.toml` or `.csv` file.
+    """Read a D-H table from a `.toml` or `.csv` file.
 
-    TOML: name, convention, angles ('deg' or 'rad'), lengths ('m' or 'mm'), optional base and tool (`{xyz, rpy}` in
-    those units), and one [[joint]] per row with any of name, type, theta, d, a, alpha, lower, upper, velocity, effort
-    (limits are required unless the joint is continuous). CSV: the settings as lines `# convention = classic` (base_xyz,
-    base_rpy, tool_xyz, tool_rpy as three numbers), a header of column names, one line per joint. Raises ModelError naming
-    row and column.
+    A TOML file has name, convention, angles ('deg' or 'rad'), lengths ('m' or 'mm'), optionally base and tool (`{xyz,
+    rpy}` in those units), and one [[joint]] per row with any of name, type, theta, d, a, alpha, lower, upper, velocity,
+    effort. Limits are required unless the joint is continuous. A CSV file has the settings as lines `# convention =
+    classic` (base_xyz, base_rpy, tool_xyz and tool_rpy as three numbers), a header of column names and one line per
+    joint. Raises ModelError, which names the row and the column.
     """
     path = Path(path).expanduser()
     if path.suffix.lower() not in (".toml", ".csv"):
         raise ModelError(f"a D-H table is a .toml or .csv file, not '{path.name}'")
     try:
         raw = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+    except (OSError, ValueError) as error:  # A path that contains a NUL raises ValueError.
         raise ModelError(f"cannot read the D-H table {str(path)[:200]!r}: {error}") from None
     if len(raw) > MAX_BYTES:
         raise ModelError(f"the D-H table '{path.name}' is larger than {MAX_BYTES // 1_000_000} MB")
@@ -122,7 +129,7 @@ def read_dh_table(path: str | Path) -> DHTable:
         return dh_table({"name": path.stem, **_csv_settings(text)})
     try:
         settings = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError also covers an integer of thousands of digits
+    except (ValueError, RecursionError) as error:  # ValueError also covers an integer of thousands of digits.
         raise ModelError(f"the D-H table '{path.name}' is not valid TOML: {error}") from None
     return dh_table({"name": path.stem, **settings})
 
@@ -157,9 +164,9 @@ def _csv_settings(text: str) -> dict[str, Any]:
 
 
 def dh_table(settings: Mapping[str, Any]) -> DHTable:
-    """Validate the settings of a D-H file (as read from TOML) and convert them to metres and radians.
+    """Validate the settings of a D-H file, as read from TOML, and convert them to metres and radians.
 
-    Raises ModelError naming the row and the column.
+    Raises ModelError, which names the row and the column.
     """
     for key in settings:
         if key not in SETTINGS:
@@ -268,7 +275,10 @@ def _frame(settings: Mapping[str, Any], key: str, angle: float, length: float) -
 
 # ---------------------------------------------------------------------------------------------------------- writing
 def to_urdf(table: DHTable) -> str:
-    """URDF text of a D-H table: links base_link, link_1 ... link_n, tool; joints named as in the rows, all axes z."""
+    """Write a D-H table as URDF text.
+
+    The links are base_link, link_1 ... link_n and tool; joints are named as in the rows, and all their axes are z.
+    """
     robot = new_robot(table.name)
     base = add_link(robot, "base_link")
     add_pedestal(base, table)
@@ -285,7 +295,7 @@ def add_arm(
     mount: np.ndarray | None = None,
     gripper: bool = True,
 ) -> None:
-    """Append the joints and links of a table up to link `tip`, mounted at `mount` (4x4) on link `root`, names prefixed."""
+    """Append the joints and links of a table to a URDF, mounted at `mount` (4x4) [m] on the link `root` and ending in `tip`."""
     origins = joint_origins(table)
     if mount is not None:
         origins[0] = mount @ origins[0]
@@ -309,7 +319,7 @@ def _limit(row: DHRow) -> dict[str, float]:
 
 
 def _radius(table: DHTable, number: int) -> float:
-    """Radius [m] of link `number`: 4.5 % of the stretched arm at the base, thinner towards the tip."""
+    """Return the radius [m] at which a link is drawn: 4.5 % of the stretched arm's length at the base, thinner towards the tip."""
     length = sum(math.hypot(row.a, row.d) for row in table.rows) or 1.0
     return 0.045 * length * (1.0 - 0.55 * number / len(table.rows))
 
@@ -324,7 +334,7 @@ def add_pedestal(link: ET.Element, table: DHTable, mount: np.ndarray | None = No
 
 
 def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gripper: bool) -> None:
-    """Draw one link: a drum for its joint, bars along d and a to the next origin, and a gripper on the last bar if asked for."""
+    """Draw a link: a drum for its joint, bars along d and a to the next origin and, on the last bar, a gripper if asked for."""
     row, r = table.rows[number - 1], _radius(table, number)
     if row.type == "prismatic":
         add_shape(link, "box", (3.4 * r, 3.4 * r, 3.4 * r), np.eye(4), "orange")
@@ -347,7 +357,7 @@ def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gr
 
 
 def _add_rail(link: ET.Element, T: np.ndarray, row: DHRow, r: float) -> None:
-    """Draw the guide of a prismatic joint: a rail when its stroke passes zero, otherwise the outer tube of a telescope."""
+    """Draw the guide of a prismatic joint: a rail if its stroke passes zero, otherwise the outer tube of a telescope."""
     if row.lower < 0.0:
         middle, length = 0.5 * (row.lower + row.upper), row.upper - row.lower + 4.0 * r
         add_shape(link, "box", (1.1 * r, 1.1 * r, length), T @ shift(z=middle), "silver")

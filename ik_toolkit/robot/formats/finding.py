@@ -1,4 +1,4 @@
-"""What `ik check` finds in a file, and how loading says it."""
+"""A problem that `ik check` finds in a robot description, and the sentences in which loading reports such problems."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -8,9 +8,11 @@ from ...errors import near_match
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: severity ('error': the robot cannot be loaded; 'warning'), element ("joint 'j3'"), problem, advice, line.
+    """One problem found in a robot description.
 
-    at_load: whether loading says it, too, because the robot may be another one than its author means.
+    The severity is 'error' if the robot cannot be loaded, otherwise 'warning'. The element is written as in "joint
+    'j3'", the line counts from 1. If at_load is set, loading reports the finding too, because the robot may differ from
+    what its author means.
     """
 
     severity: str
@@ -25,21 +27,18 @@ class Finding:
         return f"{self.element}: {self.problem}"
 
 
-def wrong(element: object, problem: str, advice: str, line: int) -> Finding:
-    """Return an error."""
+def error_finding(element: object, problem: str, advice: str, line: int) -> Finding:
+    """Make a finding that prevents the robot from being loaded."""
     return Finding("error", str(element), problem, advice, line)
 
 
 def odd(element: object, problem: str, advice: str, line: int, at_load: bool = False) -> Finding:
-    """Return a warning."""
+    """Make a finding that does not prevent the robot from being loaded."""
     return Finding("warning", str(element), problem, advice, line, at_load)
 
 
 def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
-    """One sentence for each kind of finding that loading says (those of a kind give the same advice).
-
-    lines: whether to say where.
-    """
+    """Summarise what loading reports in one sentence per kind of advice, with line numbers if `lines` is set."""
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
         if finding.at_load:
@@ -53,6 +52,6 @@ def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
 
 
 def did_you_mean(name: str, options: Iterable[str] | Mapping[str, object]) -> str:
-    """Return ' Did you mean ...?' or '', without the list of all names."""
+    """Return ' Did you mean ...?' for a misspelled name, or an empty text if no option is near it; the options are not listed."""
     found = near_match(name, options).partition(" Available")[0]
     return found if found.startswith(" Did") else ""

@@ -1,16 +1,19 @@
-"""Linear equations between joint values -> which joint follows which, and which stand still."""
+"""Solves linear equations between joint values for which joint follows which other joint, and which joints stand still."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-ZERO = 1e-9  # what is left of a coefficient by elimination, over the largest of its equation, that counts as 0
-LEAST = 1e-6  # a joint may be expressed by another if its coefficient is at least this fraction of the largest
+ZERO = 1e-9  # A coefficient left by elimination counts as 0 below this fraction of the largest one of its equation.
+LEAST = 1e-6  # A joint is expressed by another one only if its coefficient is at least this fraction of the largest.
 
 
 class Equation(NamedTuple):
-    """Sum of coefficients (joint -> c) times joint values = value; first: a joint that is meant to follow (-1: none)."""
+    """The linear equation sum(c q_j) = value between joint values; `terms` maps the number of a joint to its coefficient.
+
+    `first` is the joint that is meant to follow the others, or -1.
+    """
 
     name: str
     terms: dict[int, float]
@@ -19,9 +22,11 @@ class Equation(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """tied: follower -> (leader, ratio, offset); held: joint -> value; against: equations that contradict those before them.
+    """The solution of a set of linear equations between joints, which are given by their numbers.
 
-    left: equations that tie several free joints, and those against with all that share joints with them, in any number of steps.
+    `tied` maps a follower to (leader, ratio, offset), `held` a joint that stands still to its value. `against` has the
+    equations that contradict earlier ones. `left` has the equations that tie several free joints, the contradicting
+    ones, and all that share joints with those, directly or through others.
     """
 
     tied: dict[int, tuple[int, float, float]]
@@ -30,7 +35,7 @@ class Solved(NamedTuple):
     against: list[Equation]
 
     def free(self, terms: dict[int, float]) -> tuple[dict[int, float], float]:
-        """A linear form over leaders alone: coefficients that are not 0, and the constant."""
+        """Express a linear form of joint values by leaders alone; return its coefficients that are not 0 and its constant."""
         found: dict[int, float] = {}
         constant, size = 0.0, 0.0
         for joint, c in terms.items():
@@ -45,12 +50,12 @@ class Solved(NamedTuple):
 
 
 def solve_linear(equations: Sequence[Equation]) -> Solved:
-    """Eliminate: every joint that a multiple of one other joint, or a number, can express is expressed so."""
+    """Solve the equations by elimination: a joint that one other joint or a constant can express is expressed by it."""
     first = list(dict.fromkeys(one.first for one in equations if one.first >= 0))
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
-    columns = [*first, *others]  # those that come first are expressed by those after them
+    columns = [*first, *others]  # A joint that comes first is expressed by those after it.
     place = {joint: i for i, joint in enumerate(columns)}
-    rows: dict[int, np.ndarray] = {}  # pivot -> coefficients, then the right side
+    rows: dict[int, np.ndarray] = {}  # Each pivot has its row of coefficients, which ends with the right side.
     against: list[Equation] = []
     for one in equations:
         row = np.zeros(len(columns) + 1)
@@ -74,7 +79,8 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
         rows[pivot] = row
     tied: dict[int, tuple[int, float, float]] = {}
     held: dict[int, float] = {}
-    groups: list[tuple[int, np.ndarray, float]] = []  # leaders that depend on several others
+    # A group has a joint that depends on several others at once, its coefficients and its offset.
+    groups: list[tuple[int, np.ndarray, float]] = []
     for pivot, row in rows.items():
         joint, offset = columns[pivot], float(row[-1])
         slopes = -row[:-1]
@@ -98,14 +104,14 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
 
 
 def set_apart(equations: Sequence[Equation], some: Sequence[Equation]) -> Solved:
-    """Solve without some equations, which no configuration keeps, and without all that are connected with them: these are left."""
+    """Solve without the equations in `some`, which no configuration satisfies, and all connected with them: `left` has these."""
     bad = _connected(equations, some)
     rest = solve_linear([one for one in equations if one not in bad])
     return rest._replace(left=[*rest.left, *bad])
 
 
 def _connected(equations: Sequence[Equation], some: Sequence[Equation]) -> list[Equation]:
-    """The equations that share a joint with some, or with one that does."""
+    """Return the equations that share a joint with any of `some`, directly or through other equations."""
     joints = {joint for one in some for joint in one.terms}
     while True:
         found = [one for one in equations if joints & one.terms.keys()]

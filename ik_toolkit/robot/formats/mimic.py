@@ -1,21 +1,22 @@
-"""Mimic joints: the leader and limits of each follower, and an order of the joints in which leaders come first.
+"""Mimic joints of a URDF: the leader and limits of each follower, and an order of the joints in which leaders come first.
 
-Pinocchio can tie a follower only to a leader it has already met. It traverses the tree branch by branch, in the order of the
-joint names, so whether a file can be read would depend on how its author named the joints. Where no order puts every leader
-first (a follower that carries its leader), the roles are swapped: the same linear relation, solved for the other joint.
+Pinocchio can tie a follower only to a leader it has already met. It traverses the tree branch by branch, in the order
+of the joint names, so whether a file can be read would depend on how its author named the joints. Where no order puts
+every leader first (a follower that carries its leader), the roles are swapped: the same linear relation is solved for
+the other joint.
 """
 
 import functools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from .urdf import Item, numbers, parse, span
+from .urdf import Item, attribute_numbers, limits_of_joint, parse
 
 MOVING = ("revolute", "continuous", "prismatic")
 
 
 class Tie(NamedTuple):
-    """A follower: its coordinate is ratio times the leader's, plus offset [rad or m]."""
+    """A linear relation between two joints: the follower's coordinate is ratio times the leader's, plus offset [rad or m]."""
 
     leader: str
     ratio: float
@@ -23,10 +24,12 @@ class Tie(NamedTuple):
 
 
 class Followers(NamedTuple):
-    """The followers of a robot: tied (name -> Tie), loose (name -> why it cannot be tied and stays fixed), order of all joints.
+    """The mimic joints of a robot, and the order in which Pinocchio can read them.
 
-    order is empty if Pinocchio's own order already has every leader before its followers. rest: leaders in place of the file's ->
-    value [rad or m] at which the file's leader is at 0, where a joint that is not moved stands.
+    `tied` maps a follower to its relation, `loose` a joint that cannot be tied, and stays fixed, to the reason. `order`
+    has the names of all joints; it is empty if Pinocchio's own order already has every leader before its followers.
+    Where a leader took the place of the file's, `rest` maps it to the value [rad or m] at which the file's leader is at
+    0.
     """
 
     tied: dict[str, Tie]
@@ -37,7 +40,7 @@ class Followers(NamedTuple):
 
 @functools.lru_cache(maxsize=4)
 def followers(text: str) -> Followers:
-    """Return the followers in a URDF text that `safe_read` has accepted."""
+    """Find the mimic joints in a URDF text that `safe_read` has accepted."""
     items = parse(text)
     tied, loose = ties(items)
     if not tied:
@@ -46,7 +49,8 @@ def followers(text: str) -> Followers:
     given = tied
     order, late = leaders_first(items, given)
     for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
-        if late:  # no order has every leader first: change leaders, only in these groups if that is enough, else in all
+        # No order has every leader first, so leaders change: only in these groups if that is enough, otherwise in all.
+        if late:
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
     tied = {name: tie for name, tie in tied.items() if name not in late}
@@ -55,36 +59,36 @@ def followers(text: str) -> Followers:
 
 
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
-    """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q = multiplier q_leader + offset.
+    """Map each follower joint to (leader, multiplier, offset, lower, upper) [rad or m], where q = multiplier q_leader + offset.
 
-    The limits are the follower's own, ENDLESS where it has none (see `span`); Pinocchio drops them.
+    The limits are the follower's own, or ENDLESS where it has none (see `span`); Pinocchio drops them.
     """
     tied = followers(text).tied
     found = {}
     for item in parse(text):
         if item.tag == "joint" and item.name in tied:
             leader, ratio, offset = tied[item.name]
-            found[item.name] = leader, ratio, offset, *span(item)
+            found[item.name] = leader, ratio, offset, *limits_of_joint(item)
     return found
 
 
 def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
-    """Follower joint -> (multiplier, its own velocity limit [rad/s or m/s]), of those that have one.
+    """Map each follower joint that has a velocity limit of its own to (multiplier, limit [rad/s or m/s]).
 
-    A velocity of 0 counts as none, because a follower that may not move is not meant.
+    A limit of 0 counts as none, because no author means a follower that may not move.
     """
     tied = followers(text).tied
     found = {}
     for item in parse(text):
         limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
-        speed = (numbers((limit or {}).get("velocity", "")) or [0.0])[0]
+        speed = (attribute_numbers((limit or {}).get("velocity", "")) or [0.0])[0]
         if speed > 0.0 and tied[item.name].ratio != 0.0:
             found[item.name] = (tied[item.name].ratio, speed)
     return found
 
 
 def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
-    """Followers tied to an independent joint, and for each of the others why it cannot be tied.
+    """Tie each follower to an independent joint; the second result says of every other follower why it cannot be tied.
 
     A follower of a follower is tied to the leader of both.
     """
@@ -93,7 +97,8 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
     tied: dict[str, Tie] = {}
     loose: dict[str, str] = {}
     for name in given:
-        walk = [name]  # follower, its leader, ...: up to one whose tie is known or that follows nothing
+        # The walk goes from follower to leader until it meets a joint whose tie is known or that follows none.
+        walk = [name]
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
@@ -116,7 +121,8 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
                 continue
             mimic = given[follower]
             ratio, offset = (
-                (numbers(mimic.get(key, "")) or [default])[0] for key, default in (("multiplier", 1.0), ("offset", 0.0))
+                (attribute_numbers(mimic.get(key, "")) or [default])[0]
+                for key, default in (("multiplier", 1.0), ("offset", 0.0))
             )
             above = tied.get(mimic.get("joint", ""), Tie(mimic.get("joint", ""), 1.0, 0.0))
             tied[follower] = Tie(above.leader, ratio * above.ratio, ratio * above.offset + offset)
@@ -124,7 +130,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
 
 
 def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]) -> dict[str, Tie]:
-    """The ties, with the first joint of `order` made the leader of each group that had one of these leaders.
+    """Swap leaders: each group led by one of `leaders` is led by the first of its joints in `order` instead.
 
     The motion is the same: q_leader = (q_follower - offset) / ratio. A follower with ratio 0 cannot become a leader.
     """
@@ -143,9 +149,9 @@ def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]
 
 
 def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[str], dict[str, str]]:
-    """Names of all joints in a depth-first order with leaders before followers, and why some followers cannot come later.
+    """Order all joints depth-first with leaders before followers; the second result says why some followers cannot come later.
 
-    Branches of a link are in the order of the joint names, as in Pinocchio, unless a leader requires another order.
+    The branches of a link are in the order of the joint names, as in Pinocchio, unless a leader requires another order.
     """
     joints = {item.name: item for item in items if item.tag == "joint"}
     ends = {
@@ -156,7 +162,8 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
     branches: dict[str, list[str]] = {}
     for name in sorted(joints):
         branches.setdefault(ends[name][0], []).append(name)
-    before: dict[str, set[str]] = {}  # branch -> branches of the same link that must come earlier
+    # Each branch maps to the branches of the same link that must come before it.
+    before: dict[str, set[str]] = {}
     loose: dict[str, str] = {}
 
     def path(joint: str) -> list[str]:
@@ -195,7 +202,7 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
 
 
 def _reaches(before: Mapping[str, set[str]], start: str, end: str) -> bool:
-    """Whether `end` must already come before `start`."""
+    """Return whether `end` must already come before `start`."""
     waiting, seen = [start], set()
     while waiting:
         branch = waiting.pop()

@@ -1,8 +1,8 @@
-"""MJCF -> URDF text: MuJoCo compiles it (defaults, includes, frames, angles), and the result is written link by link.
+"""Reads MJCF by letting MuJoCo compile it (defaults, includes, frames, angles) and writing the result as URDF, link by link.
 
-So MJCF has the same caps, meshes, collisions and pictures as a URDF. What a URDF cannot express is noted: ball joints become
-revolute joints, loops become constraints that results are held against, shapes of other kinds are left out. Keyframes become
-named configurations, sites links.
+MJCF thus has the same safety limits, meshes, collisions and pictures as a URDF. What a URDF cannot express is noted:
+ball joints become revolute joints, loops become constraints that results are checked against, shapes of other kinds are
+left out. Keyframes become named configurations, sites become links.
 """
 
 import importlib.util
@@ -19,25 +19,27 @@ from ...errors import MissingExtra, ModelError
 from ..base import BALL_PITCH, TURNS
 from ..constraints import Constraint
 from ..geometry.meshes import mesh_folders
-from ..pose import matrix_rpy, quat_matrix
+from ..rotation import matrix_rpy, quat_matrix
 from .mjcf_constraints import Ties, read_ties
 from .mjcf_text import flatten
 from .sandbox import ask
 from .urdf_write import numbers_text, origin, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
-MEMORY = 2_000_000_000  # bytes; a humanoid takes 0.2 GB, MuJoCo itself most of it
-SECONDS = 4  # of processor time; large robots take 1 s
-ENDLESS = "1e16"  # stands for "no limit" (see NO_LIMIT in probe.py)
-HIDDEN = 3  # shape groups from this one on are not drawn, as in MuJoCo's viewer
-AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")  # joints of a ball with a range
+MEMORY = 2_000_000_000  # Memory cap [bytes] of the process. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
+SECONDS = 4  # Cap on processor time [s]. A large robot takes 1 s.
+ENDLESS = "1e16"  # This effort and velocity mean "no limit" (see NO_LIMIT in probe.py).
+HIDDEN = 3  # Shapes of this group and above are not drawn, as in MuJoCo's viewer.
+# A ball joint with a limited range becomes five joints, whose names end in the words of AXIS_ANGLE.
+AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 
 class Read(NamedTuple):
-    """URDF text of an MJCF model; states: keyframes (name -> {joint: (value,)}, as in an SRDF); notes: what the URDF lacks.
+    """An MJCF model written as URDF.
 
-    constraints: loops and relations that the URDF does not hold.
+    `states` maps a keyframe to its joint values {joint: (value,)}, as in an SRDF. `notes` says what the URDF lacks.
+    `constraints` has the loops and relations that a URDF cannot hold.
     """
 
     urdf: str
@@ -46,8 +48,11 @@ class Read(NamedTuple):
     constraints: tuple[Constraint, ...] = ()
 
 
-def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
-    """URDF text of an MJCF text (path: its file). Raises MissingExtra (mujoco), ModelError."""
+def mjcf_to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
+    """Write an MJCF text as URDF; `path` is the file it comes from.
+
+    Raises MissingExtra if mujoco is not installed, ModelError if the text cannot be read.
+    """
     if importlib.util.find_spec("mujoco") is None:
         raise MissingExtra("mujoco", "formats")
     name = path.name if path else "MJCF text"
@@ -57,9 +62,10 @@ def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = (
 
 
 def _compile(xml: str, name: str) -> dict[str, Any]:
-    """The model that MuJoCo compiles from MJCF text, in a subprocess."""
+    """Compile MJCF text in a subprocess and return the model as MuJoCo describes it."""
     silent = "it crashed MuJoCo, or took too much time or memory"
-    with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:  # MuJoCo writes its log to the current folder
+    # MuJoCo writes its log to the current folder, so the process gets one of its own.
+    with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:
         answer = ask(WORKER, "reads MJCF", silent, memory=MEMORY, seconds=SECONDS, folder=folder, xml=xml)
     if "error" in answer:
         raise ModelError(f"MuJoCo cannot read '{name}': {answer['error']}")
@@ -89,19 +95,20 @@ def _free(name: str, taken: set[str]) -> str:
 
 
 class _Writer:
-    """Writes one model as URDF."""
+    """Writes one compiled MJCF model as URDF."""
 
     def __init__(self, model: dict[str, Any], name: str, meshes: dict[str, str], notes: list[str]) -> None:
         self.model, self.meshes, self.notes = model, meshes, list(notes)
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
-        self.values: list[Any] = []  # keyframe -> {joint: value}, one function per joint
-        self.back: dict[str, tuple[str, float, float]] = {}  # joints of balls that turn back -> (leader, ratio, offset)
+        self.values: list[Any] = []  # Each function turns the qpos of a keyframe into (joint, value) pairs.
+        # A joint of a ball that turns back maps to (leader, ratio, offset).
+        self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 
     def read(self) -> Read:
-        """Write the whole model."""
+        """Write the whole model as URDF."""
         model = self.model
         bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
         self._shapes(bodies)
@@ -123,7 +130,7 @@ class _Writer:
         return Read(to_text(self.robot), self._states(), self.notes, ties.constraints)
 
     def _states(self) -> dict[str, dict[str, tuple[float, ...]]]:
-        """Configurations of the keyframes; one with a value that is not a finite number is left out, with a note."""
+        """Return the configurations of the keyframes; one whose qpos has a value that is not finite is left out, with a note."""
         states = {}
         for k, key in enumerate(self.model["keys"]):
             name = key["name"] or f"key{k}"
@@ -134,7 +141,7 @@ class _Writer:
         return states
 
     def _doubtful(self, joints: Sequence[str]) -> None:
-        """Note ranges that MuJoCo ignores because their ends are reversed or equal."""
+        """Note the joint ranges that MuJoCo ignores because their ends are reversed or equal."""
         for name, joint in zip(joints, self.model["joints"], strict=True):
             low, high = joint["given"]
             if joint["range"] is None and low >= high and (low, high) != (0.0, 0.0):
@@ -144,7 +151,7 @@ class _Writer:
 
     # ------------------------------------------------------------------------------------------------ elements
     def _link(self, name: str) -> str:
-        """Append a link of this name, or of a variant if it is taken."""
+        """Append a link of this name, or of a variant if the name is taken, and return its name."""
         name = _free(name, self.links)
         ET.SubElement(self.robot, "link", name=name)
         return name
@@ -179,7 +186,7 @@ class _Writer:
         joints: Sequence[tuple[int, str]],
         ties: Ties,
     ) -> None:
-        """Write the joints between a body and its parent; several, or one off its origin, get empty links in between."""
+        """Write the joints between a body and its parent, with empty links between several joints or at one off its origin."""
         T = _matrix(body["pos"], body["quat"])
         if not joints:
             self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
@@ -188,7 +195,8 @@ class _Writer:
             self.notes.append(
                 f"free joint '{joints[0][1]}' of '{link}' is held still; that of the robot's own base moves with base_limits="
             )
-            self._joint(joints[0][1], "floating", parent, link, np.eye(4))  # MuJoCo stores the pose in the world
+            # MuJoCo gives the pose of a free body in the world, as the joint's value.
+            self._joint(joints[0][1], "floating", parent, link, np.eye(4))
             return
         steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
         for j, name in joints:
@@ -214,7 +222,7 @@ class _Writer:
     def _single(
         self, name: str, joint: dict[str, Any], T: np.ndarray, held: float | None, limits: Sequence[float] | None
     ) -> tuple:
-        """A hinge or slide joint, fixed where it is held at a value; its value is relative to MuJoCo's `ref`."""
+        """Describe a hinge or slide joint, as a fixed one if it is held at a value; values count from MuJoCo's `ref`."""
         axis, place = np.array(joint["axis"]), joint["place"]
         shift = (0.0 if held is None else held) - joint["ref"]
         if joint["type"] == "slide":
@@ -226,15 +234,16 @@ class _Writer:
         self.values.append(lambda qpos: [(name, qpos[place])])
         if joint["type"] == "slide":
             return name, "prismatic", T, axis, limits or (-1e16, 1e16)
-        if limits is not None and not np.isfinite(limits).all():  # of a tendon, which limits one side only
+        # A tendon may limit one side only, so the other limit is infinite.
+        if limits is not None and not np.isfinite(limits).all():
             limits = np.nan_to_num(limits, posinf=1e16, neginf=-1e16).tolist()
         return name, "revolute" if limits else "continuous", T, axis, limits
 
     def _ball(self, name: str, joint: dict[str, Any], steps: list, T: np.ndarray) -> None:
-        """Write a ball as revolute joints: Rz Ry Rx, or with a range as one turn about an axis in any direction."""
+        """Write a ball joint as revolute joints: as Rz Ry Rx, or, if it has a range, as one turn about an axis in any direction."""
         most = joint["range"][1] if joint["range"] else math.inf
         place = joint["place"]
-        if most < math.pi:  # no two rotations are further apart than half a turn
+        if most < math.pi:  # Two rotations are at most half a turn apart.
             self._limited_ball(name, most, place, steps, T)
             return
         names = [_free(f"{name}_{turn}", self.names) for turn in TURNS]
@@ -252,7 +261,7 @@ class _Writer:
         self.notes.append(f"ball joint '{name}' becomes three revolute joints: {', '.join(names)}")
 
     def _limited_ball(self, name: str, most: float, place: int, steps: list, T: np.ndarray) -> None:
-        """Rz(a) Ry(b) Rz(angle) Ry(-b) Rz(-a): a turn by `angle` about an axis, so that MuJoCo's range is the limit of one joint.
+        """Write a ball joint as Rz(a) Ry(b) Rz(angle) Ry(-b) Rz(-a), which makes MuJoCo's range the limit of the one joint `angle`.
 
         The last two joints mimic the first two.
         """
@@ -294,7 +303,7 @@ class _Writer:
                     ET.SubElement(colour, "color", rgba=numbers_text(geom["rgba"]))
 
     def _geometry(self, geom: dict[str, Any]) -> tuple[ET.Element, np.ndarray] | None:
-        """Element of a shape and its pose, or None if a URDF cannot express it."""
+        """Return the URDF element of a shape and its pose (4x4) [m], or None if a URDF cannot express it."""
         size, kind, T = geom["size"], geom["type"], _matrix(geom["pos"], geom["quat"])
         if kind == "mesh":
             mesh = self.model["meshes"][geom["mesh"]]
@@ -310,6 +319,6 @@ class _Writer:
             return ET.Element("sphere", radius=repr(size[0])), T
         if kind in ("cylinder", "capsule"):
             return ET.Element(kind, radius=repr(size[0]), length=repr(2.0 * size[1])), T
-        if kind != "plane":  # the floor of a scene is not part of the robot
+        if kind != "plane":  # A plane is the floor of a scene, not a part of the robot.
             self.left_out.add(kind)
         return None

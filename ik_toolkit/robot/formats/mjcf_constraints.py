@@ -1,7 +1,8 @@
-"""Equalities and tendons of a compiled MJCF model: what is linear becomes mimic, fixed joints and ranges; the rest, constraints.
+"""Reads the equalities and tendons of a compiled MJCF model.
 
-MuJoCo counts joints and tendons of an equality from their values in the initial configuration (`ref` of a joint, `rest` of a
-tendon): y - y0 = c0 + c1 (x - x0) + ... Without a second one, y = y0 + c0.
+What is linear becomes mimic joints, fixed joints and ranges; everything else becomes a constraint. MuJoCo counts the
+joints and tendons of an equality from their values in the initial configuration (`ref` of a joint, `rest` of a tendon):
+y - y0 = c0 + c1 (x - x0) + ... An equality without a second joint or tendon means y = y0 + c0.
 """
 
 from collections.abc import Sequence
@@ -9,18 +10,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..constraints import Constraint, End, Length, Loop, Relation
-from ..pose import quat_matrix
+from ..constraints import Constraint, End, LinearLength, Loop, Relation
+from ..rotation import quat_matrix
 from .linear_equalities import Equation, Solved, set_apart, solve_linear
 
 SCALAR = ("hinge", "slide")
-JOINT, PULLEY, SITE, SPHERE, CYLINDER = 1, 2, 3, 4, 5  # MuJoCo's numbers of the parts of a tendon
+JOINT, PULLEY, SITE, SPHERE, CYLINDER = 1, 2, 3, 4, 5  # MuJoCo gives the parts of a tendon these numbers.
 
 
 class Ties(NamedTuple):
-    """tied: follower -> (leader, ratio, offset) by name; held: joint number -> value; ranges: joint number -> limits.
+    """What the equalities and tendons of a model mean for its joints.
 
-    constraints: what no mimic joint expresses; notes: sentences on all that is not kept, or kept in another form.
+    `tied` maps a follower's name to (leader, ratio, offset), `held` a joint's number to the value at which it stands,
+    `ranges` a joint's number to its limits [rad or m]. `constraints` has what no mimic joint expresses, `notes` a
+    sentence on everything that is not kept, or kept in another form.
     """
 
     tied: dict[str, tuple[str, float, float]]
@@ -31,7 +34,7 @@ class Ties(NamedTuple):
 
 
 def read_ties(model: dict[str, Any], joints: Sequence[str], bodies: Sequence[str]) -> Ties:
-    """Ties of a compiled model; joints, bodies: names by number."""
+    """Read the equalities and tendons of a compiled model; joints and bodies are lists of names by MuJoCo's numbers."""
     return _Reader(model, joints, bodies).read()
 
 
@@ -43,7 +46,7 @@ class _Reader:
         self.lengths = [self._tendon(tendon) for tendon in model["tendons"]]
 
     def read(self) -> Ties:
-        """Solve what is linear, and keep the rest."""
+        """Solve the linear equalities and return all others as constraints."""
         equations, curved, notes = [], [], []
         for equality in self.model["equalities"]:
             if not equality["active"]:
@@ -75,8 +78,8 @@ class _Reader:
             self.joints[j]: (self.joints[leader], ratio, offset) for j, (leader, ratio, offset) in solved.tied.items()
         }
         for kind, said in (
-            (Loop, "is left open: the solvers do not close it, and each result says what it does to it"),
-            (Relation, "is not kept by the solvers, and each result says what it does to it"),
+            (Loop, "is left open: the solvers do not close it, and each result says how wide it opens"),
+            (Relation, "is not kept by the solvers, and each result says whether it holds"),
         ):
             notes += [f"{_what(one)} '{one.name}' {said}" for one in curved if isinstance(one, kind)]
         held = {self.joints[j]: value for j, value in solved.held.items()}
@@ -86,12 +89,12 @@ class _Reader:
     def _range(
         self,
         tendon: dict[str, Any],
-        length: Length,
+        length: LinearLength,
         solved: Any,
         ranges: dict[int, tuple[float, float]],
         curved: list[Any],
     ) -> None:
-        """The range of a tendon: the range of the one joint it depends on, or a constraint."""
+        """Apply the range of a tendon as limits of the one joint it depends on, or as a constraint if there are several."""
         low, high = tendon["range"]
         if length.known and not length.lines:
             terms, constant = solved.free({self.joints.index(name): c for name, c in length.joints})
@@ -108,7 +111,7 @@ class _Reader:
         curved.append(Relation(name, length._replace(zero=0.0), None, (0.0,), low, high))
 
     def _within(self, equations: Sequence[Equation], notes: list[str]) -> Solved:
-        """Solve linear equations; those that would hold a joint outside its own range, which no configuration keeps, are left."""
+        """Solve linear equations without those that would hold a joint outside its range, which no configuration satisfies."""
         solved = solve_linear(equations)
         beyond = set()
         for j, value in solved.held.items():
@@ -131,9 +134,9 @@ class _Reader:
         name = equality["name"] or f"{equality['type']} {' and '.join(named)}"
         return Relation(name, made(first), made(second) if second >= 0 else None, tuple(equality["data"][:5]))
 
-    def _joint(self, j: int) -> Length:
+    def _joint(self, j: int) -> LinearLength:
         joint = self.model["joints"][j]
-        return Length(((self.joints[j], 1.0),), zero=joint["ref"], metres=joint["type"] == "slide")
+        return LinearLength(((self.joints[j], 1.0),), zero=joint["ref"], metres=joint["type"] == "slide")
 
     def _loop(self, equality: dict[str, Any]) -> Loop:
         weld, data = equality["type"] == "weld", equality["data"]
@@ -153,15 +156,15 @@ class _Reader:
         turn = quat_matrix(site["quat"], "wxyz").ravel().tolist()
         return End(self.bodies[int(site["body"])], tuple(site["pos"]), tuple(turn))
 
-    def _tendon(self, tendon: dict[str, Any]) -> Length:
-        """Length of a tendon: linear in joints, or along sites; around shapes it is not known."""
+    def _tendon(self, tendon: dict[str, Any]) -> LinearLength:
+        """Return the length of a tendon: linear in joint values, or along sites; its length around shapes is not known."""
         if all(kind == JOINT for kind, _, _ in tendon["parts"]):
             sums: dict[str, float] = {}
             for _, j, c in tendon["parts"]:
                 name = self.joints[int(j)]
                 sums[name] = sums.get(name, 0.0) + c
             metres = any(self.model["joints"][j]["type"] == "slide" for _, j, _ in tendon["parts"])
-            return Length(tuple(sums.items()), zero=tendon["rest"], metres=metres)
+            return LinearLength(tuple(sums.items()), zero=tendon["rest"], metres=metres)
         lines, last, share, known = [], None, 1.0, True
         for kind, i, number in tendon["parts"]:
             if kind == PULLEY:
@@ -173,12 +176,12 @@ class _Reader:
                 last = here
             else:
                 known = False
-        return Length((), tuple(lines), tendon["rest"], True, known)
+        return LinearLength((), tuple(lines), tendon["rest"], True, known)
 
 
 def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | None:
-    """The relation as a linear equation of joint values, if it is one. first: its first joint is meant to follow."""
-    x = one.x or Length(())
+    """Return the relation as a linear equation between joint values, or None; with `first`, its first joint is meant to follow."""
+    x = one.x or LinearLength(())
     constant, ratio, *higher = one.curve
     if one.x is not None and any(higher):
         return None
@@ -196,11 +199,11 @@ def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | N
 
 
 def _with_held(one: Constraint, held: dict[str, float]) -> Constraint:
-    """The constraint with the values of joints that stand still, which the URDF does not have as joints."""
+    """Put the values of joints that stand still into a constraint, because the URDF does not have them as joints."""
     if isinstance(one, Loop):
         return one
 
-    def without(length: Length) -> Length:
+    def without(length: LinearLength) -> LinearLength:
         zero = length.zero - sum(c * held[name] for name, c in length.joints if name in held)
         return length._replace(zero=zero, joints=tuple(part for part in length.joints if part[0] not in held))
 

@@ -1,4 +1,4 @@
-"""MJCF text made safe before MuJoCo sees it: includes from the model's folders are inlined, other file references removed."""
+"""Makes MJCF text safe before MuJoCo sees it: includes from the model's folders are inlined, other file references are removed."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
@@ -7,10 +7,10 @@ from pathlib import Path
 
 from ...errors import ModelError
 from ..geometry.meshes import lies_in
-from .urdf import MAX_BYTES, check_names, source_text, walk
+from .urdf import CAPS, check_names, source_text, walk
 
-MAX_COPIES = 20_000  # elements once replication is carried out, and keyframes times bodies
-MAX_INCLUDES = 200  # files; the largest model of the MuJoCo Menagerie has 5
+MAX_COPIES = 20_000  # Limit on the number of elements after replication, and of keyframes times bodies.
+MAX_INCLUDES = 200  # Limit on the number of included files. The largest model of the MuJoCo Menagerie has 5.
 KEPT = ("compiler", "default", "asset", "worldbody", "tendon", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
 NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
@@ -20,7 +20,7 @@ TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
 
 @dataclass
 class Flat:
-    """MJCF text without file references, and the file of each mesh (name -> path as written, below the model's folder)."""
+    """MJCF text without file references; `meshes` maps a mesh to its file as written, below the model's folder."""
 
     xml: str
     meshes: dict[str, str] = field(default_factory=dict)
@@ -28,7 +28,7 @@ class Flat:
 
 
 def tree(text: str) -> ET.Element:
-    """Elements of an MJCF text, read with the same caps as a URDF. Raises ModelError."""
+    """Parse MJCF text with the same safety limits as a URDF and return its root element. Raises ModelError."""
     nodes: list[ET.Element] = []
     roots: list[ET.Element] = []
 
@@ -44,15 +44,15 @@ def tree(text: str) -> ET.Element:
 
 
 class Flattener:
-    """Reads a file and its includes, all of them inside the folders."""
+    """Inlines the includes of a file, all of which must lie inside the given folders."""
 
     def __init__(self, path: Path | None, folders: list[Path]) -> None:
         self.home = path.resolve().parent if path else None
-        self.folders, self.bytes = folders, MAX_BYTES
+        self.folders, self.bytes = folders, CAPS.bytes
         self.included: list[Path] = []
 
     def find(self, name: str, beside: Path | None) -> Path:
-        """Real path of an included file. Raises ModelError."""
+        """Return the real path of an included file. Raises ModelError if it is missing or outside the folders."""
         if not name or "\0" in name or self.home is None:
             raise ModelError(f"<include file='{name[:100]}'> cannot be found without a folder")
         places = [folder / name for folder in dict.fromkeys((self.home, beside or self.home))]
@@ -87,7 +87,7 @@ class Flattener:
             text = source_text(file, "MJCF")
             self.bytes -= len(text)
             if self.bytes < 0:
-                raise ModelError(f"the model and what it includes are larger than {MAX_BYTES // 1_000_000} MB")
+                raise ModelError(f"the model and what it includes are larger than {CAPS.bytes // 1_000_000} MB")
             inner = tree(text)
             self.put_in(inner, file.parent, (*above, file))
             children += list(inner)
@@ -95,7 +95,7 @@ class Flattener:
 
 
 def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
-    """MJCF text as a single safe text. Raises ModelError."""
+    """Return an MJCF model as a single text without file references. Raises ModelError."""
     flattener = Flattener(path, folders)
     root = tree(text)
     flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())
@@ -120,27 +120,28 @@ def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
 
 
 def _check_copies(root: ET.Element) -> None:
-    """Raise ModelError for more elements than any robot has once <replicate> has copied them."""
+    """Raise ModelError if <replicate> would make more elements than any robot has."""
     if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
         raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
-    for tag in ("body", "joint", "geom", "site"):  # MuJoCo takes seconds for so many, which are refused afterwards
+    # MuJoCo would take seconds to compile so many elements, which are refused afterwards anyway.
+    for tag in ("body", "joint", "geom", "site"):
         if sum(1 for world in root.iter("worldbody") for _ in world.iter(tag)) > MAX_COPIES:
             raise ModelError(f"it has more than {MAX_COPIES:,} elements <{tag}>; it is not read")
 
 
 def _copies(element: ET.Element) -> int:
-    """Elements that one comes to."""
+    """Return how many elements an element becomes when its <replicate> are carried out."""
     inside = sum(map(_copies, element))
     if element.tag != "replicate":
         return 1 + inside
     try:
         return max(int(element.get("count", "1")), 1) * max(inside, 1)
     except ValueError:
-        return inside  # MuJoCo says what is wrong
+        return inside  # MuJoCo itself reports an invalid count.
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:
-    """Mesh location from the <compiler> settings: folder, and whether paths are stripped."""
+    """Return where meshes lie by the <compiler> settings: the folder, and whether directories in their paths are stripped."""
     found = {"folder": "", "strip": ""}
     for compiler in root.iter("compiler"):
         found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
@@ -151,7 +152,7 @@ def _directories(root: ET.Element) -> Mapping[str, str]:
 
 
 def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: bool = False) -> None:
-    """Remove references to files and everything irrelevant to a robot's shape or motion."""
+    """Remove references to files and everything that does not affect a robot's shape or motion."""
     for child in list(element):
         if child.tag in NO_BODY or (asset and child.tag not in SHAPED):
             element.remove(child)
@@ -170,7 +171,7 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
 
 
 def _asset(child: ET.Element, flat: Flat, where: Mapping[str, str]) -> None:
-    """Replace a mesh by the placeholder, a height field by a flat one, a material by a plain one."""
+    """Replace a mesh by the tetrahedron, a height field by a flat one and a material by its plain colour."""
     file = child.get("file", "").replace("\\", "/")
     given = {key: child.get(key, "") for key in SHAPED[child.tag] if child.get(key) is not None}
     if child.tag in ("mesh", "hfield") and "name" not in given and file:

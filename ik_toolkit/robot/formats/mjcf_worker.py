@@ -1,7 +1,8 @@
-"""Subprocess that compiles MJCF for `mjcf.py`: MuJoCo applies defaults, frames, replication and angles; a crash stays in here.
+"""Subprocess that compiles MJCF for `mjcf.py`, so that a crash of MuJoCo ends this process only.
 
-It imports nothing from the toolkit except mesh_worker.py. Job (JSON on stdin): xml (without file references), memory [bytes],
-seconds. It prints one line of JSON: the parts of the model, or {"error": sentence}. Metres, radians, quaternions w x y z.
+MuJoCo applies defaults, frames, replication and angles. The process imports nothing from the toolkit except mesh_worker.py.
+Its job (JSON on stdin) has xml (without file references), memory [bytes] and seconds. It prints one line of JSON: the parts of
+the model, or {"error": sentence}. Values are in metres and radians, quaternions in the order w x y z.
 """
 
 import importlib
@@ -16,22 +17,22 @@ from typing import Any
 JOINTS = ("free", "ball", "slide", "hinge")
 GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
 EQUALITIES = ("connect", "weld", "joint", "tendon")
-SITE = 6  # MuJoCo's number of an equality between sites
-MOST = 20_000  # largest number of bodies, joints, geoms, sites, equalities or tendons
+SITE = 6  # MuJoCo marks an equality between sites by this number.
+MOST = 20_000  # A model with more bodies, joints, geoms, sites, equalities or tendons is refused.
 
 
-def at(pos: Any, quat: Any) -> dict:
-    """Pose as a dict."""
+def pose_dict(pos: Any, quat: Any) -> dict:
+    """Return a position [m] and a quaternion (w x y z) as a dict."""
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
 
 def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
-    """One dict for each number."""
+    """Return a list with one dict for each number below `count`."""
     return [one(i) for i in range(count)]
 
 
-def ties(m: Any) -> dict:
-    """Equalities and tendons of a compiled model."""
+def equalities(m: Any) -> dict:
+    """Return the equalities and tendons of a compiled model."""
     return {
         "equalities": listed(
             m.neq,
@@ -61,7 +62,7 @@ def ties(m: Any) -> dict:
 
 
 def describe(m: Any) -> dict:
-    """Bodies, joints, shapes, sites, equalities and keyframes of a compiled model."""
+    """Return the bodies, joints, shapes, sites, equalities and keyframes of a compiled model."""
     if max(m.nbody, m.njnt, m.ngeom, m.nsite, m.neq, m.ntendon, m.nwrap) > MOST:
         return {"error": f"it has more than {MOST:,} bodies, joints, geoms, sites, equalities or tendons"}
 
@@ -72,7 +73,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.body(i).name,
                 "parent": int(m.body_parentid[i]),
-                **at(m.body_pos[i], m.body_quat[i]),
+                **pose_dict(m.body_pos[i], m.body_quat[i]),
             },
         ),
         "joints": listed(
@@ -94,7 +95,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "type": GEOMS[m.geom_type[i]] if m.geom_type[i] < len(GEOMS) else "other",
                 "body": int(m.geom_bodyid[i]),
-                **at(m.geom_pos[i], m.geom_quat[i]),
+                **pose_dict(m.geom_pos[i], m.geom_quat[i]),
                 "size": m.geom_size[i].tolist(),
                 "touches": bool(m.geom_contype[i] or m.geom_conaffinity[i]),
                 "group": int(m.geom_group[i]),
@@ -106,7 +107,7 @@ def describe(m: Any) -> dict:
             m.nmesh,
             lambda i: {
                 "name": m.mesh(i).name,
-                **at(m.mesh_pos[i], m.mesh_quat[i]),
+                **pose_dict(m.mesh_pos[i], m.mesh_quat[i]),
                 "scale": m.mesh_scale[i].tolist(),
             },
         ),
@@ -115,16 +116,16 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.site(i).name,
                 "body": int(m.site_bodyid[i]),
-                **at(m.site_pos[i], m.site_quat[i]),
+                **pose_dict(m.site_pos[i], m.site_quat[i]),
             },
         ),
-        **ties(m),
+        **equalities(m),
         "keys": listed(m.nkey, lambda i: {"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()}),
     }
 
 
 def main() -> None:
-    """Read the job from stdin, write the answer to stdout."""
+    """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
     mujoco: Any = importlib.import_module("mujoco")
@@ -134,7 +135,7 @@ def main() -> None:
     limit("CPU", job["seconds"])
     try:
         answer = describe(mujoco.MjModel.from_xml_string(job["xml"]))
-    except Exception as error:  # MuJoCo can raise anything
+    except Exception as error:  # MuJoCo can raise any exception.
         answer = {"error": " ".join(str(error).split())[:300] or type(error).__name__}
     print("\n" + json.dumps(answer))
 

@@ -1,4 +1,4 @@
-"""A subprocess that answers one question about an untrusted file, which can crash or exhaust only that process."""
+"""Asks a subprocess one question about an untrusted file, which can crash or exhaust that process only."""
 
 import json
 import subprocess
@@ -12,11 +12,11 @@ from ...errors import ModelError
 def ask(
     script: Path, does: str, silent: str, *, memory: int, seconds: int, folder: str | None = None, **job: Any
 ) -> dict[str, Any]:
-    """Run a script with a job (JSON on stdin); the answer is the last line it prints, {"error": sentence} on failure.
+    """Run a script with a job (JSON on stdin) and return the JSON on its last line, which is {"error": sentence} after a failure.
 
-    does: purpose of the process, for messages; silent: the error if it prints nothing. memory [bytes] and seconds of processor time
-    are caps that the script sets for itself; nothing in a file makes it wait, so that on an idle machine they are its wall time
-    too. folder: working folder. Raises ModelError if it cannot be started.
+    `does` says in messages what the process is for, `silent` is the error if it prints nothing. memory [bytes] and
+    seconds of processor time are caps that the script sets for itself; nothing in a file makes it wait, so on an idle
+    machine the wall time is the same. Raises ModelError if the process cannot be started.
     """
     try:
         done = subprocess.run(
@@ -26,7 +26,8 @@ def ask(
             stderr=subprocess.DEVNULL,
             text=True,
             cwd=folder,
-            timeout=10.0 * seconds,  # wall time: allows for a busy machine, on which others hold the processor
+            # The limit on wall time allows for a busy machine, on which other processes hold the processor.
+            timeout=10.0 * seconds,
             check=False,
         )
         return json.loads((done.stdout.strip().splitlines() or [""])[-1])

@@ -1,7 +1,7 @@
-"""SRDF: what a URDF leaves out: allowed collisions, groups, end effectors, named configurations, passive joints.
+"""Reads an SRDF, which has what a URDF leaves out: allowed collisions, groups, end effectors, configurations, passive joints.
 
-Read like a URDF: one streaming parse with size caps, no entities, nothing fetched. Names that the robot does not have are
-not an error, because one SRDF often serves several URDFs; `Srdf.remarks` lists them.
+It is parsed like a URDF: once, as a stream with size limits, with no entity expanded and nothing fetched. A name that
+the robot does not have is no error, because one SRDF often serves several URDFs; `Srdf.remarks` lists such names.
 """
 
 import logging
@@ -21,20 +21,20 @@ from .urdf import source_text
 from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
-BESIDE = ("", "../srdf")  # folders searched for the SRDF, relative to that of the URDF
-MOST = 64  # SRDF files looked at in each folder
-SHOWN = 3  # names listed in one remark
-State = Mapping[str, tuple[float, ...]]  # joint -> its values
+BESIDE = ("", "../srdf")  # The SRDF is searched for in these folders, relative to that of the URDF.
+MOST = 64  # At most this many SRDF files are looked at in each folder.
+SHOWN = 3  # A remark lists at most this many names.
+State = Mapping[str, tuple[float, ...]]  # A state maps a joint to its values.
 
 
 @dataclass(frozen=True)
 class Srdf:
     """The contents of an SRDF.
 
-    name (of the robot); path (None: text); groups and end_effectors by name; states: joint values [rad or m] by configuration
-    name and, below it, by the group it belongs to ('' if none is given); passive_joints; disabled: pairs of links that may touch
-    -> reason; quiet: links that may touch anything except the pairs in `enabled`; remarks: sentences on what cannot be used;
-    group: the group chosen, whose configurations take precedence.
+    `name` is the robot's, `path` the file or None for text. `states` maps a configuration to its groups ('' if none is
+    given), and each group to joint values [rad or m]. `disabled` maps pairs of links that may touch to a reason; a link
+    in `quiet` may touch everything but its partners in `enabled`. `remarks` are sentences on what cannot be used. The
+    configurations of `group`, the chosen one, take precedence.
     """
 
     name: str = ""
@@ -50,11 +50,11 @@ class Srdf:
     group: str = ""
 
     def state(self, name: str, joints: Sequence[str], tips: Sequence[str], model: pin.Model) -> dict[str, float]:
-        """Values [rad or m] that a configuration gives the joints of q of a robot with these tips.
+        """Return the values [rad or m] that a configuration gives to those joints that are in the q of a robot with these tips.
 
-        A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are taken in this
-        order: those that end in the robot's tips, those that set more joints of q, those first in the file; one that sets a
-        joint of an earlier one is left out, so that no two readings are mixed.
+        A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are taken in
+        this order: those that end in the robot's tips, those that set more joints of q, those first in the file. A
+        group that sets a joint of an earlier one is left out, so that no two readings are mixed.
         """
         given = {
             group: {joint: x[0] for joint, x in values.items() if len(x) == 1}
@@ -74,14 +74,14 @@ class Srdf:
         return {joint: x for joint, x in found.items() if joint in joints}
 
     def _fits(self, group: str, tips: Sequence[str], model: pin.Model) -> bool:
-        """Whether a group ends in these tips."""
+        """Return whether a group ends in exactly these tips."""
         try:
             return {*self.ends(group, model)[1]} == {*tips}
         except InvalidOption:
             return False
 
     def may_touch(self, links: Sequence[str]) -> dict[tuple[str, str], str]:
-        """Pairs of these links that need no collision test -> reason."""
+        """Map those pairs of these links that need no collision test to the reason."""
         known, out = set(links), dict[tuple[str, str], str]()
         on = {frozenset(pair) for pair in self.enabled}
         for link in known.intersection(self.quiet):
@@ -90,11 +90,14 @@ class Srdf:
         return {pair: reason for pair, reason in out.items() if frozenset(pair) not in on}
 
     def ends(self, group: str, model: pin.Model) -> tuple[str | None, tuple[str, ...]]:
-        """Base frame (None: the root) and tips of a group on a model. Raises InvalidOption: no such group, or it has no tip."""
+        """Return the base frame (None: the root) and the tips of a group on a model.
+
+        Raises InvalidOption if there is no such group or the group has no tip.
+        """
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
         bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
-        if chains:  # a chain that ends where others begin carries them
+        if chains:  # A chain that ends where others begin carries them, so that point is no end of the group.
             inner = [tip for tip in tips if tip in bases]
             bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
         else:
@@ -114,7 +117,7 @@ class Srdf:
         return (bases[0] if len(bases) == 1 else None), tuple(tips)
 
     def _members(self, name: str) -> Group:
-        """A group merged with all its subgroups. Raises InvalidOption."""
+        """Return a group merged with all its subgroups. Raises InvalidOption if it does not exist."""
         if name not in self.groups:
             raise InvalidOption(f"the SRDF has no group '{name}'.{near_match(name, self.groups)}")
         waiting, seen, found = [name], set[str](), Group(name)
@@ -133,7 +136,7 @@ class Srdf:
         return found
 
     def against(self, model: pin.Model) -> tuple[str, ...]:
-        """Remarks, including those on names that a model lacks and joints given several values."""
+        """Return all remarks, including those on names that this model lacks and on joints with several values."""
         out, links = list(self.remarks), {frame.name for frame in model.frames}
         strange = {link for pair in self.disabled for link in pair if link not in links}
         if strange:
@@ -158,7 +161,10 @@ class Srdf:
 
 
 def read_srdf(source: "str | Path | Srdf") -> Srdf:
-    """Return an Srdf of a file, or of text; ModelError in one sentence, with the line, when it is broken or over a cap."""
+    """Read an SRDF from a file or from text.
+
+    Raises ModelError, one sentence with the line, if it is malformed or exceeds a size limit.
+    """
     if isinstance(source, Srdf):
         return source
     if not isinstance(source, str | Path):
@@ -172,9 +178,11 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
 def srdf_of(
     given: Any, model: pin.Model, path: Path | None, states: Mapping[str, State], group: str | None = None
 ) -> Srdf:
-    """Srdf of a model read from `path`: the given one; None: the one next to the file, if any (see `srdf_beside`); False: none.
+    """Return the Srdf that belongs to a model read from `path`.
 
-    states: named configurations of the description itself; those of the SRDF take precedence. group: the one chosen.
+    It is the given one; if that is None, the one next to the file, if any (see `srdf_beside`); if it is False, an empty
+    one. `states` are the named configurations of the description itself, which those of the SRDF override. `group` is
+    the chosen one.
     """
     found = _srdf_of(given, model, path)
     return replace(
@@ -183,9 +191,9 @@ def srdf_of(
 
 
 def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
-    """The given or found Srdf.
+    """Return the Srdf that is given or found next to the file, without the description's configurations.
 
-    Unusable parts of a given one are logged; a broken one next to the file is logged and ignored.
+    Unusable parts of a given one are logged; a malformed one next to the file is logged and ignored.
     """
     if given is None or given is True:
         beside = srdf_beside(path, model.name) if path is not None else None
@@ -207,8 +215,11 @@ def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
     return found
 
 
-def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
-    """Base (None: the root) and tip of a group for a Robot; tip: the one chosen. Raises InvalidOption, FrameNotFound."""
+def group_chain(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
+    """Return the base (None: the root) and tip of a group for a Robot; `tip` is the user's choice if there is one.
+
+    Raises FrameNotFound if the group has several tips and none is chosen, InvalidOption as `Srdf.ends` does.
+    """
     base, (end, *more) = srdf.ends(group, model)
     if tip is None and more:
         raise FrameNotFound(
@@ -218,12 +229,13 @@ def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[
     return base, tip or end
 
 
-def held_joints(
+def passive_joints(
     srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
 ) -> dict[str, tuple[float, bool]]:
-    """Value [rad or m] at which each locked or passive joint is held, and whether it counts as locked.
+    """Map each locked or passive joint to the value [rad or m] at which it is held and to whether it counts as locked.
 
-    A passive joint counts if it lies on the path from base to tip (frames). If only passive joints lie there, none is held.
+    A passive joint counts if it lies on the path between the frames base and tip. If only passive joints lie there,
+    none is held.
     """
     given = {joint: (value, True) for joint, value in locked.items()}
     passive = [name for name in srdf.passive_joints if model.existJointName(name) and name not in locked]
@@ -243,10 +255,10 @@ def held_joints(
 
 
 def srdf_beside(file: Path, name: str) -> Path | None:
-    """SRDF that belongs to the URDF file of a robot called `name`, in the same folder or in ../srdf; None if there is none.
+    """Find the SRDF that belongs to a robot's URDF file, in the same folder or in ../srdf; return None if there is none.
 
-    Its file name equals or begins that of the URDF ('ur5.srdf' for 'ur5_robot.urdf'; the longest wins), or it is the only one
-    whose robot has this name. Symbolic links that lead out of these folders are not followed.
+    Its file name equals or begins that of the URDF ('ur5.srdf' for 'ur5_robot.urdf'; the longest wins), or it is the
+    only one whose robot has this name. Symbolic links that lead out of these folders are not followed.
     """
     home = file.expanduser().resolve().parent
     found: list[Path] = []
@@ -264,7 +276,7 @@ def srdf_beside(file: Path, name: str) -> Path | None:
 
 
 def _name(path: Path) -> str:
-    """Robot name in an SRDF file, '' when it cannot be read."""
+    """Return the name of the robot in an SRDF file, or '' if the file cannot be read."""
     try:
         return read_srdf(path).name
     except ModelError:
@@ -272,7 +284,7 @@ def _name(path: Path) -> str:
 
 
 def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str]]:
-    """Parent links of the first joints and child links of the last ones, in a group that lists joints or their child links."""
+    """Return the first links and the last links of a group that lists joints, or the links that they move."""
     frames = model.frames
     ids = {frame.name: i for i, frame in enumerate(frames)}
     bodies = {frame.parentFrame: i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY}
@@ -288,7 +300,7 @@ def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str
 
 
 def _line(model: pin.Model, frame: int) -> set[int]:
-    """A frame and all its ancestors."""
+    """Return a frame and all its ancestors, as indices."""
     seen = set[int]()
     while frame not in seen:
         seen.add(frame)
@@ -297,7 +309,7 @@ def _line(model: pin.Model, frame: int) -> set[int]:
 
 
 def _above(model: pin.Model, link: str, other: str) -> bool:
-    """Whether `other` is `link` or a descendant of it."""
+    """Return whether `other` is `link` or a descendant of it."""
     return model.getFrameId(link) in _line(model, model.getFrameId(other))
 
 
@@ -310,7 +322,7 @@ def _some(names: Iterable[str], what: str) -> str:
 
 
 def _meant(names: set[str], known: Iterable[str]) -> str:
-    """Return '. Did you mean ...?' for one unknown name, or ''."""
+    """Return '. Did you mean ...?' if there is one unknown name and a known one is near it, otherwise ''."""
     near = did_you_mean(min(names), known) if len(names) == 1 else ""
     return f".{near}" if near else ""
 

@@ -1,4 +1,4 @@
-"""SRDF text -> its contents: one streaming parse with size caps, no entities, nothing fetched."""
+"""Parses SRDF text once, as a stream with size limits, with no entity expanded and nothing fetched."""
 
 import functools
 import math
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import ModelError
-from .urdf import HasMacros, check_names, numbers, walk
+from .urdf import HasMacros, attribute_numbers, check_names, walk
 
-MEMBERS = ("link", "joint", "chain", "group")  # elements of a <group>
+MEMBERS = ("link", "joint", "chain", "group")  # A <group> may hold these elements.
 FACTS = ("group", "end_effector", "group_state", "passive_joint", "disable_collisions")
 FACTS += ("disable_default_collisions", "enable_collisions")
-NEEDED = {  # element -> required attributes
+NEEDED = {  # Maps an element to the attributes that it must have.
     "chain": ("base_link", "tip_link"),
     "link": ("name",),
     "joint": ("name",),
@@ -39,7 +39,11 @@ class Group:
 
 @dataclass(frozen=True)
 class EndEffector:
-    """An end effector: the link it is mounted on, the group of its own parts, the group that carries it ('' if not given)."""
+    """An end effector of a robot.
+
+    `parent_link` is the link that carries it, `group` has its own parts, and `parent_group` is the group it is mounted
+    on ('' if the SRDF does not say).
+    """
 
     name: str
     parent_link: str
@@ -49,18 +53,18 @@ class EndEffector:
 
 @functools.lru_cache(maxsize=16)
 def contents(text: str) -> dict[str, Any]:
-    """Fields of an `Srdf` (see there) in its text. Raises ModelError: broken, or over a cap."""
+    """Parse SRDF text into the fields of an `Srdf`. Raises ModelError if it is malformed or exceeds a size limit."""
     name = ""
     groups: dict[str, dict[str, list]] = {}
     ends: dict[str, EndEffector] = {}
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
-    lost: dict[tuple[str, str], str] = {}  # (configuration, group) -> why it is left out
+    lost: dict[tuple[str, str], str] = {}  # Each (configuration, group) left out has a reason.
     passive: list[str] = []
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []
     enabled: list[tuple[str, str]] = []
     remarks: list[str] = []
-    inside: list[str] = []  # name of the group being read, or configuration and group
+    inside: list[str] = []  # This holds the name of the group being read, or the configuration and its group.
 
     def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:
         nonlocal name
@@ -131,7 +135,7 @@ def _state(
     inside: list[str],
     lost: dict[tuple[str, str], str],
 ) -> None:
-    """Read a <group_state>, or a joint inside one; what is wrong with it costs this configuration and no other."""
+    """Read a <group_state> or a joint inside one; an error in it removes this configuration and no other."""
     if tag == "group_state":
         name, group = inside[:] = [given.get("name", ""), given.get("group", "")]
         if not name:
@@ -139,7 +143,7 @@ def _state(
         states.setdefault(name, {}).setdefault(group, {})
         return
     state, joint, text = states[inside[0]][inside[1]], given.get("name", ""), given.get("value", "")
-    values, why = tuple(numbers(text) or []), ""
+    values, why = tuple(attribute_numbers(text) or []), ""
     if not joint:
         why = f"<joint> in line {line} of the SRDF has no name"
     elif not values or not all(map(math.isfinite, values)):
@@ -151,7 +155,7 @@ def _state(
 
 
 def _groups(found: Mapping[str, Mapping[str, list]], remarks: list[str]) -> dict[str, Group]:
-    """Groups built from the members found; a remark is added for each subgroup that does not exist."""
+    """Make the groups from the members found, and remark on each subgroup that does not exist."""
     made = {name: Group(name, *(tuple(parts[kind]) for kind in MEMBERS)) for name, parts in found.items()}
     for group in made.values():
         unknown = [inner for inner in group.groups if inner not in made]

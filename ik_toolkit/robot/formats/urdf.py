@@ -1,7 +1,9 @@
-"""Safe reading of a URDF: one capped streaming parse that expands no entities and fetches nothing."""
+"""Reads a URDF safely, in one streaming parse with size limits that expands no entities and fetches nothing."""
 
+import codecs
 import functools
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,27 +11,30 @@ from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from ...errors import ModelError
-from .decode import decode, undeclared
 
-MAX_BYTES = 20_000_000
-MAX_JOINTS = 1_000  # including fixed and mimic joints: Pinocchio's parser recurses once per joint of a chain
-MAX_FREEDOM = 128  # one pin.Data holds eight arrays of n^3 doubles: 134 MB at 128, 0.5 GB at 200, 8 GB at 500
-MAX_ELEMENTS = 200_000
-MAX_DEPTH = 64
-MAX_ATTRIBUTES = 64  # of one element; Pinocchio's parser takes quadratic time, and URDF defines at most 6
-MAX_NAME = 255  # characters, as for a file name; messages repeat names
-MAX_TAG = 1_000_000  # bytes of one tag or comment, which the parser keeps in memory whole
-CHUNK = 65_536
-BLANK = "\ufeff \t\r\n"  # characters that may precede XML
-ENDLESS = 1e16  # a limit that Robot reads as "no limit" (NO_LIMIT)
-FREEDOM = {
-    "revolute": 1,
-    "continuous": 1,
-    "prismatic": 1,
-    "planar": 3,
-    "floating": 6,
-}  # degrees of freedom by joint type
-NUMBERS = {  # element -> attribute -> count of numbers
+
+class UrdfCaps(NamedTuple):
+    """Limits on a URDF, so that no file can exhaust this process; a file beyond one of them is refused."""
+
+    bytes: int = 20_000_000
+    # Limit on all joints, also fixed and mimic ones, because Pinocchio's parser recurses once per joint of a chain.
+    joints: int = 1_000
+    # A pin.Data holds eight arrays of n^3 doubles: 134 MB at 128 degrees of freedom, 0.5 GB at 200, 8 GB at 500.
+    freedom: int = 128
+    elements: int = 200_000
+    depth: int = 64
+    attributes: int = 64  # Pinocchio's parser takes time quadratic in the attributes of an element; URDF has at most 6.
+    name: int = 255  # Number of characters, as for a file name, because messages repeat names.
+    tag: int = 1_000_000  # Number of bytes of a tag or comment, which the parser keeps in memory as a whole.
+    chunk: int = 65_536  # Number of bytes that are given to the parser at a time.
+
+
+CAPS = UrdfCaps()
+BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
+ENDLESS = 1e16  # Robot reads a limit of this size as no limit (NO_LIMIT).
+# FREEDOM maps the type of a joint to its number of degrees of freedom.
+FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
+NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
@@ -43,15 +48,19 @@ NUMBERS = {  # element -> attribute -> count of numbers
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
 ITEMS = ("link", "joint", "material")
-# Elements that make a description xacro. A call of a macro alone cannot be expanded: a plain URDF from which it was left over.
+# A description with one of the elements in XACRO is xacro.
+# A mere call of a macro is left over in a plain URDF and cannot be expanded, so it does not count.
 XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
 XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")
-NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements whose attributes are names
+NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # These elements have attributes that hold names.
 
 
-class Part(NamedTuple):
-    """An element below a link, joint or material: its tag, attributes and line, and the tags between the two, outermost first."""
+class InnerElement(NamedTuple):
+    """An element below a link, joint or material.
+
+    `above` has the tags between the two, outermost first.
+    """
 
     tag: str
     attributes: Mapping[str, str]
@@ -61,55 +70,55 @@ class Part(NamedTuple):
 
 @dataclass
 class Item:
-    """The robot or an element directly below it: its attributes and line, and the elements inside a link, joint or material.
+    """The robot, or an element directly below it: a link, joint or material with the elements inside it.
 
-    shapes: for each visual and collision of a link 'role' (its tag), 'name', 'geometry' (tag, attributes), and the attributes of
-    'origin' (its rotation as rpy), 'material' and 'color', where they are given.
+    Each visual and collision of a link has a dict in `shapes`: 'role' (its tag), 'name', 'geometry' (tag, attributes)
+    and, where they are given, the attributes of 'origin' (rotation as rpy), 'material' and 'color'.
     """
 
     tag: str
     attributes: Mapping[str, str]
     line: int
-    inside: list[Part] = field(default_factory=list)
+    inside: list[InnerElement] = field(default_factory=list)
     shapes: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def name(self) -> str:
-        """Its name, or ''."""
+        """The name of the element, or '' if it has none."""
         return self.attributes.get("name", "")
 
     def __str__(self) -> str:
-        """Kind and name, for messages."""
+        """Return the element's kind and name, for messages."""
         return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
 
-    def own(self, tag: str) -> list[Part]:
+    def own(self, tag: str) -> list[InnerElement]:
         """Return the elements with this tag that are not inside another one."""
         return [part for part in self.inside if part.tag == tag and not part.above]
 
     def first(self, tag: str) -> Mapping[str, str] | None:
-        """Attributes of the first such element, or None: the one that counts, as in urdfdom."""
+        """Return the attributes of the first element with this tag, or None; as in urdfdom, later ones do not count."""
         return next((part.attributes for part in self.inside if part.tag == tag and not part.above), None)
 
 
 class HasMacros(ModelError):
-    """A description that xacro has to expand first."""
+    """The description has macros, which xacro must expand first."""
 
 
 class IsMjcf(ModelError):
-    """A description that MuJoCo has to compile first."""
+    """The description is MJCF, which MuJoCo must compile first."""
 
 
 def is_text(source: object) -> bool:
-    """Whether a source is XML text rather than a path or a name."""
+    """Return whether a source is XML text rather than a path or a name."""
     return isinstance(source, str) and source.lstrip(BLANK).startswith("<")
 
 
 def safe_read(source: str | Path) -> str:
-    """URDF text from a file or a string, after a parse that expands and fetches nothing.
+    """Return URDF text from a file or a string, after a parse that expands and fetches nothing.
 
-    Raises ModelError, in one sentence, if it is missing, empty, over 20 MB, not UTF-8, malformed (with the line), xacro, has a
-    DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of freedom, too long a
-    name or tag, or no root <robot>.
+    Raises ModelError, one sentence, if the text is missing, empty, over 20 MB, not UTF-8, malformed (with the line),
+    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of
+    freedom, too long a name or tag, or no root <robot>.
     """
     text = source_text(source, "URDF")
     parse(text)
@@ -117,11 +126,11 @@ def safe_read(source: str | Path) -> str:
 
 
 def source_text(source: str | Path, what: str) -> str:
-    """Text from a file or a string; ModelError if it is missing, empty, over 20 MB or not UTF-8."""
+    """Return text from a file or a string. Raises ModelError if it is missing, empty, over 20 MB or not UTF-8."""
     if is_text(source):
         assert isinstance(source, str)
-        if len(source) > MAX_BYTES:
-            raise ModelError(f"the {what} text is larger than {MAX_BYTES // 1_000_000} MB")
+        if len(source) > CAPS.bytes:
+            raise ModelError(f"the {what} text is larger than {CAPS.bytes // 1_000_000} MB")
         return undeclared(source.lstrip(BLANK))
     return _read_file(Path(source).expanduser())
 
@@ -132,24 +141,29 @@ def _read_file(path: Path) -> str:
         regular, exists = path.is_file(), path.exists()
         if regular:
             with path.open("rb") as file:
-                raw = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+                raw = file.read(CAPS.bytes + 1)
+    except (OSError, ValueError) as error:  # A path that contains a NUL raises ValueError.
         raise ModelError(f"cannot read {shown}: {getattr(error, 'strerror', None) or error}") from None
     if not regular:
         raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
-    if len(raw) > MAX_BYTES:
-        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB, too large for a robot description")
+    if len(raw) > CAPS.bytes:
+        raise ModelError(
+            f"'{path.name}' is larger than {CAPS.bytes // 1_000_000} MB, too large for a robot description"
+        )
     text = decode(raw, path.name).lstrip(BLANK)
     if not text:
         raise ModelError(f"'{path.name}' is empty")
-    if not text.isascii() and len(text.encode(errors="replace")) > MAX_BYTES:
-        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB as UTF-8")
+    if not text.isascii() and len(text.encode(errors="replace")) > CAPS.bytes:
+        raise ModelError(f"'{path.name}' is larger than {CAPS.bytes // 1_000_000} MB as UTF-8")
     return text
 
 
 @functools.lru_cache(maxsize=4)
 def parse(text: str) -> list[Item]:
-    """The robot, its links, joints and materials in the order of a URDF text; ModelError if it is not one or exceeds a cap."""
+    """Parse URDF text into the robot, links, joints and materials in the order of the text.
+
+    Raises ModelError if it is no URDF or exceeds a limit.
+    """
     items: list[Item] = []
     joints = 0
     macros = "${" in text or "$(" in text
@@ -168,20 +182,20 @@ def parse(text: str) -> list[Item]:
             raise HasMacros(f"line {line} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf")
         if len(above) < 2:
             joints += tag == "joint" and len(above) == 1
-            if joints > MAX_JOINTS:
-                raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
+            if joints > CAPS.joints:
+                raise ModelError(f"the URDF has more than {CAPS.joints:,} joints; it is not read")
             items.append(Item(tag, attributes, line))
         elif above[1] in ITEMS:
-            items[-1].inside.append(Part(tag, attributes, line, tuple(above[2:])))
+            items[-1].inside.append(InnerElement(tag, attributes, line, tuple(above[2:])))
             if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
                 _shape(items[-1].shapes, above[2:], tag, attributes)
 
     walk(text, "URDF", start)
     joined = [item for item in items if item.tag == "joint" and item.first("mimic") is None]
     freedom = sum(FREEDOM.get(item.attributes.get("type", ""), 0) for item in joined)
-    if freedom > MAX_FREEDOM:
+    if freedom > CAPS.freedom:
         raise ModelError(
-            f"the URDF has {freedom} degrees of freedom; at most {MAX_FREEDOM} are read, because the memory Pinocchio "
+            f"the URDF has {freedom} degrees of freedom; at most {CAPS.freedom} are read, because the memory Pinocchio "
             "needs grows with their cube; make the joints that need not move fixed"
         )
     return items
@@ -189,29 +203,29 @@ def parse(text: str) -> list[Item]:
 
 def check_names(attributes: Mapping[str, str], what: str, line: int) -> None:
     """Raise ModelError if an attribute that is a name is too long."""
-    if any(len(value) > MAX_NAME for value in attributes.values()):
-        raise ModelError(f"the {what} has a name of more than {MAX_NAME} characters in line {line}; it is not read")
+    if any(len(value) > CAPS.name for value in attributes.values()):
+        raise ModelError(f"the {what} has a name of more than {CAPS.name} characters in line {line}; it is not read")
 
 
 def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[str], int], None]) -> None:
-    """Parse XML text with size caps and call `start` with each element's tag, attributes, ancestors' tags and line.
+    """Parse XML text with size limits and call `start` with each element's tag, attributes, ancestors' tags and line.
 
-    what: the kind of file ('URDF'), for messages. Raises ModelError: not well-formed, has a DOCTYPE or entities, is nested too
-    deep, has too many elements or attributes, or too long a tag.
+    `what` is the kind of file ('URDF') for messages. Raises ModelError if the text is malformed, has a DOCTYPE or
+    entities, is nested too deep, has too many elements or attributes, or too long a tag.
     """
     stack: list[str] = []
     elements = 0
-    parser = expat.ParserCreate("utf-8")  # the encoding used below, whatever the XML declaration says
+    parser = expat.ParserCreate("utf-8")  # The text is encoded as UTF-8 below, whatever its XML declaration says.
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
         nonlocal elements
         elements += 1
-        if elements > MAX_ELEMENTS:
-            raise ModelError(f"the {what} has more than {MAX_ELEMENTS:,} elements; it is not read")
+        if elements > CAPS.elements:
+            raise ModelError(f"the {what} has more than {CAPS.elements:,} elements; it is not read")
         line = parser.CurrentLineNumber
-        if len(stack) >= MAX_DEPTH:
-            raise ModelError(f"the {what} is nested more than {MAX_DEPTH} deep in line {line}; it is not read")
-        if len(attributes) > MAX_ATTRIBUTES:
+        if len(stack) >= CAPS.depth:
+            raise ModelError(f"the {what} is nested more than {CAPS.depth} deep in line {line}; it is not read")
+        if len(attributes) > CAPS.attributes:
             raise ModelError(
                 f"the {what} has an element with {len(attributes):,} attributes in line {line}; it is not read"
             )
@@ -239,7 +253,7 @@ def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[st
 
 
 def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attributes: Mapping[str, str]) -> None:
-    """Record an element of a link below `above`; where only one is allowed the first counts, as in Pinocchio's parser."""
+    """Record an element inside a link's visual or collision; where URDF allows one, the first counts, as in Pinocchio's parser."""
     if not above:
         shapes.append({"role": tag, "name": attributes.get("name", "")})
     elif above[0] in SHAPES:
@@ -249,8 +263,8 @@ def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attribu
             shapes[-1].setdefault("geometry", (tag, attributes))
 
 
-def numbers(text: str) -> list[float] | None:
-    """Read the numbers of an attribute; None if anything else is in it."""
+def attribute_numbers(text: str) -> list[float] | None:
+    """Return the numbers in an attribute, or None if anything else is in it."""
     try:
         return [float(word) for word in text.split()] if "_" not in text else None
     except ValueError:
@@ -258,19 +272,22 @@ def numbers(text: str) -> list[float] | None:
 
 
 def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
-    """Attributes of an <origin> with its quaternion as rpy; unchanged if it has none, has both, or it is no rotation."""
-    quaternion = numbers(origin.get("quat_xyzw", "")) or []
+    """Return the attributes of an <origin> with its quaternion as rpy.
+
+    They are unchanged if there is no quaternion, if there is also an rpy, or if the quaternion is no rotation.
+    """
+    quaternion = attribute_numbers(origin.get("quat_xyzw", "")) or []
     if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
         return origin
     unit = [x / math.hypot(*quaternion) for x in quaternion]
-    from ..pose import matrix_rpy, quat_matrix  # loads numba, which a list of robots does without
+    from ..rotation import matrix_rpy, quat_matrix
 
     rpy = " ".join(map(repr, matrix_rpy(quat_matrix(unit)).tolist()))
     return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}
 
 
-def span(joint: Item) -> tuple[float, float]:
-    """Lower and upper limit [rad or m] of a joint: 0 where its <limit> has none, as URDF says, and ENDLESS at most, either way.
+def limits_of_joint(joint: Item) -> tuple[float, float]:
+    """Return the lower and upper limit [rad or m] of a joint: 0 if its <limit> gives none, as in URDF, and within +-ENDLESS.
 
     A follower whose <limit> is missing, or has neither, is held by its leader's limits alone.
     """
@@ -283,12 +300,66 @@ def span(joint: Item) -> tuple[float, float]:
 
 
 def _feed(parser: Any, raw: bytes, what: str) -> None:
-    """Parse piece by piece, so that an endless tag or comment is rejected before it fills the memory."""
-    for start in range(0, len(raw), CHUNK):
-        parser.Parse(raw[start : start + CHUNK], False)
-        if start + CHUNK - parser.CurrentByteIndex > MAX_TAG + CHUNK:
+    """Parse the text piece by piece, so that an endless tag or comment is rejected before it fills the memory."""
+    for start in range(0, len(raw), CAPS.chunk):
+        parser.Parse(raw[start : start + CAPS.chunk], False)
+        if start + CAPS.chunk - parser.CurrentByteIndex > CAPS.tag + CAPS.chunk:
             raise ModelError(
-                f"the {what} has a tag or comment of more than {MAX_TAG // 1_000_000} MB in line "
+                f"the {what} has a tag or comment of more than {CAPS.tag // 1_000_000} MB in line "
                 f"{parser.CurrentLineNumber}; it is not read"
             )
     parser.Parse(b"", True)
+
+
+MARKS = (  # byte order marks; UTF-32 first, because its mark begins with that of UTF-16
+    (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
+    (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
+)  # fmt: skip
+ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names that Python does not know
+DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
+# Encodings of text that Python decodes in time proportional to the input; no codec that unpacks, such as zip or hex.
+TEXTS = re.compile(
+    r"utf-8|ascii|iso8859-\d+|cp(125\d|437|85\d|866|932|936|949|950|1361)|koi8-[rtu]|mac-(roman|cyrillic|greek|latin2)|"
+    r"shift_jis(_2004|x0213)?|euc_(jp|kr|jis_2004|jisx0213)|iso2022_(jp|kr)(_\w+)?|gb2312|gbk|gb18030|hz|big5(hkscs)?|"
+    r"johab|tis-620|ptcp154|kz1048"
+)
+
+
+def decode(raw: bytes, name: str) -> str:
+    """Decode a file and return its text, without an encoding in the XML declaration.
+
+    The name of the file appears in error messages. Raises ModelError if the bytes are not text in the encoding found.
+    """
+    codec = next((codec for mark, codec in MARKS if raw.startswith(mark)), None)
+    head = DECLARED.match(raw[:1024].decode("latin-1")) if codec is None else None
+    codec = codec or (_codec(head[2]) if head else "utf-8")
+    try:
+        text = raw.decode(codec)
+    except UnicodeDecodeError as error:
+        lost = (
+            f" and declares '{head[2][:40]}', which is not read" if head and head[2].lower() != codec == "utf-8" else ""
+        )
+        what = "UTF-8" if codec.startswith("utf-8") else codec
+        raise ModelError(f"'{name}' is not {what} text (byte {error.start}){lost}; save it as UTF-8") from None
+    if "\0" in text:
+        raise ModelError(f"'{name}' is not UTF-8 text (it has NUL bytes); save it as UTF-8")
+    return undeclared(text)
+
+
+def undeclared(text: str) -> str:
+    """Remove an encoding other than UTF-8 from an XML declaration, so that no later reader decodes the text again."""
+    head = DECLARED.match(text[:1024])
+    return text if head is None or head[2].lower() == "utf-8" else head[1] + text[head.end() :]
+
+
+def _codec(declared: str) -> str:
+    """Return Python's codec for a declared encoding, or UTF-8 if the declared one is not in TEXTS.
+
+    UTF-8 may be right even if UTF-16 is declared, because a declaration that could be read is not in UTF-16.
+    """
+    try:
+        codec = codecs.lookup(ALIASES.get(declared.lower(), declared)).name if declared.isascii() else ""
+    except (LookupError, ValueError):
+        codec = ""
+    return codec if TEXTS.fullmatch(codec) else "utf-8"

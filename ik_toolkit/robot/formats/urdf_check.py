@@ -1,38 +1,38 @@
-"""Checks a URDF must pass before Pinocchio sees it, and the findings of `ik check`, element by element.
+"""Checks a URDF before Pinocchio sees it, and finds what `ik check` reports, element by element.
 
 Pinocchio's parser accepts zero axes, reversed limits and negative sizes, rejects an invalid tree without naming the
-element, and crashes the process on a very long chain. So every file first goes through our own streaming parse: capped,
-with no DOCTYPE, no entity expanded and nothing fetched.
+element, and crashes the process on a very long chain. So every file first goes through our own streaming parse, which
+has size limits, rejects a DOCTYPE, expands no entity and fetches nothing.
 """
 
+import difflib
 import functools
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ...errors import ModelError
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
-from .finding import Finding, did_you_mean, notes, odd, wrong
+from .finding import Finding, did_you_mean, error_finding, notes, odd
 from .mimic import followers
-from .spelling import misspelled
-from .urdf import Item, is_text, parse, safe_read
-from .urdf_values import joint_values, link_values, still, unversioned
+from .urdf import ITEMS, InnerElement, Item, is_text, parse, safe_read
+from .urdf_values import check_all_zero, check_joint, link_values, unversioned
 
-HINTS = 10  # near matches searched for in one file: each compares a name with every other
+HINTS = 10  # At most this many near matches are searched for in a file, because each compares a name with all others.
 
 
 def check_urdf(
     source: str | Path, package_dirs: Iterable[str | Path] = (), *, file: Path | None = None
 ) -> list[Finding]:
-    """Everything wrong with a URDF (path or text): errors, which prevent loading, then warnings.
+    """Return everything wrong with a URDF (path or text): errors, which prevent loading, then warnings.
 
-    file: the file a text came from. Meshes are searched for only in the file's folder, its ROS package and package_dirs;
-    network addresses are never opened.
+    `file` is the file that a text comes from. Meshes are searched for only in the file's folder, its ROS package and
+    package_dirs; network addresses are never opened.
     """
     try:
         text = safe_read(source)
     except ModelError as error:
-        return [wrong("file", str(error), "give a plain URDF file", 0)]
+        return [error_finding("file", str(error), "give a plain URDF file", 0)]
     items = parse(text)
     file = file if is_text(source) else Path(source)
     names = [part.attributes.get("filename", "") for item in items for part in item.inside if part.tag == "mesh"]
@@ -46,14 +46,15 @@ def check_urdf(
             build_model(text)
         except Exception as error:
             said = str(error).strip().splitlines()[-1]
-            errors.append(wrong("robot", f"Pinocchio rejects it: {said}", "this is Pinocchio's own message", 0))
+            errors.append(error_finding("robot", f"Pinocchio rejects it: {said}", "this is Pinocchio's own message", 0))
     return [*errors, *(finding for finding in found if finding.severity == "warning")]
 
 
 def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
-    """Raise ModelError naming the first invalid element of a URDF's kinematics (`check_urdf` lists all).
+    """Return the sentences that loading reports about a URDF.
 
-    Returns what loading says about the others; lines: whether those of the text are the file's.
+    Raises ModelError, which names the first invalid element of the kinematics, if there is one (`check_urdf` lists
+    all). `lines` tells whether lines of the text are lines of the file.
     """
     found = findings(text)
     errors = [finding for finding in found if finding.severity == "error"]
@@ -65,7 +66,7 @@ def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
 
 @functools.lru_cache(maxsize=4)
 def findings(text: str) -> tuple[Finding, ...]:
-    """Errors and warnings about a text that `safe_read` has accepted, without those about its meshes."""
+    """Return the errors and warnings about a text that `safe_read` has accepted, without those about its meshes."""
     return tuple(_findings(text))
 
 
@@ -74,23 +75,23 @@ def _findings(text: str) -> Iterator[Finding]:
     links = [item for item in items if item.tag == "link"]
     joints = [item for item in items if item.tag == "joint"]
     if not links:
-        yield wrong("robot", "it has no link", "a robot has at least a base link", items[0].line)
+        yield error_finding("robot", "it has no link", "a robot has at least a base link", items[0].line)
     for group in (links, joints):
         seen: dict[str, Item] = {}
         for item in group:
             if not item.name:
-                yield wrong(item, "it has no name", "give it a unique name", item.line)
+                yield error_finding(item, "it has no name", "give it a unique name", item.line)
             elif item.name in seen:
                 lines = f"lines {seen[item.name].line} and {item.line}"
-                yield wrong(item, f"the name is used twice ({lines})", "rename one of them", item.line)
+                yield error_finding(item, f"the name is used twice ({lines})", "rename one of them", item.line)
             seen.setdefault(item.name, item)
     for joint in joints:
         if joint.name == "universe":
-            yield wrong(joint, "Pinocchio reserves this name for the world", "rename it", joint.line)
-        yield from joint_values(joint)
+            yield error_finding(joint, "Pinocchio reserves this name for the world", "rename it", joint.line)
+        yield from check_joint(joint)
     if links:
         yield from _tree(links, joints)
-    yield from still(joints)
+    yield from check_all_zero(joints)
     yield from unversioned(items)
     yield from misspelled(items)
     for link in links:
@@ -103,7 +104,7 @@ def _findings(text: str) -> Iterator[Finding]:
 
 
 def _near(name: str, options: Iterable[str], before: int) -> str:
-    """Return '. Did you mean ...?' or '', without the list of all names; before: number of hints searched for so far."""
+    """Return '. Did you mean ...?' or ''; nothing is searched for after `before` has reached HINTS."""
     found = did_you_mean(name, options) if before < HINTS else ""
     return f".{found}" if found else ""
 
@@ -119,19 +120,19 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             link = ends[role] = (joint.first(role) or {}).get("link", "")
             if link not in links:
                 said = f"it has no {role} link" if not link else f"its {role} link '{link}' does not exist"
-                yield wrong(joint, said, f"name an existing link{_near(link, names, broken)}", joint.line)
+                yield error_finding(joint, said, f"name an existing link{_near(link, names, broken)}", joint.line)
                 broken += 1
         if ends["child"] in parent_of and ends["child"] in links:
             told = f"joint '{joint.name}' is a second parent joint"
-            yield wrong(f"link '{ends['child']}'", told, "a link has exactly one parent joint", joint.line)
+            yield error_finding(f"link '{ends['child']}'", told, "a link has exactly one parent joint", joint.line)
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # wrong roots and cycles would only repeat the above
+        return  # Findings on roots and cycles would only repeat the broken joints.
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"
-        yield wrong("robot", told, "connect them by joints to one root", min(lines[link] for link in done))
+        yield error_finding("robot", told, "connect them by joints to one root", min(lines[link] for link in done))
     for link in names:
         walk: dict[str, None] = {}
         while link not in done and link not in walk:
@@ -140,7 +141,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
         if link in walk:
             loop = list(walk)[list(walk).index(link) :]
             told = f"it is its own ancestor: {_some(loop)} form a loop"
-            yield wrong(f"link '{link}'", told, "a URDF is a tree: remove one joint", lines[link])
+            yield error_finding(f"link '{link}'", told, "a URDF is a tree: remove one joint", lines[link])
         done.update(walk)
 
 
@@ -150,7 +151,7 @@ def _some(names: Iterable[str]) -> str:
 
 
 def _loose(text: str, joints: list[Item]) -> Iterator[Finding]:
-    """Warnings about mimic joints that stay fixed because they cannot follow their leaders."""
+    """Yield warnings about mimic joints that stay fixed because they cannot follow their leaders."""
     names = {joint.name: joint.line for joint in reversed(joints)}
     for count, (joint, why) in enumerate(followers(text).loose.items()):
         leader = re.search("'(.*)'", why)
@@ -168,3 +169,111 @@ def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Itera
         except ModelError as error:
             advice = "needed only for display and collision checking; see package_dirs"
             yield odd(item, f"mesh '{name[:200]}' {error}", advice, part.line)
+
+
+ADVICE = "correct the name; as it is, every reader of URDF ignores it"
+ROOT = ("link", "joint", "material")
+ELEMENTS: Mapping[str, tuple[str, ...]] = {  # item or element -> elements that it may hold
+    "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
+    "link": ("inertial", "visual", "collision"),
+    "visual": ("origin", "geometry", "material"),
+    "collision": ("origin", "geometry", "material"),
+    "geometry": ("box", "sphere", "cylinder", "capsule", "mesh"),
+}
+ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
+    "link": ("name",),
+    "joint": ("name", "type"),
+    "origin": ("xyz", "rpy", "quat_xyzw"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "velocity", "effort"),
+    "mimic": ("joint", "multiplier", "offset"),
+    "parent": ("link",),
+    "child": ("link",),
+    "box": ("size",),
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+    "mesh": ("filename", "scale"),
+}
+CLOSED = ("origin", "axis", "mimic", "parent", "child")  # elements to which no program adds attributes of its own
+KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
+SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
+MOST = 500  # different unknown names of a file that are compared: each takes up to 0.1 ms
+NEAR = 0.82  # likeness from which a name counts as misspelled: "gear_velocity" of some files is no "velocity"
+
+
+def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
+    """Yield warnings for unknown elements and attributes of links and joints, and for elements that a joint has twice."""
+    seen: set[str] = set()
+    for item in items:
+        if item.tag in ("link", "joint"):
+            yield from _attributes(item, InnerElement(item.tag, item.attributes, item.line), seen)
+            for part in item.inside:
+                yield from _part(item, part, seen)
+            if item.tag == "joint":
+                yield from _twice(item)
+        elif item.tag not in (*ITEMS, "robot") and (near := _known_like(item.tag, ROOT, seen)):
+            yield _unknown("robot", f"<{item.tag}>", f"<{near}>", item.line)
+
+
+def _part(item: Item, part: InnerElement, seen: set[str]) -> Iterator[Finding]:
+    inside = part.above[-1] if part.above else item.tag
+    if inside == "inertial" or (len(part.above) > 1 and part.above[-1] != "geometry"):
+        return
+    known = ELEMENTS.get(inside)
+    if known is None:
+        return
+    if part.tag in known:
+        yield from _attributes(item, part, seen)
+        return
+    if part.tag in ("link", "joint") and not part.above:
+        told = f"the <{part.tag}> inside it is ignored"
+        yield odd(item, told, "write it directly below <robot>", part.line, at_load=True)
+        return
+    near = _known_like(part.tag, known, seen)
+    if near:
+        yield _unknown(item, f"<{part.tag}>", f"<{near}>", part.line)
+    elif ":" not in part.tag and (
+        inside == "geometry" or (item.tag == "joint" and any(key in KINEMATIC for key in part.attributes))
+    ):
+        yield _unknown(item, f"<{part.tag}>", "", part.line)
+
+
+def _attributes(item: Item, part: InnerElement, seen: set[str]) -> Iterator[Finding]:
+    known = ATTRIBUTES.get(part.tag, ())
+    for key in part.attributes if known else ():
+        if key in known or key.startswith("xmlns"):
+            continue
+        near = _known_like(key, known, seen)
+        # An attribute of a namespace is an extension unless it has one of our names.
+        if near or (":" not in key and part.tag in CLOSED):
+            yield _unknown(item, f"{key}= of <{part.tag}>", f"{near}=" if near else "", part.line)
+
+
+def _twice(joint: Item) -> Iterator[Finding]:
+    for tag in SINGLE:
+        several = joint.own(tag)
+        if len(several) > 1:
+            lines = " and ".join(str(part.line) for part in several[:2])
+            told = f"it has {len(several)} <{tag}> (lines {lines}): the first counts"
+            yield odd(joint, told, "remove the others", several[1].line, at_load=True)
+
+
+def _unknown(element: object, name: str, near: str, line: int) -> Finding:
+    told = f"{name} is not known and is ignored" + (f"; {near} is meant?" if near else "")
+    return odd(element, told, ADVICE, line, at_load=True)
+
+
+def _known_like(name: str, known: tuple[str, ...], seen: set[str]) -> str:
+    """The known name that another one is like, or ''. seen: names of this file looked up so far."""
+    if len(seen) >= MOST and name not in seen:
+        return ""
+    seen.add(name)
+    return _like(name[:100], known)
+
+
+@functools.lru_cache(maxsize=2 * 1024)
+def _like(name: str, known: tuple[str, ...]) -> str:
+    said = name.rpartition(":")[2].lower().replace("-", "_")
+    begins = [one for one in known if said.startswith(one) and len(said) <= len(one) + 5]
+    return next(iter(begins or difflib.get_close_matches(said, known, 1, NEAR)), "")

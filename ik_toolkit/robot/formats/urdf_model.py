@@ -1,8 +1,8 @@
-"""URDF text -> Pinocchio model that follows mimic joints.
+"""Builds a Pinocchio model from URDF text, with followers tied to their leaders.
 
-Pinocchio's parser gets a text of ours that holds what concerns the motion and nothing else, every number checked and written
-out. It therefore has nothing to complain about on stderr, and nothing that it does not know (extensions, encodings, processing
-instructions, quaternions, limits without an effort) can make it refuse a file or misread it.
+Pinocchio's parser gets a text of ours that has only what concerns the motion, with every number checked and written
+out. It therefore prints no warning, and nothing that it does not know (extensions, encodings, processing instructions,
+quaternions, limits without an effort) can make it refuse a file or misread it.
 """
 
 import html
@@ -13,13 +13,13 @@ import numpy as np
 import pinocchio as pin
 
 from .mimic import MOVING, Followers, followers
-from .urdf import ENDLESS, Item, numbers, parse, plain_origin, span
+from .urdf import ENDLESS, Item, attribute_numbers, limits_of_joint, parse, plain_origin
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def build_model(text: str) -> pin.Model:
-    """Pinocchio's model of a URDF that `require_loadable` has accepted. Raises what Pinocchio raises.
+    """Build Pinocchio's model of a URDF that `require_loadable` has accepted. Raises what Pinocchio raises.
 
     Followers of joints that do not exist or are followers themselves are tied as mimic.py says.
     """
@@ -41,7 +41,7 @@ def build_model(text: str) -> pin.Model:
 
 
 def motion_text(items: Sequence[Item], found: Followers, lent: Mapping[str, str]) -> str:
-    """URDF of the links and joints that urdfdom reads without a word; lent: joint name -> temporary name."""
+    """Write the links and joints as a URDF that urdfdom reads without a warning; `lent` maps a joint to its temporary name."""
     both = {*found.tied, *(tie.leader for tie in found.tied.values())}
     rows = [f'<robot name="{_quoted(items[0].name or "robot")}">']
     for item in items:
@@ -53,11 +53,11 @@ def motion_text(items: Sequence[Item], found: Followers, lent: Mapping[str, str]
 
 
 def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -> Iterable[str]:
-    """Pieces of a joint's text; both: whether it leads or follows another one.
+    """Yield the pieces of a joint's text; `both` tells whether the joint leads or follows another one.
 
-    A continuous joint that does becomes a revolute joint without limits. Stored as cosine and sine it would lose whole turns, and
-    a follower with ratio 0.5 would be off by half a turn; nor does Pinocchio let a continuous joint lead or follow one of another
-    type.
+    A continuous joint that does becomes a revolute joint without limits. Stored as cosine and sine it would lose whole
+    turns, and a follower with ratio 0.5 would be off by half a turn. Pinocchio also does not let a continuous joint
+    lead or follow one of another type.
     """
     name, kind = joint.name, joint.attributes["type"]
     shown = "revolute" if both and kind == "continuous" else kind
@@ -68,7 +68,7 @@ def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -
     if kind in MOVING:
         yield f'<axis xyz="{_text(axis_of(joint))}"/>'
         limit = joint.first("limit")
-        low, high = span(joint)
+        low, high = limits_of_joint(joint)
         effort, velocity = (_most(limit, key) for key in ("effort", "velocity"))
         if shown != "continuous" or limit is not None:
             yield f'<limit lower="{low!r}" upper="{high!r}" effort="{effort!r}" velocity="{velocity!r}"/>'
@@ -83,16 +83,20 @@ def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -
 
 
 def axis_of(joint: Item) -> list[float]:
-    """Axis of a joint, along x where none is given, as URDF says; one too long for Pinocchio to square is shortened."""
-    axis = numbers((joint.first("axis") or {}).get("xyz", "1 0 0")) or []
+    """Return the axis of a joint: x if none is given, as in URDF.
+
+    An axis too long for Pinocchio to square is shortened.
+    """
+    axis = attribute_numbers((joint.first("axis") or {}).get("xyz", "1 0 0")) or []
     length = math.hypot(*axis)
     return [x / length for x in axis] if length > 1e100 else axis
 
 
 def _turn_plane(model: pin.Model, joint: Item) -> None:
-    """Turn a planar joint's plane: it is perpendicular to the axis, says URDF, but Pinocchio's is always that of x and y.
+    """Turn the plane of a planar joint: in URDF it is perpendicular to the axis, in Pinocchio it is always that of x and y.
 
-    The frame of the joint is turned by the shortest rotation of z onto the axis, and all that it carries back.
+    The frame of the joint is turned by the shortest rotation of z onto the axis, and everything the joint carries is
+    turned back.
     """
     axis = np.array(axis_of(joint))
     R = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis), np.zeros(3))
@@ -109,13 +113,13 @@ def _turn_plane(model: pin.Model, joint: Item) -> None:
 
 
 def _most(limit: Mapping[str, str] | None, key: str) -> float:
-    """Effort or velocity limit; ENDLESS where it is missing, not a number, negative, infinite, or a velocity of 0."""
-    value = (numbers((limit or {}).get(key, "")) or [math.nan])[0]
+    """Return an effort or velocity limit, or ENDLESS if it is missing, no number, negative, infinite, or a velocity of 0."""
+    value = (attribute_numbers((limit or {}).get(key, "")) or [math.nan])[0]
     return value if (0.0 if key == "velocity" else -1e-300) < value < ENDLESS else ENDLESS
 
 
 def _inertial(link: Item) -> str:
-    """The <inertial> of a link, or nothing where urdfdom could not read it."""
+    """Return the <inertial> of a link, or an empty text if urdfdom could not read it."""
     inside = {part.tag: part.attributes for part in reversed(link.inside) if part.above == ("inertial",)}
     mass = _numbers(inside.get("mass", {}), ("value",))
     inertia = _numbers(inside.get("inertia", {}), INERTIA)
@@ -126,18 +130,18 @@ def _inertial(link: Item) -> str:
 
 
 def _origin(given: Mapping[str, str] | None) -> str:
-    """Text of an <origin>; 'nan' stands for what are not three finite numbers."""
+    """Return the text of an <origin>; 'nan' replaces what is not three finite numbers."""
     if given is None:
         return ""
     origin = plain_origin(given)
-    rows = [numbers(origin.get(key, "0 0 0")) or [] for key in ("xyz", "rpy")]
+    rows = [attribute_numbers(origin.get(key, "0 0 0")) or [] for key in ("xyz", "rpy")]
     xyz, rpy = (_text(row) if len(row) == 3 and all(map(math.isfinite, row)) else "nan" for row in rows)
     return f'<origin xyz="{xyz}" rpy="{rpy}"/>'
 
 
 def _numbers(attributes: Mapping[str, str], keys: Iterable[str]) -> dict[str, float]:
-    """Those of the attributes that are one finite number."""
-    found = {key: numbers(attributes.get(key, "")) or [] for key in keys}
+    """Return those of the attributes that are one finite number."""
+    found = {key: attribute_numbers(attributes.get(key, "")) or [] for key in keys}
     return {key: row[0] for key, row in found.items() if len(row) == 1 and math.isfinite(row[0])}
 
 

@@ -1,33 +1,33 @@
-"""The numbers of a URDF: those that make it unusable, and those that probably mean something else than they say."""
+"""Checks the numbers of a URDF: some make it unusable, others probably mean something else than they say."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from .finding import Finding, did_you_mean, odd, wrong
+from .finding import Finding, did_you_mean, error_finding, odd
 from .mimic import MOVING
-from .urdf import ENDLESS, NUMBERS, SHAPES, Item, Part, numbers, plain_origin
+from .urdf import ENDLESS, NUMBERS, SHAPES, InnerElement, Item, attribute_numbers, plain_origin
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
-SHAPE = {  # attributes without which a shape is none
+SHAPE = {  # A shape without these attributes has no size.
     "box": ("size",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",),
 }  # fmt: skip
-UNIT = 0.01  # a quaternion's or an axis' length may differ from 1 by this much without a remark
-DEGREES = (30.0, 360.0)  # whole numbers of this size are degrees rather than radians
+UNIT = 0.01  # The length of a quaternion or an axis may differ from 1 by this much before it is reported.
+DEGREES = (30.0, 360.0)  # A whole number in this range is taken for degrees rather than radians.
 IN_DEGREES = "URDF means radians: write 3.14159 for 180 degrees"
 UNUSED = "without it the joint counts as having no such limit; other readers of URDF refuse the file"
 
 
-def joint_values(joint: Item) -> Iterator[Finding]:
-    """Errors and warnings for the type and the numbers of a joint."""
+def check_joint(joint: Item) -> Iterator[Finding]:
+    """Yield errors and warnings about the type and the numbers of a joint."""
     kind = joint.attributes.get("type")
     if kind not in TYPES:
         near = did_you_mean(kind or "", TYPES)
         said = "it has no type" if kind is None else f"its type '{kind}' is unknown"
-        yield wrong(joint, said, f"use one of: {', '.join(TYPES)}.{near}", joint.line)
+        yield error_finding(joint, said, f"use one of: {', '.join(TYPES)}.{near}", joint.line)
         return
     for part in _counting(joint, "origin"):
-        yield from _numbers(joint, part, wrong)
-        yield from _origin(joint, part, wrong)
+        yield from _numbers(joint, part, error_finding)
+        yield from _origin(joint, part, error_finding)
     if kind in ("floating", "planar"):
         told = f"a {kind} joint is held still, and poses are given in the link it carries"
         yield odd(joint, told, "give base_limits= to let it move, or make it fixed", joint.line)
@@ -35,8 +35,8 @@ def joint_values(joint: Item) -> Iterator[Finding]:
         yield from _axis(joint, kind)
     if kind in MOVING:
         for part in _counting(joint, "mimic"):
-            yield from _numbers(joint, part, wrong)
-            offset = numbers(part.attributes.get("offset", "0")) or []
+            yield from _numbers(joint, part, error_finding)
+            offset = attribute_numbers(part.attributes.get("offset", "0")) or []
             if kind != "prismatic" and any(map(_degrees, offset)):
                 told = f'its <mimic offset="{offset[0]:g}"> looks like degrees'
                 yield odd(joint, told, IN_DEGREES, part.line, at_load=True)
@@ -46,7 +46,7 @@ def joint_values(joint: Item) -> Iterator[Finding]:
 
 
 def link_values(link: Item) -> Iterator[Finding]:
-    """Warnings for the numbers of a link's shapes and inertia, without which the robot moves as well."""
+    """Yield warnings about the numbers of a link's shapes and inertia, without which the robot can still move."""
     drawn = [part for part in link.inside if part.tag in SHAPES and not part.above]
     for part, shape in zip(drawn, link.shapes, strict=True):
         if part.tag == "collision" and "geometry" not in shape:
@@ -64,37 +64,42 @@ def link_values(link: Item) -> Iterator[Finding]:
             if part.tag == "origin":
                 yield from _origin(link, part, odd)
         for key in ("radius", "length", "size") if part.tag in ("box", "cylinder", "capsule", "sphere") else ():
-            values = numbers(part.attributes.get(key, ""))
+            values = attribute_numbers(part.attributes.get(key, ""))
             if values and min(values) <= 0.0:
                 told = f"<{part.tag}> has the {key} {part.attributes[key]}"
                 yield odd(link, told, "sizes are positive", part.line)
-        scale = numbers(part.attributes.get("scale", "")) if part.tag == "mesh" else None
+        scale = attribute_numbers(part.attributes.get("scale", "")) if part.tag == "mesh" else None
         if scale and min(map(abs, scale)) == 0.0:
             told = f"its mesh has the scale {part.attributes['scale']}"
             yield odd(link, told, "a zero scale leaves nothing to draw", part.line)
 
 
-def still(joints: Sequence[Item]) -> Iterator[Finding]:
-    """A warning if all limits of a robot are 0 to 0, as exporters write them before anybody has filled them in."""
+def check_all_zero(joints: Sequence[Item]) -> Iterator[Finding]:
+    """Yield a warning if all limits of a robot are 0 to 0, which exporters write until somebody fills them in."""
     limited = [joint for joint in joints if joint.attributes.get("type") in ("revolute", "prismatic")]
-    ends = [numbers(limit.get(end, "0")) for j in limited if (limit := j.first("limit")) for end in ("lower", "upper")]
+    ends = [
+        attribute_numbers(limit.get(end, "0"))
+        for j in limited
+        if (limit := j.first("limit"))
+        for end in ("lower", "upper")
+    ]
     if limited and len(ends) == 2 * len(limited) and all(end == [0.0] for end in ends):
         told = f"all limits ({len(limited)}) are 0 to 0, so these joints cannot move"
         yield odd("robot", told, "write the limits of the real robot", limited[0].line, at_load=True)
 
 
-def _counting(joint: Item, tag: str) -> list[Part]:
+def _counting(joint: Item, tag: str) -> list[InnerElement]:
     return joint.own(tag)[:1]
 
 
-def _numbers(item: Item, part: Part, found: Callable[..., Finding]) -> Iterator[Finding]:
-    """Findings made by `found` (wrong or odd) for attributes that are not as many finite numbers as they should be."""
-    advice = "correct it" if found is wrong else "this part is ignored; correct it"
+def _numbers(item: Item, part: InnerElement, found: Callable[..., Finding]) -> Iterator[Finding]:
+    """Yield findings, made by `found` (wrong or odd), for attributes that are not the right count of finite numbers."""
+    advice = "correct it" if found is error_finding else "this part is ignored; correct it"
     for key, count in NUMBERS[part.tag].items():
         if key not in part.attributes:
             continue
         text = part.attributes[key]
-        values = numbers(text)
+        values = attribute_numbers(text)
         shown = f'<{part.tag} {key}="{text[:60]}">'
         if values is None or len(values) != count:
             told = f"{shown} is not {'a number' if count == 1 else f'{count} numbers'}"
@@ -103,14 +108,14 @@ def _numbers(item: Item, part: Part, found: Callable[..., Finding]) -> Iterator[
             yield found(item, f"{shown} is not finite", "write a finite number", part.line)
 
 
-def _origin(item: Item, part: Part, found: Callable[..., Finding]) -> Iterator[Finding]:
-    """Findings for the rotation of an <origin>; where its numbers are not numbers, that has been said."""
+def _origin(item: Item, part: InnerElement, found: Callable[..., Finding]) -> Iterator[Finding]:
+    """Yield findings about the rotation of an <origin>; text that is not a number has been reported before."""
     given = part.attributes
-    rpy = numbers(given.get("rpy", "")) or []
+    rpy = attribute_numbers(given.get("rpy", "")) or []
     if any(map(_degrees, rpy)):
         told = f'its <origin rpy="{given["rpy"]}"> looks like degrees'
         yield odd(item, told, IN_DEGREES, part.line, at_load=item.tag == "joint")
-    quaternion = numbers(given.get("quat_xyzw", "")) or []
+    quaternion = attribute_numbers(given.get("quat_xyzw", "")) or []
     if len(quaternion) != 4 or not all(map(math.isfinite, quaternion)):
         return
     if "rpy" in given:
@@ -124,8 +129,8 @@ def _origin(item: Item, part: Part, found: Callable[..., Finding]) -> Iterator[F
 
 
 def unversioned(items: Sequence[Item]) -> Iterator[Finding]:
-    """A warning for quaternions in a file that does not declare the URDF version that has them."""
-    version = numbers(items[0].attributes.get("version", "1.0").partition(" ")[0]) or [1.0]
+    """Yield a warning for quaternions in a file that does not declare a URDF version with quaternions."""
+    version = attribute_numbers(items[0].attributes.get("version", "1.0").partition(" ")[0]) or [1.0]
     used = [
         (item, part)
         for item in items
@@ -142,18 +147,18 @@ def _axis(joint: Item, kind: str) -> Iterator[Finding]:
     parts = _counting(joint, "axis")
     line = parts[0].line if parts else joint.line
     if parts:
-        yield from _numbers(joint, parts[0], wrong)
+        yield from _numbers(joint, parts[0], error_finding)
     if kind == "planar" and not parts:
-        told = "it has no <axis>, so its plane is that of y and z, says URDF"
+        told = "it has no <axis>, so by URDF's default (1 0 0) its plane is that of y and z"
         yield odd(joint, told, 'write <axis xyz="0 0 1"/> for the plane of x and y', line, at_load=True)
     if parts and "xyz" not in parts[0].attributes:
         yield odd(joint, "its <axis> has no xyz: read as 1 0 0", 'write <axis xyz="0 0 1"/>', line, at_load=True)
-    axis = numbers(parts[0].attributes.get("xyz", "1 0 0")) if parts else None
+    axis = attribute_numbers(parts[0].attributes.get("xyz", "1 0 0")) if parts else None
     if axis is None or len(axis) != 3 or not all(map(math.isfinite, axis)):
         return
     length = math.hypot(*axis)
     if not length > 1e-6:
-        yield wrong(
+        yield error_finding(
             joint, "its axis is zero, so it has no direction to move in", "write a unit axis such as 0 0 1", line
         )
     elif abs(length - 1.0) > UNIT:
@@ -169,9 +174,11 @@ def _limit(joint: Item, kind: str) -> Iterator[Finding]:
         yield odd(joint, f"{told}: it moves as far as its leader does", advice, parts[0].line if parts else joint.line)
     if not parts:
         if kind == "revolute" and not led:
-            yield wrong(joint, "it has no <limit>", "add lower and upper [rad], or make it continuous", joint.line)
+            yield error_finding(
+                joint, "it has no <limit>", "add lower and upper [rad], or make it continuous", joint.line
+            )
         elif kind == "prismatic" and not led:
-            yield wrong(joint, "it has no <limit>", "add lower and upper [m]", joint.line)
+            yield error_finding(joint, "it has no <limit>", "add lower and upper [m]", joint.line)
         return
     limit, line = parts[0].attributes, parts[0].line
     for key in ("effort", "velocity"):
@@ -180,11 +187,11 @@ def _limit(joint: Item, kind: str) -> Iterator[Finding]:
         yield from _free_limits(joint, kind)
     if kind == "continuous" or loose:
         return
-    ends = [numbers(limit.get(end, "0")) or [] for end in ("lower", "upper")]
+    ends = [attribute_numbers(limit.get(end, "0")) or [] for end in ("lower", "upper")]
     for end, values in zip(("lower", "upper"), ends, strict=True):
         if len(values) != 1 or math.isnan(values[0]):
             told = f'<limit {end}="{limit[end][:60]}"> is not a number'
-            yield wrong(joint, told, "write a number, or inf for none", line)
+            yield error_finding(joint, told, "write a number, or inf for no limit", line)
     if all(len(values) == 1 for values in ends):
         yield from _ends(joint, kind, limit, ends[0][0], ends[1][0], line)
 
@@ -195,7 +202,9 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
         told = f"its <limit> has no {' and no '.join(missing)}: read as 0"
         yield odd(joint, told, "write both limits", line, at_load=True)
     if low >= ENDLESS or high <= -ENDLESS:
-        yield wrong(joint, f"its limits {low:g} to {high:g} leave it no position", "-inf to inf is no limit", line)
+        yield error_finding(
+            joint, f"its limits {low:g} to {high:g} leave it no position to take", "-inf to inf is no limit", line
+        )
     elif low > high:
         told = f"its lower limit {low:g} is above its upper limit {high:g}: no tip can use it"
         yield odd(joint, told, reversed_advice(low, high, kind == "revolute"), line)
@@ -211,7 +220,7 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
 
 
 def reversed_advice(low: float, high: float, turns: bool) -> str:
-    """What reversed limits may mean: both readings."""
+    """Return advice on reversed limits, which may mean either of two ranges."""
     swapped = f"swap them if {high:g} to {low:g} is meant"
     if not turns:
         return f"{swapped}, or change their signs and the axis if {-low:g} to {-high:g} is meant"
@@ -219,9 +228,11 @@ def reversed_advice(low: float, high: float, turns: bool) -> str:
 
 
 def _free_limits(joint: Item, kind: str) -> Iterator[Finding]:
-    """A warning for position limits of a joint that has none by its type."""
+    """Yield a warning for position limits of a joint whose type has none."""
     for part in _counting(joint, "limit"):
-        said = [end for end in ("lower", "upper") if (numbers(part.attributes.get(end, "0")) or [1.0]) != [0.0]]
+        said = [
+            end for end in ("lower", "upper") if (attribute_numbers(part.attributes.get(end, "0")) or [1.0]) != [0.0]
+        ]
         if said:
             advice = "make it revolute if they are meant" if kind == "continuous" else "give them as base_limits="
             told = f"{' and '.join(said)} of a {kind} joint are ignored"
@@ -229,17 +240,19 @@ def _free_limits(joint: Item, kind: str) -> Iterator[Finding]:
 
 
 def _power(joint: Item, limit: Mapping[str, str], key: str, line: int) -> Iterator[Finding]:
-    """Warnings for an effort or velocity limit that is none."""
+    """Yield warnings about an effort or velocity limit that does not limit anything."""
     if key not in limit:
         yield odd(joint, f"its <limit> has no {key}", UNUSED, line)
         return
-    values = numbers(limit[key]) or []
+    values = attribute_numbers(limit[key]) or []
     if len(values) != 1 or math.isnan(values[0]):
         yield odd(joint, f'<limit {key}="{limit[key][:60]}"> is not a number', UNUSED, line)
     elif values[0] < 0.0:
-        yield odd(joint, f"its {key} limit is negative ({limit[key]}): taken for none", "write a positive number", line)
+        yield odd(
+            joint, f"its {key} limit is negative ({limit[key]}), read as no limit", "write a positive number", line
+        )
     elif values[0] == 0.0 and key == "velocity":
-        told = "its velocity limit is 0: taken for none, because a joint that may not move would be fixed"
+        told = "its velocity limit is 0, read as no limit: a joint that cannot move would be fixed"
         yield odd(joint, told, "write the speed of the real joint [rad/s or m/s]", line)
 
 

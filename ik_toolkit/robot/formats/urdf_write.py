@@ -1,17 +1,17 @@
-"""URDF elements: links, joints and primitive shapes, written with only the standard library's XML."""
+"""Writes links, joints and primitive shapes as URDF elements, with the XML of the standard library only."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..pose import matrix_rpy
+from ..rotation import matrix_rpy
 
 COLOURS = {"steel": "0.23 0.26 0.30 1", "orange": "0.93 0.52 0.11 1", "silver": "0.72 0.74 0.77 1"}
 
 
 def new_robot(name: str) -> ET.Element:
-    """Return an empty <robot> with the materials defined."""
+    """Return an empty <robot> that defines the materials."""
     robot = ET.Element("robot", name=name)
     for colour, rgba in COLOURS.items():
         ET.SubElement(ET.SubElement(robot, "material", name=colour), "color", rgba=rgba)
@@ -19,13 +19,13 @@ def new_robot(name: str) -> ET.Element:
 
 
 def to_text(robot: ET.Element) -> str:
-    """Indented XML text of a robot element."""
+    """Return a robot element as indented XML text."""
     ET.indent(robot)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
 def add_link(robot: ET.Element, name: str) -> ET.Element:
-    """Append an empty link."""
+    """Append an empty link and return it."""
     return ET.SubElement(robot, "link", name=name)
 
 
@@ -38,9 +38,10 @@ def add_joint(
     T: np.ndarray,
     limit: Mapping[str, float] | None = None,
 ) -> None:
-    """Append a joint at T (4x4) in the parent link; a moving one rotates about or slides along z and has limits.
+    """Append a joint at the pose T (4x4) [m] in the parent link; a moving one rotates about or slides along z and has limits.
 
-    limit: lower, upper [rad or m] (none for a continuous joint), effort, velocity (required by Pinocchio).
+    The limits are lower and upper [rad or m], which a continuous joint lacks, and effort and velocity, which Pinocchio
+    requires.
     """
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     origin(joint, T)
@@ -54,9 +55,9 @@ def add_joint(
 def add_shape(
     link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False
 ) -> None:
-    """Append a visual (and a collision shape when solid): 'box' (x, y, z) or 'cylinder' (radius, length on z) [m]."""
+    """Append a visual, and if it is solid a collision shape: a 'box' (x, y, z) or a 'cylinder' (radius, length on z) [m]."""
     if min(size) <= 0.0:
-        return  # a prismatic joint without a stroke has no tube to draw
+        return  # A prismatic joint without a stroke has no tube to draw.
     for tag in ("visual", "collision") if solid else ("visual",):
         part = ET.SubElement(link, tag)
         origin(part, T)
@@ -70,7 +71,10 @@ def add_shape(
 
 
 def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a bar: round along z, a flat-sided boom otherwise; its collision shape stops short of the joint drums."""
+    """Draw a bar from a to b [m]: round along z, otherwise a flat-sided boom.
+
+    Its collision shape ends before the joint drums.
+    """
     length = float(np.linalg.norm(b - a))
     T = _along(a, b)
     if abs(T[2, 2]) > 0.999:
@@ -91,7 +95,7 @@ def _solid(T: np.ndarray, radius: float, length: float) -> ET.Element:
 
 
 def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a palm and two fingers whose ends enclose the point b."""
+    """Draw a palm and two fingers whose ends enclose the point b [m]."""
     size = min(r, float(np.linalg.norm(b - a)) / 5.2)
     T = _along(a, b)
     T[:3, 3] = b
@@ -103,14 +107,14 @@ def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> Non
 
 
 def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """Transform (4x4) of a pure translation [m]."""
+    """Return the transform (4x4) of a pure translation [m]."""
     T = np.eye(4)
     T[:3, 3] = x, y, z
     return T
 
 
 def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Frame midway between a and b with z from a to b; a boom stays upright on the joint's axis."""
+    """Return the frame (4x4) midway between a and b with z from a to b, turned so that a boom stays upright on the joint's axis."""
     z = (b - a) / np.linalg.norm(b - a)
     side = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     y = np.cross(z, side)
@@ -122,16 +126,16 @@ def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- text
 def origin(parent: ET.Element, T: np.ndarray) -> None:
-    """Append an <origin> for a pose T (4, 4)."""
+    """Append an <origin> for the pose T (4, 4) [m]."""
     ET.SubElement(parent, "origin", xyz=numbers_text(T[:3, 3]), rpy=numbers_text(matrix_rpy(T[:3, :3])))
 
 
 def numbers_text(values: Sequence[float] | np.ndarray) -> str:
-    """Numbers as attribute text that reads back unchanged."""
+    """Write numbers as an attribute that reads back unchanged."""
     return " ".join(_text(value) for value in values)
 
 
 def _text(value: float) -> str:
-    """Shortest text that reads back as the same number; -0 becomes 0."""
+    """Return the shortest text that reads back as the same number; -0 becomes 0."""
     number = float(value) + 0.0
     return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)

@@ -1,4 +1,4 @@
-"""Xacro -> URDF or SRDF text, expanded in a subprocess with caps on time and memory (see xacro_worker.py)."""
+"""Expands xacro to URDF or SRDF text in a subprocess with limits on time and memory (see xacro_worker.py)."""
 
 import importlib.util
 import logging
@@ -11,18 +11,22 @@ from ...errors import InvalidOption, MissingExtra, ModelError, near_match
 from .sandbox import ask
 
 WORKER = Path(__file__).with_name("xacro_worker.py")
-MEMORY = 1_000_000_000  # bytes; large robots take 0.1 GB
-SECONDS = 3  # of processor time, where the count of steps does not end it before; robots take 0.1 to 0.3 s
+MEMORY = 1_000_000_000  # Memory cap [bytes] of the process. Large robots take 0.1 GB.
+# Cap on processor time [s], in case the count of steps does not end the process before. Robots take 0.1 to 0.3 s.
+SECONDS = 3
 ENVIRONMENT = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 
 
 def has_macros(srdf: Any) -> bool:
-    """Whether an SRDF is named as a file that xacro expands."""
+    """Return whether an SRDF is named as a file that xacro expands."""
     return isinstance(srdf, str | Path) and str(srdf).endswith(".xacro")
 
 
 def expanded(srdf: Any, package_dirs: Iterable[str | Path] = (), arguments: Mapping[str, object] | None = None) -> Any:
-    """The text of an SRDF named as a xacro file; everything else as it is. Raises as `expand` does."""
+    """Return the text of an SRDF that is named as a xacro file, and anything else unchanged.
+
+    Raises what `expand` raises.
+    """
     return expand(Path(srdf), package_dirs, arguments, "group") if has_macros(srdf) else srdf
 
 
@@ -32,12 +36,13 @@ def expand(
     arguments: Mapping[str, object] | None = None,
     holds: str = "link",
 ) -> str:
-    """URDF text of a xacro file, or SRDF text where `holds` is 'group' (an element that it has).
+    """Expand a xacro file to URDF text, or to SRDF text if `holds`, an element that the text must have, is 'group'.
 
-    arguments: values of its <xacro:arg>, and of $(env NAME), by name. Files are read from the file's own folder, the package it
-    is in, package_dirs and the packages it finds; nothing in them is evaluated as Python, and no environment is read. An argument
-    that a URDF does not use is logged: it may be misspelled. Raises MissingExtra, InvalidOption (arguments), ModelError: one
-    sentence that names the file.
+    `arguments` maps the names of its <xacro:arg> and of $(env NAME) to values. Files are read from the file's own
+    folder, its package, package_dirs and the packages it finds; nothing in them is evaluated as Python, and no
+    environment variable is read. An argument that a URDF does not use is logged, because it may be misspelled. Raises
+    MissingExtra if xacro is not installed, InvalidOption for wrong arguments, ModelError, one sentence that names the
+    file, if it cannot be expanded.
     """
     if importlib.util.find_spec("xacro") is None:
         raise MissingExtra("xacrodoc", "formats")

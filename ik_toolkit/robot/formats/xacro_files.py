@@ -1,4 +1,4 @@
-"""Files that a xacro file includes or loads: read only below the allowed folders, and no larger than a robot needs.
+"""Reads the files that a xacro file includes or loads, only below the allowed folders and no larger than a robot needs.
 
 It imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
 """
@@ -7,30 +7,42 @@ import os
 import re
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 from xml.dom import minidom
 from xml.parsers import expat
 
-BYTES = 20_000_000  # of all files together
-YAML_BYTES, YAML_SCALAR = 2_000_000, 2_000  # of a YAML file, characters of one value in it
 DECLARED = re.compile(rb"""(\s*<\?xml[^>]*?encoding=["'])([A-Za-z0-9._-]{1,40})""")
-KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # to expat
-NESTED = 200  # depth of XML elements
-ELEMENTS = 200_000  # of all files together
+KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # The XML parser expat knows these encodings.
 UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.001, "foot": 0.3048, "inches": 0.0254}
 
 
+class XacroFileCaps(NamedTuple):
+    """Limits on the files of a xacro file, so that none exhausts this process; a file beyond one is refused."""
+
+    bytes: int = 20_000_000  # Limit on the bytes of all files together.
+    yaml_bytes: int = 2_000_000  # Limit on the bytes of a YAML file, before and after its anchors are expanded.
+    yaml_scalar: int = 2_000  # Limit on the characters of one value in YAML.
+    nested: int = 200  # Limit on how deep XML elements are nested.
+    elements: int = 200_000  # Limit on the number of XML elements in all files together.
+
+
+CAPS = XacroFileCaps()
+
+
 class Files:
-    """Files below the allowed folders, symbolic links followed first, and what all of them come to."""
+    """Files below the allowed folders, after symbolic links are followed, with a count of what has been read."""
 
     def __init__(self, values: ModuleType, folders: list[str]) -> None:
-        """Take the module of values, for its caps and its error, and the folders."""
+        """Store the module of values, for its limits and its error, and the allowed folders."""
         self.values = values
         self.folders = [os.path.realpath(folder) for folder in folders]
         self.bytes = self.elements = 0
 
     def read(self, path: str, most: int) -> bytes:
-        """Bytes of a file. Raises Refused, and FileNotFoundError for one that could be read but is not there."""
+        """Return the bytes of a file.
+
+        Raises Refused if it is not allowed or too large, FileNotFoundError if it is allowed but does not exist.
+        """
         path = os.path.abspath(path)
         real = os.path.realpath(path)
         if not any(real.startswith(os.path.join(folder, "")) for folder in self.folders):
@@ -44,13 +56,13 @@ class Files:
         with open(real, "rb") as file:
             raw = file.read(most + 1)
         self.bytes += len(raw)
-        if len(raw) > most or self.bytes > BYTES:
+        if len(raw) > most or self.bytes > CAPS.bytes:
             raise self.values.Refused(f"'{os.path.basename(path)[:100]}' and what is read before it are too large")
         return raw
 
     def xml(self, path: str) -> Any:
-        """Document of an XML file. Raises Refused."""
-        raw, depth = self.read(path, BYTES), 0
+        """Return the document of an XML file. Raises Refused."""
+        raw, depth = self.read(path, CAPS.bytes), 0
         declared = DECLARED.match(raw)
         if declared and declared[2].lower() not in KNOWN:
             try:
@@ -61,8 +73,10 @@ class Files:
         def start(tag: str, attributes: dict) -> None:
             nonlocal depth
             depth, self.elements = depth + 1, self.elements + 1
-            if depth > NESTED or self.elements > ELEMENTS:
-                raise self.values.Refused(f"its elements are nested more than {NESTED} deep, or more than {ELEMENTS:,}")
+            if depth > CAPS.nested or self.elements > CAPS.elements:
+                raise self.values.Refused(
+                    f"its elements are nested more than {CAPS.nested} deep, or more than {CAPS.elements:,}"
+                )
 
         def end(tag: str) -> None:
             nonlocal depth
@@ -79,30 +93,31 @@ class Files:
         except expat.ExpatError as error:
             reason = expat.ErrorString(error.code)
             raise self.values.Refused(f"it is not well-formed XML: {reason} in line {error.lineno}") from None
-        return minidom.parseString(raw)  # noqa: S318 - it was checked above
+        return minidom.parseString(raw)  # noqa: S318 - The text was checked above.
 
     def yaml(self, path: str, number: Callable[[str], float]) -> Any:
-        """Plain values of a YAML file; number: value of a text with a unit. Raises Refused."""
+        """Return the plain values of a YAML file; `number` computes a text with a unit. Raises Refused."""
         import yaml
 
-        raw = self.read(path, YAML_BYTES)
+        raw = self.read(path, CAPS.yaml_bytes)
 
         Loader: Any = type("Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
 
         for unit, factor in UNITS.items():
             Loader.add_constructor(f"!{unit}", lambda _, node, times=factor: number(f"({node.value})*{times}"))
-        for plain in ("timestamp", "binary"):  # a date of calibration is no quantity of a robot
+        # A date, say of a calibration, is no quantity of a robot, so it stays text.
+        for plain in ("timestamp", "binary"):
             Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
         try:
-            weigh(yaml.parse(raw, Loader), self.values)
-            return yaml.load(raw, Loader)  # noqa: S506 - a safe loader
+            check_yaml_size(yaml.parse(raw, Loader), self.values)
+            return yaml.load(raw, Loader)  # noqa: S506 - The loader is a safe one.
         except (yaml.YAMLError, ValueError) as error:
             said = " ".join(str(error).split())[:160]
             raise self.values.Refused(f"'{os.path.basename(path)[:60]}' cannot be read as YAML: {said}") from None
 
 
-def weigh(events: Any, values: ModuleType) -> None:
-    """Raise Refused for YAML that is too large once its anchors are put in, or nested too deep."""
+def check_yaml_size(events: Any, values: ModuleType) -> None:
+    """Raise Refused for YAML that is nested too deep, or too large once its anchors are put in."""
     known: dict[str, int] = {}
     open_: list[tuple[str | None, int]] = [(None, 0)]
     for event in events:
@@ -116,8 +131,8 @@ def weigh(events: Any, values: ModuleType) -> None:
             anchor, weight = open_.pop()
         elif kind == "ScalarEvent":
             weight += len(event.value)
-            if weight > YAML_SCALAR:
-                raise values.Refused(f"a value in YAML has more than {YAML_SCALAR:,} characters")
+            if weight > CAPS.yaml_scalar:
+                raise values.Refused(f"a value in YAML has more than {CAPS.yaml_scalar:,} characters")
         elif kind == "AliasEvent":
             weight = known.get(anchor or "", 1)
             anchor = None
@@ -127,5 +142,5 @@ def weigh(events: Any, values: ModuleType) -> None:
             known[anchor] = weight
         above, before = open_[-1]
         open_[-1] = above, before + weight
-        if before + weight > YAML_BYTES:
+        if before + weight > CAPS.yaml_bytes:
             raise values.Refused("YAML is too large once its anchors are put in")

@@ -1,4 +1,4 @@
-"""The functions and constants that a xacro file may use, as xacro documents them, made safe in what they take and make.
+"""The functions and constants that xacro documents for its files, made safe in what they take and return.
 
 It imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
 """
@@ -16,7 +16,7 @@ MATH = (
 
 
 def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
-    """The functions and constants that xacro documents, by namespace: '' (without one), python and math."""
+    """Return the functions and constants by namespace: '' (without a namespace), python and math."""
     Function, Refused = values.Function, values.Refused
 
     def listed(value: Any) -> list[Any]:
@@ -29,7 +29,7 @@ def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
         return tuple(one.kind for one in every)
 
     def factorial(n: int) -> int:
-        values.whole(n * n if n > 0 else 0)  # more than enough for its bits
+        values.whole(n * n if n > 0 else 0)  # The square of n bounds the bits of its factorial from above.
         return math.factorial(n)
 
     def rounded(value: float, digits: int | None = None, ndigits: int | None = None) -> float:

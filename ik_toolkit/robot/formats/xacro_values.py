@@ -1,8 +1,8 @@
-"""The values of xacro's expressions, found by a walk over their syntax tree: nothing is ever handed to Python's `eval`.
+"""Computes xacro's expressions by a walk over their syntax tree: nothing is ever given to Python's `eval`.
 
-What is not listed here does not exist for a file: a value is a number, a text, a list, tuple, dict, set or range of values, None,
-or one of the functions below. Every step and every size is counted, so that a file cannot keep the process busy. This module
-imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
+What is not listed here does not exist for a file: a value is a number, a text, a list, tuple, dict, set or range of values,
+None, or one of the functions below. Every step and every size is counted, so that a file cannot keep the process busy. This
+module imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
 """
 
 import ast
@@ -11,12 +11,12 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-STEPS = 150_000  # over a whole file; the largest xacro robot of rtb-data takes 3,000
-LONGEST = 20_000  # characters of a text with expressions
-LARGEST = 100_000  # characters and members of a value, counting shared ones as often as they appear
-BITS = 4096  # of a whole number
-DEEP = 60  # nesting of an expression, and of lists
-WIDTH = 99  # of a formatted number
+STEPS = 150_000  # Limit on the steps of a whole file. The largest xacro robot of rtb-data takes 3,000.
+LONGEST = 20_000  # Limit on the characters of a text with expressions.
+LARGEST = 100_000  # Limit on the characters and members of a value; shared ones count as often as they appear.
+BITS = 4096  # Limit on the bits of a whole number.
+DEEP = 60  # Limit on the nesting of an expression, and of lists.
+WIDTH = 99  # Limit on the width of a formatted number.
 PLAIN = (bool, int, float, str, type(None))
 METHODS: dict[type, tuple[str, ...]] = {
     str: (
@@ -32,7 +32,7 @@ METHODS: dict[type, tuple[str, ...]] = {
     float: ("is_integer",),
 }  # fmt: skip
 FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
-# What a refused part of an expression is called.
+# WORDS has the words by which messages call the refused parts of an expression.
 WORDS = {
     ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
     ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",
@@ -40,22 +40,22 @@ WORDS = {
 
 
 class Refused(Exception):
-    """What a file asks for and does not get, in words."""
+    """A file asks for something that it does not get; the message says what."""
 
 
 class Function:
-    """A function that a file may call, and may hand to `map` and its like."""
+    """A function that a file may call, and may pass to `map` and similar functions."""
 
     def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None, weighed: bool = False) -> None:
-        """Take its name, what it does, the type it stands for in `isinstance`, and whether it weighs what it makes."""
+        """Store the name, the Python function, the type it stands for in `isinstance`, and whether it weighs its own result."""
         self.name, self.does, self.kind, self.weighed = name, does, kind, weighed
 
     def __call__(self, *given: Any, **named: Any) -> Any:
-        """Its value."""
+        """Call the function and return its value."""
         return self.does(*given, **named)
 
     def __repr__(self) -> str:
-        """Its name."""
+        """Return the name of the function."""
         return self.name
 
 
@@ -63,7 +63,7 @@ class Evaluator:
     """Evaluates the expressions of one file and counts what they cost."""
 
     def __init__(self) -> None:
-        """Nothing has been evaluated yet."""
+        """Start with the full count of steps."""
         self.left = STEPS
 
     def spend(self, steps: int = 1) -> None:
@@ -73,13 +73,13 @@ class Evaluator:
             raise Refused(f"it takes more than {STEPS:,} steps to expand")
 
     def evaluate(self, text: str, names: Mapping[str, Any]) -> Any:
-        """Value of an expression; names: the values it may use. Raises Refused, which names the expression."""
+        """Evaluate an expression with the values that it may use. Raises Refused, which names the expression."""
         try:
             if len(text) > LONGEST:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            if isinstance(value, Mapping) and type(value) is not dict:  # all else was looked at when it was made
+            if isinstance(value, Mapping) and type(value) is not dict:  # Everything else was checked when it was made.
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
         except Refused as error:
@@ -94,7 +94,7 @@ class Evaluator:
             raise Refused(str(error) or type(error).__name__, text) from None
 
     def value(self, node: ast.expr, names: Mapping[str, Any], depth: int) -> Any:
-        """Value of a part of an expression."""
+        """Return the value of one part of an expression, a node of its syntax tree."""
         self.spend()
         if depth > DEEP:
             raise Refused(f"it is nested more than {DEEP} deep")
@@ -104,7 +104,7 @@ class Evaluator:
         return getattr(self, f"of_{kind.__name__}")(node, names, depth + 1)
 
     def checked(self, value: Any) -> Any:
-        """The value, if it is of a kind that a file may have and not too large. Raises Refused."""
+        """Return the value if a file may have one of this kind and it is not too large. Raises Refused otherwise."""
         weight = _weight(value, 0, 0)
         self.spend(weight // 50)
         return value
@@ -124,7 +124,8 @@ class Evaluator:
         owner, name = self.value(node.value, names, depth), node.attr
         if name.startswith("_"):
             raise Refused(f"it uses '.{name[:60]}', which is not allowed")
-        if isinstance(owner, Mapping) and type(owner) is not dict:  # a namespace
+        # A mapping that is not a plain dict is a namespace of xacro.
+        if isinstance(owner, Mapping) and type(owner) is not dict:
             try:
                 return owner[name]
             except KeyError:
@@ -139,7 +140,7 @@ class Evaluator:
         raise Refused(f"it uses '.{name[:60]}' of {_called(owner)}, which is not allowed")
 
     def _method(self, owner: Any, name: str, given: tuple, named: dict) -> Any:
-        """Call a method of a value after a look at how much it makes."""
+        """Call a method of a value after checking how large its result can become."""
         if isinstance(owner, str):
             size = len(owner)
             if name in ("center", "ljust", "rjust", "zfill") and given and isinstance(given[0], int):
@@ -154,7 +155,7 @@ class Evaluator:
         return list(made) if name in ("items", "keys", "values") else made
 
     def members(self, value: Any) -> Iterable[Any]:
-        """The members of a value, each counted as a step."""
+        """Return the members of a value and count each as a step."""
         if not isinstance(value, str | list | tuple | dict | set | frozenset | range):
             raise Refused(f"{_called(value)} has no members")
         self.spend(len(value))
@@ -174,7 +175,7 @@ class Evaluator:
         for word in node.keywords:
             value = self.value(word.value, names, depth)
             if word.arg is None and type(value) is not dict:
-                raise Refused(f"{_called(value)} does not follow **")
+                raise Refused(f"{_called(value)} cannot follow **")
             named |= value if word.arg is None else {word.arg: value}
         for value in (*given, *named.values()):
             self.checked(value)
@@ -241,7 +242,7 @@ class Evaluator:
         for key, part in zip(node.keys, node.values, strict=True):
             value = self.value(part, names, depth)
             if key is None and type(value) is not dict:
-                raise Refused(f"{_called(value)} does not follow **")
+                raise Refused(f"{_called(value)} cannot follow **")
             made |= value if key is None else {self.value(key, names, depth): value}
         return self.checked(made)
 
@@ -265,7 +266,7 @@ class Evaluator:
     def _loops(
         self, loops: Sequence[ast.comprehension], names: Mapping[str, Any], depth: int
     ) -> Iterable[Mapping[str, Any]]:
-        """The names inside the loops of a comprehension, turn by turn."""
+        """Yield the names that are visible in each turn of a comprehension's loops."""
         if not loops:
             yield names
             return
@@ -279,20 +280,20 @@ class Evaluator:
 
 
 class Inner(Mapping[str, Any]):
-    """Names inside a comprehension: its own, then those outside."""
+    """The names visible inside a comprehension: its own ones come before those outside."""
 
     def __init__(self, outside: Mapping[str, Any], own: dict[str, Any]) -> None:
         self.outside, self.own = outside, own
 
     def __getitem__(self, name: str) -> Any:
-        """Value of a name."""
+        """Return the value of a name."""
         return self.own[name] if name in self.own else self.outside[name]
 
     __iter__ = __len__ = None  # pyright: ignore[reportAssignmentType]
 
 
 def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
-    """The names that a loop gives to a value, or to its members."""
+    """Return the names that a loop gives to a value, or to its members."""
     if isinstance(target, ast.Name):
         return {target.id: value}
     if isinstance(target, ast.Tuple | ast.List) and isinstance(value, list | tuple | str):
@@ -300,20 +301,20 @@ def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
         for part, member in zip(target.elts, value, strict=True):
             own |= _unpacked(part, member)
         return own
-    raise Refused(f"a loop does not take {_called(value)} apart this way")
+    raise Refused(f"a loop cannot unpack {_called(value)} this way")
 
 
 def _called(value: Any) -> str:
-    """What a value is called in a message."""
+    """Return the words by which messages call a value."""
     return f"the function {value}" if isinstance(value, Function) else f"a value of the kind {type(value).__name__}"
 
 
 def _weight(value: Any, so_far: int, depth: int) -> int:
-    """Characters and members of a value, added to `so_far`. Raises Refused for a kind that no file may have, or too many."""
+    """Add the characters and members of a value to `so_far`. Raises Refused for too many or a kind no file may have."""
     if isinstance(value, str | range):
         so_far += len(value)
     elif isinstance(value, int):
-        whole(value.bit_length())
+        check_bits(value.bit_length())
         so_far += value.bit_length() // 32
     elif isinstance(value, list | tuple | set | frozenset) or type(value) is dict:
         if depth > DEEP:
@@ -329,26 +330,26 @@ def _weight(value: Any, so_far: int, depth: int) -> int:
 
 
 def small(size: int) -> None:
-    """Raise Refused for a value of so many characters or members."""
+    """Raise Refused if a value has too many characters or members."""
     if size > LARGEST:
         raise Refused(f"a value has more than {LARGEST:,} characters or members")
 
 
-def whole(bits: int) -> None:
-    """Raise Refused for a whole number of so many bits."""
+def check_bits(bits: int) -> None:
+    """Raise Refused if a whole number has too many bits."""
     if bits > BITS:
         raise Refused(f"a whole number has more than {BITS:,} bits")
 
 
 def power(base: Any, exponent: Any) -> Any:
-    """A power of moderate size."""
+    """Compute a power, unless the result would be too large."""
     if isinstance(base, int) and isinstance(exponent, int) and exponent > 0:
-        whole((base.bit_length() - 1) * exponent if abs(base) > 1 else 0)
+        check_bits((base.bit_length() - 1) * exponent if abs(base) > 1 else 0)
     return base**exponent
 
 
-def product(left: Any, right: Any) -> Any:
-    """A product; a text or list is repeated a moderate number of times."""
+def multiply(left: Any, right: Any) -> Any:
+    """Compute a product, or repeat a text or list, unless the result would be too large."""
     for one, times in ((left, right), (right, left)):
         if isinstance(one, str | list | tuple) and isinstance(times, int):
             small(len(one) * times)
@@ -356,7 +357,7 @@ def product(left: Any, right: Any) -> Any:
 
 
 def total(values: Iterable[Any], start: Any = 0) -> Any:
-    """A sum. Lists are put together in one go, because each partial sum would be copied."""
+    """Compute a sum; lists are joined in one go, because each partial sum would be copied."""
     if type(start) is list:
         made = [*start]
         for value in values:
@@ -369,7 +370,7 @@ def total(values: Iterable[Any], start: Any = 0) -> Any:
 
 
 def remainder(left: Any, right: Any) -> Any:
-    """A remainder, or a text with numbers and texts put in as for printf: widths up to 99, no names, no stars."""
+    """Compute a remainder, or format a text as printf does, with widths up to 99 and without names or stars."""
     if isinstance(left, str):
         if "%" in FORMAT.sub("", left):
             raise Refused(f"the format {left[:40]!r} is not allowed")
@@ -378,14 +379,14 @@ def remainder(left: Any, right: Any) -> Any:
 
 
 def shifted(left: Any, right: Any) -> Any:
-    """A whole number moved to the left by a moderate number of bits."""
+    """Shift a whole number to the left, unless the result would be too large."""
     if isinstance(left, int) and isinstance(right, int):
-        whole(left.bit_length() + right)
+        check_bits(left.bit_length() + right)
     return left << right
 
 
 BINARY: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: product, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: multiply, ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv,
     ast.Mod: remainder, ast.Pow: power, ast.LShift: shifted, ast.RShift: operator.rshift, ast.BitOr: operator.or_,
     ast.BitAnd: operator.and_, ast.BitXor: operator.xor,
 }  # fmt: skip

@@ -1,8 +1,9 @@
-"""Subprocess that expands xacro for `xacro.py`. No text of a file is evaluated as Python: expressions go to xacro_values.py.
+"""Subprocess that expands xacro for `xacro.py`; expressions are evaluated by xacro_values.py, never as Python.
 
-It imports nothing from the toolkit except packages.py, mesh_worker.py and the xacro_*.py. Job (JSON on stdin): file, arguments
-(name -> value), package_dirs, folders (files are read only from these and from packages that are found), environment (ROS
-package path variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text, "asked": names} or {"error": sentence}.
+It imports nothing from the toolkit except packages.py, mesh_worker.py and the xacro_*.py. Its job (JSON on stdin) has
+file, arguments (name -> value), package_dirs, folders (files are read only from these and from packages that are
+found), environment (ROS package path variables), memory [bytes] and seconds. It prints one line of JSON: {"urdf": text,
+"asked": names} or {"error": sentence}.
 """
 
 import contextlib
@@ -19,23 +20,24 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-BYTES = 20_000_000  # of all files together
-FILES = 1_000  # that one include may match
-# What xacro must have for the walls to stand where it is replaced below.
+BYTES = 20_000_000  # Limit on the bytes of all files together.
+FILES = 1_000  # Limit on the files that one include may match.
+# The functions of xacro in REPLACED are replaced below; a version of xacro without them is refused as unsafe.
 REPLACED = {
     "xacro": ("eval_all", "eval_text", "safe_eval", "load_yaml", "parse", "get_include_files", "abs_filename_spec",
               "_global_symbols", "replace_node", "resolve_macro", "re_macro_arg"),
     "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
 }  # fmt: skip
 
-# Parameters of a macro, as in xacro; there [^\s'"] is repeated inside a repetition, which takes exponential time.
+# DEFAULTS matches the parameters of a macro as xacro does, but without a repetition in a repetition.
+# xacro's own pattern repeats [^\s'"] inside a repetition, which takes exponential time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )
 
 
-def load(place: str) -> ModuleType:
-    """The module at a path from the folder of the robot room; a script cannot import it from the package."""
+def module_at(place: str) -> ModuleType:
+    """Import a module by its path below the robot folder, because a script cannot import it from the package."""
     spec = importlib.util.spec_from_file_location(Path(place).stem, Path(__file__).parents[1] / f"{place}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -43,25 +45,28 @@ def load(place: str) -> ModuleType:
     return module
 
 
-values = load("formats/xacro_values")
+values = module_at("formats/xacro_values")
 Refused = values.Refused
 
 
-class Asked(dict):
-    """Arguments that note the names they were asked for, so that a misspelled one shows."""
+class GivenArguments(dict):
+    """Arguments of a xacro file that remember which names were asked for, so that a misspelled one can be reported."""
 
     def __init__(self, given: dict[str, str]) -> None:
-        """Take the arguments; nothing has been asked yet."""
+        """Store the arguments; no name has been asked for yet."""
         super().__init__(given)
         self.names: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
-        """Whether there is an argument of this name, which is noted."""
+        """Return whether there is an argument of this name, and remember the name."""
         self.names.add(str(name))
         return super().__contains__(name)
 
     def __getitem__(self, name: str) -> str:
-        """The argument of this name, which is noted. Raises Refused: how to give it."""
+        """Return the argument of this name and remember the name.
+
+        Raises Refused, which says how to give the argument.
+        """
         if name not in self:
             shown = str(name)[:60]
             raise Refused(
@@ -72,17 +77,17 @@ class Asked(dict):
 
 
 class Expansion:
-    """xacro with everything that evaluates or reads replaced."""
+    """xacro with all functions replaced that evaluate expressions or read files."""
 
     def __init__(self, job: dict) -> None:
-        """Take the job and replace the parts of xacro."""
+        """Store the job and replace the functions of xacro."""
         import xacro
         import xacro.substitution_args as substitution
 
         self.job, self.xacro = job, xacro
-        self.files = load("formats/xacro_files").Files(values, job["folders"])
-        self.evaluator, self.arguments = values.Evaluator(), Asked(job["arguments"])
-        self.packages, self.known = load("packages"), dict[str, str]()
+        self.files = module_at("formats/xacro_files").Files(values, job["folders"])
+        self.evaluator, self.arguments = values.Evaluator(), GivenArguments(job["arguments"])
+        self.packages, self.known = module_at("packages"), dict[str, str]()
         self.written = 0
         for module in (xacro, substitution):
             for name in REPLACED[module.__name__]:
@@ -91,8 +96,9 @@ class Expansion:
             module.__dict__.update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
         self._all, self._text = xacro.eval_all, xacro.eval_text
         self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
-        self.bodies: dict[int, tuple[Any, int]] = {}  # of macros, by their id, with what a copy costs
-        plain = load("formats/xacro_library").library(values, self.evaluator)
+        # Maps the id of a macro's body to the body and the cost of a copy in steps.
+        self.bodies: dict[int, tuple[Any, int]] = {}
+        plain = module_at("formats/xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
         own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
         self.symbols |= own
@@ -101,7 +107,7 @@ class Expansion:
                 self.symbols[name] = xacro.NameSpace()
                 self.symbols[name].update(inside)
         for name in ("arg", "message", "warning", "error", "print_location", "fatal", "tokenize"):
-            del self.symbols[name]  # in their namespace only
+            del self.symbols[name]  # Expressions call these functions only as xacro.NAME.
         xacro.__dict__.update(
             eval_all=self.eval_all,
             eval_text=self.eval_text,
@@ -125,7 +131,7 @@ class Expansion:
         )
 
     def own(self) -> dict[str, Callable[..., Any]]:
-        """The functions of the namespace xacro."""
+        """Return the functions that expressions may call as xacro.NAME."""
 
         def silent(*given: Any, **named: Any) -> str:
             return ""
@@ -139,7 +145,7 @@ class Expansion:
         return {
             "load_yaml": self.load_yaml,
             "abs_filename": lambda name: self.xacro.abs_filename_spec(name),
-            "dotify": lambda value: value,  # every dict has dotted access
+            "dotify": lambda value: value,  # xacro makes a dict allow d.key here; in these expressions every dict does.
             "arg": lambda name: self.arguments[name],
             **dict.fromkeys(("message", "warning", "error", "print_location"), silent),
             "fatal": fatal,
@@ -147,12 +153,12 @@ class Expansion:
         }
 
     def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
-        """Expand an element; counted."""
+        """Expand an element and count it."""
         self.evaluator.spend(4 + len(node.childNodes))
         self._all(node, macros, symbols)
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
-        """A macro, whose body is about to be copied; counted."""
+        """Return a macro, whose body is about to be copied, and count the copy."""
         found = self._resolve(name, macros, symbols)
         body = found[2].body
         if id(body) not in self.bodies:
@@ -161,14 +167,14 @@ class Expansion:
         return found
 
     def replace_node(self, node: Any, by: Any, content_only: bool = False) -> None:
-        """Put other nodes in the place of one; counted, because each is searched for among its new neighbours."""
+        """Put other nodes in the place of one and count them, because each is searched for among its new neighbours."""
         others = by if isinstance(by, list) else [by] if by is not None else []
         parts = sum(len(other.childNodes) if content_only else 1 for other in others)
         self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)
         self._replace(node, by, content_only)
 
     def eval_text(self, text: str, symbols: Any) -> Any:
-        """Value of a text with expressions; counted."""
+        """Evaluate a text with expressions, and count what that costs."""
         if "$" not in text:
             return text
         if len(text) > values.LONGEST:
@@ -182,7 +188,7 @@ class Expansion:
         return made
 
     def eval_eval(self, text: str, context: dict) -> str:
-        """$(eval ...): an expression with arguments for names."""
+        """Evaluate $(eval ...), an expression that may use arguments as names."""
         expansion = self
 
         class Names(Mapping[str, Any]):
@@ -200,7 +206,7 @@ class Expansion:
         return str(self.evaluator.evaluate(text, Names()))
 
     def find(self, name: str) -> str:
-        """Folder of a package, which may be read from then on."""
+        """Return the folder of a package, from which files may be read from now on."""
         if name not in self.known:
             found = self.packages.find_package(
                 name, Path(self.job["file"]), self.job["package_dirs"], self.job["environment"]
@@ -215,7 +221,7 @@ class Expansion:
         return self.known[name]
 
     def env(self, name: str) -> str:
-        """$(env NAME): an argument."""
+        """Return the value of $(env NAME), which is an argument, not an environment variable."""
         if name not in self.arguments:
             raise Refused(
                 f"it reads $(env {name[:100]}); the environment is not read, give {name[:100]} as an argument"
@@ -223,11 +229,11 @@ class Expansion:
         return self.arguments[name]
 
     def dirname(self, _: Any = None) -> str:
-        """$(dirname): folder of the file being expanded."""
+        """Return the value of $(dirname), the folder of the file being expanded."""
         return os.path.dirname(os.path.abspath(self.xacro.filestack[-1]))
 
     def absolute(self, original: Callable[[str], str]) -> Callable[[str], str]:
-        """xacro's path of a file name, with package://."""
+        """Wrap xacro's function that makes a file name absolute so that it understands package:// too."""
 
         def path(name: str) -> str:
             scheme, _, rest = str(name).partition("://")
@@ -241,7 +247,7 @@ class Expansion:
         return path
 
     def included(self, name: str, symbols: Any) -> Any:
-        """The files that an include names."""
+        """Yield the files that an include names."""
         path = self.xacro.abs_filename_spec(str(self.xacro.eval_text(name, symbols)))
         found = [path]
         if re.search("[*?[]", path):
@@ -249,7 +255,7 @@ class Expansion:
         yield from found
 
     def parse(self, text: Any, filename: str | None = None) -> Any:
-        """Document of a file."""
+        """Return the document of a file."""
         assert filename is not None
         try:
             document = self.files.xml(filename)
@@ -257,7 +263,8 @@ class Expansion:
             self.xacro.filestack.pop()
             raise self.xacro.XacroException(exc=error) from None
         for element in document.getElementsByTagName("xacro:arg"):
-            if not element.hasAttribute("default"):  # xacro refuses it even where its value is given
+            # xacro refuses an argument without a default even if its value is given.
+            if not element.hasAttribute("default"):
                 if element.getAttribute("name") in self.arguments:
                     element.setAttribute("default", "")
                 else:
@@ -265,7 +272,7 @@ class Expansion:
         return document
 
     def load_yaml(self, name: str) -> Any:
-        """Plain values of a YAML file."""
+        """Return the plain values of a YAML file."""
         path = self.xacro.abs_filename_spec(name)
         self.xacro.filestack.append(path)
         made = self.files.yaml(path, lambda text: float(self.evaluator.evaluate(text, self.symbols)))
@@ -274,25 +281,25 @@ class Expansion:
 
 
 def _weight(node: Any) -> int:
-    """What a copy of a node costs, in steps."""
+    """Return the cost of copying a node, in steps."""
     own = len(node.data) // 100 if node.nodeType in (node.TEXT_NODE, node.COMMENT_NODE) else 1
     return own + sum(map(_weight, node.childNodes))
 
 
 def _never(*_: object, **__: object) -> None:
-    raise Refused("it asks xacro for something that is never done here")
+    raise Refused("it uses a feature of xacro that is not allowed here")
 
 
 def _converted(text: str) -> Any:
-    """An argument as a number or truth value, if it is one."""
+    """Return an argument as a number or truth value if it is one."""
     for kind in (int, float):
         with contextlib.suppress(ValueError):
             return kind(text)
     return {"true": True, "false": False}.get(text.lower(), text)
 
 
-def expand(job: dict) -> dict:
-    """Run a job."""
+def run_job(job: dict) -> dict:
+    """Expand the xacro file of a job and return the answer."""
     stack: list[str] = []
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -300,7 +307,7 @@ def expand(job: dict) -> dict:
             os.environ.clear()
             document: Any = expansion.xacro.process_file(job["file"], mappings=expansion.arguments)
             return {"urdf": document.toprettyxml(indent="  "), "asked": sorted(expansion.arguments.names)}
-    except BaseException as error:  # broken macros can raise anything
+    except BaseException as error:  # A broken macro can raise anything.
         cause: Any = error
         while isinstance(getattr(cause, "exc", None), BaseException):
             cause = cause.exc
@@ -309,7 +316,7 @@ def expand(job: dict) -> dict:
 
 
 def told(cause: BaseException, stack: list[str]) -> str:
-    """What happened and where, in one sentence."""
+    """Say in one sentence which error ended the expansion, and in which expression."""
     said = " ".join(str(cause.args[0] if isinstance(cause, Refused) else cause).split())[:300]
     where = f"'{stack[-1]}'" if stack else ""
     if isinstance(cause, Refused) and len(cause.args) > 1:
@@ -330,14 +337,15 @@ def told(cause: BaseException, stack: list[str]) -> str:
 
 
 def main() -> None:
-    """Read the job from stdin, write the answer to stdout."""
+    """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
-    limit = load("geometry/mesh_worker").limit
+    limit = module_at("geometry/mesh_worker").limit
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
-    sys.setrecursionlimit(3000)  # loops of xacro are macros that call themselves, ten calls here a turn
-    print(json.dumps(expand(job)))
+    # A loop in xacro is a macro that calls itself, and each turn of it takes ten nested calls of ours.
+    sys.setrecursionlimit(3000)
+    print(json.dumps(run_job(job)))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
-"""Collisions of a robot with itself and with shapes around it or in its hand, by Pinocchio and coal.
+"""Tests a robot for collisions with itself and with shapes around it or in its hand, by Pinocchio and coal.
 
-A broad phase compares bounding boxes first (a tree of them, in C++); shapes are tested exactly only where boxes overlap.
+A broad phase compares bounding boxes first (a tree of them, in C++); shapes are tested exactly only where boxes
+overlap.
 """
 
 import threading
@@ -17,24 +18,39 @@ from ..robot import Robot
 from ..tree import Tree
 from .convex import is_flat, owner_above, read_shapes, request
 from .distance import Clearance, Near
-from .surroundings import Placed, Surroundings
+from .surroundings import PlacedShape, Surroundings
 
-SAMPLES = 8  # random configurations that show which links move relative to each other
-STILL = 1e-9  # [m or entries of a rotation] change of relative placement below which two parts do not move
+SAMPLES = 8  # This many random configurations show which links move relative to each other.
+# Two parts whose relative placement changes by less [m, or entry of a rotation] do not move relative to each other.
+STILL = 1e-9
 
 
 class CollisionModel(Surroundings):
-    """What can collide: the robot's own links and tools, shapes around it, and shapes it holds.
+    """Tests a robot for collisions of its links and tools, shapes around it, and shapes that it holds.
 
-    robot: the Robot or Tree (its arms against each other, too) whose collision shapes are read from its URDF (meshes from the
-    URDF's folder, its ROS package and package_dirs only), or from `geometry`, a pin.GeometryModel. ignore: pairs of
-    link names that may touch. margin [m]: two parts touch when they are nearer than this; links that are nearer than it at home
-    keep half of that distance. Never tested: links joined by one joint, links that cannot move relative to each other, pairs that
-    the robot's SRDF allows to touch, and pairs that touch both at home and at zero (if legal), which are listed in `excluded`.
-    Attributes: links, obstacles, attached (names), pairs (tested, by name), excluded (pairs of link names), allowed (pairs of link
-    names in the SRDF -> reason), margin. Shapes may be added, moved and removed between calls; what uses the model sees them from
-    its next call on, and a tracker from its next step. Raises ModelError (no collision shapes, over 300, one without extent, or a
-    mesh that cannot be read), InvalidOption.
+    Never tested are links joined by one joint, links that cannot move relative to each other, pairs that the robot's
+    SRDF allows to touch, and pairs that touch both at home and at zero (if zero is within the limits), which are listed
+    in `excluded`. Shapes may be added, moved and removed between calls; what uses the model sees them from its next
+    call on, and a tracker from its next step.
+
+    Args:
+        robot: The Robot or Tree whose links are tested, also those of different arms. Their collision shapes are read
+            from its URDF; meshes are read only from the URDF's folder, its ROS package and package_dirs.
+        geometry: Shapes to use in place of those of the URDF.
+        ignore: Pairs of names of links that may touch.
+        margin: Distance [m] below which two parts count as touching. Links that are nearer than this at home keep half
+            of their distance there.
+
+    Attributes:
+        links, obstacles, attached: Names of the parts.
+        pairs: Pairs of names that are tested.
+        excluded: Pairs of links that are left out because they touch at home and at zero.
+        allowed: Pairs of links that the SRDF allows to touch, with its reason.
+        margin: The margin [m].
+
+    Raises:
+        ModelError: There are no collision shapes or over 300, one has no extent, or a mesh cannot be read.
+        InvalidOption: An argument is of the wrong kind, or `ignore` names a link without collision shapes.
     """
 
     _INSTEAD: ClassVar[Mapping[str, str]] = {
@@ -53,7 +69,7 @@ class CollisionModel(Surroundings):
         ignore: Iterable[Sequence[str]] = (),
         margin: float = 0.0,
     ) -> None:
-        """Read the shapes and decide which pairs count."""
+        """Read the collision shapes and choose the pairs to test."""
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"a CollisionModel needs a Robot or a Tree, not a {type(robot).__name__}")
         self.robot = robot
@@ -110,7 +126,8 @@ class CollisionModel(Surroundings):
         base = model.frames[robot.arms[0]._ids[0]].parentJoint
         placements = self._sample([base, *owners, *hands])
         joints = list(placements)
-        apart = np.zeros((len(joints), len(joints)), dtype=bool)  # whether two joints move relative to each other
+        # apart[a, b] tells whether joints a and b move relative to each other.
+        apart = np.zeros((len(joints), len(joints)), dtype=bool)
         for b, jb in enumerate(joints):
             for a, ja in enumerate(joints[:b]):
                 between = np.linalg.inv(placements[ja]) @ placements[jb]
@@ -141,7 +158,8 @@ class CollisionModel(Surroundings):
         leave_out([*self.ignore, *self.allowed])
         zero = np.zeros(robot.n)
         touching = dict.fromkeys(self.collisions(robot.home))
-        if not robot.outside(zero):  # contact at only one of them may be real: a folded arm
+        # A pair that touches only at home or only at zero may be a real contact, for example of a folded arm.
+        if not robot.outside(zero):
             touching = {pair: None for pair in self.collisions(zero) if pair in touching}
         self.excluded = tuple(touching)
         leave_out(self.excluded)
@@ -152,7 +170,7 @@ class CollisionModel(Surroundings):
             self._rebuild()
 
     def _sample(self, owners: list[int]) -> dict[int, np.ndarray]:
-        """Placements (SAMPLES, 4, 4) of the joints that carry shapes, all at the same random configurations."""
+        """Return the placements (SAMPLES, 4, 4) of the joints that carry shapes, all at the same random configurations."""
         robot, data = self.robot, self.robot.model.createData()
         rng = np.random.default_rng(0)
         found: dict[int, list] = {j: [] for j in owners}
@@ -163,7 +181,7 @@ class CollisionModel(Surroundings):
         return {j: np.array(list_j) for j, list_j in found.items()}
 
     def _rebuild(self) -> None:
-        """Rebuild geometry, pairs and margins; existing workspaces keep their own."""
+        """Make geometry, pairs and margins anew; existing workspaces keep their own."""
         geometry, own = self._own.copy(), len(self._links)
         tested = np.zeros((own + len(self._placed), own + len(self._placed)), dtype=bool)
         tested[:own, :own] = self._tested
@@ -177,7 +195,7 @@ class CollisionModel(Surroundings):
         geometry.setCollisionPairs(tested)
         pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
         margins = np.array([self._closer.get(pair, self.margin) for pair in pairs])
-        margins.setflags(write=False)  # they are handed out
+        margins.setflags(write=False)  # Callers receive this array and must not change it.
         self._names = [*self._links, *self._placed]
         self._state = geometry, margins
         self._local = threading.local()
@@ -188,8 +206,8 @@ class CollisionModel(Surroundings):
         shape.placement = self._object(name, self._placed[name]).placement
         self._put(version=self.version + 1)
 
-    def _meet(self, one: Placed, two: Placed) -> bool:
-        """Whether two added shapes can move relative to each other."""
+    def _meet(self, one: PlacedShape, two: PlacedShape) -> bool:
+        """Return whether two added shapes can move relative to each other."""
         if one.arm is None or two.arm is None:
             arm = two.arm if one.arm is None else one.arm
             return arm is not None and self._hand_moves[arm]
@@ -197,12 +215,12 @@ class CollisionModel(Surroundings):
 
     @property
     def geometry(self) -> pin.GeometryModel:
-        """All shapes and the tested pairs as Pinocchio sees them; rebuilt when a shape is added or removed."""
+        """All shapes and the tested pairs as Pinocchio sees them; made anew when a shape is added or removed."""
         return self._state[0]
 
     @property
     def margins(self) -> np.ndarray:
-        """Distance [m] below which each of the geometry's pairs (P,) counts as touching."""
+        """Distance (P,) [m] below which each of the geometry's pairs counts as touching."""
         return self._state[1]
 
     @property
@@ -213,7 +231,7 @@ class CollisionModel(Surroundings):
 
     # ------------------------------------------------------------------------------------------------ questions
     def _workspace(self) -> tuple[Any, Any, Any, pin.GeometryModel]:
-        """Model data, geometry data, box tree or None (all local to the calling thread), and the geometry."""
+        """Return model data, geometry data, box tree or None (all local to the calling thread), and the geometry."""
         local = self._local
         if not hasattr(local, "space"):
             geometry = self.geometry
@@ -221,18 +239,21 @@ class CollisionModel(Surroundings):
         return local.space
 
     def workspace(self, more: float | np.ndarray) -> tuple[Any, Any, Any]:
-        """New workspace (see `_workspace`) where a pair nearer than its margin plus `more` [m] (pairs,) counts as touching."""
+        """Make a workspace in which a pair nearer than its margin plus `more` [m] (pairs,) counts as touching.
+
+        It consists of model data, geometry data and a tree of boxes, which is None if a shape has no volume.
+        """
         geometry, margins = self._state
         data, found = self.robot.model.createData(), geometry.createData()
-        # Pinocchio's default requests reuse the last result as a guess, so a verdict could depend on earlier calls.
+        # Pinocchio's default requests reuse the last result as a guess, so a result could depend on earlier calls.
         for k, margin in enumerate((margins + more).tolist()):
             found.collisionRequests[k] = request(margin)
         boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, geometry, found)
-        # Pinocchio leaves shapes whose box has no volume (flat meshes) out of the tree; then every pair is tested.
+        # Pinocchio leaves shapes whose box has no volume (flat meshes) out of the tree, so every pair is tested then.
         return data, found, None if any(is_flat(o.geometry) for o in geometry.geometryObjects) else boxes
 
     def collides(self, q: Any) -> bool:
-        """Whether anything touches (is nearer than the margin) at q (n,) [rad or m]."""
+        """Return whether anything touches, which means is nearer than its margin, at q (n,) [rad or m]."""
         if not len(self.geometry.collisionPairs):
             return False
         full = self._full(q)
@@ -242,7 +263,7 @@ class CollisionModel(Surroundings):
         return bool(pin.computeCollisions(self.robot.model, data, boxes, full, True))
 
     def collisions(self, q: Any) -> list[tuple[str, str]]:
-        """Every pair of names that touches (is nearer than the margin) at q (n,) [rad or m]."""
+        """Return every pair of names that touches, which means is nearer than its margin, at q (n,) [rad or m]."""
         full = self._full(q)
         data, found, _, geometry = self._workspace()
         pin.computeCollisions(self.robot.model, data, geometry, found, full, False)
@@ -254,22 +275,33 @@ class CollisionModel(Surroundings):
         )
 
     def distances(self, q: Any, within: float = np.inf) -> list[Near]:
-        """Pairs closer than `within` [m] at q (n,) [rad or m], nearest first, with distance, nearest points and normal.
+        """Measure the pairs of parts that are near each other, nearest first.
 
-        Measured between the convex hulls of meshes (exact for all other shapes), and between the meshes themselves where the
-        hulls are nearer than the margin, here or at home: a distance is never more than that of the exact shapes, and 0 or less
-        where they touch. Raises InvalidConfiguration, InvalidOption.
+        A distance is between the convex hulls of meshes, which is exact for all other shapes. Where hulls are nearer
+        than the margin, here or at home, it is between the meshes themselves. So it is never more than the distance of
+        the exact shapes, and 0 or less where they touch.
+
+        Args:
+            q: Configuration (n,) [rad or m].
+            within: Largest distance [m] of a pair that is returned.
+
+        Returns:
+            Each pair's names, distance [m], nearest points and normal.
+
+        Raises:
+            InvalidConfiguration: q does not fit the robot.
+            InvalidOption: `within` is negative or no number.
         """
         if not (isinstance(within, float) and within == np.inf):
             within = as_margin(within, "within must be a distance [m]")
         return [found for _, found in self._measure().near(self.robot.check_q(q), within)]
 
     def distance(self, q: Any) -> Near | None:
-        """The nearest pair at q (n,) [rad or m], as in `distances`; None when no pair is tested."""
+        """Measure the nearest pair at q (n,) [rad or m] as `distances` does; return None if no pair is tested."""
         return self._measure().nearest(self.robot.check_q(q))
 
     def _measure(self) -> Clearance:
-        """The calling thread's distance computation."""
+        """Return the calling thread's computation of distances."""
         local = self._local
         if getattr(local, "version", None) != self.version:
             local.clearance, local.version = Clearance(self), self.version
@@ -282,20 +314,20 @@ class CollisionModel(Surroundings):
         return self.robot._fill(self.robot.rest.copy(), self.robot.check_q(q))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Keep the constructor's arguments; shapes are read again, a given geometry is pickled whole."""
+        """Keep the constructor's arguments; shapes of the URDF are read again, a given geometry is pickled whole."""
         placed = {name: replace(one, form=None) for name, one in self._placed.items()}
         asked = {"robot": self.robot, "geometry": self._given, "ignore": self.ignore, "margin": self.margin}
         return {"asked": asked, "placed": placed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Rebuild from the stored arguments."""
+        """Make the model anew from the stored arguments."""
         asked = dict(state["asked"])
         self.__init__(asked.pop("robot"), **asked)
         self._placed = {name: replace(one, form=one.shape.form()) for name, one in state["placed"].items()}
         self._rebuild()
 
     def __repr__(self) -> str:
-        """One line."""
+        """Describe the model in one line."""
         around = f", around it: {', '.join(self.obstacles)}" if self.obstacles else ""
         held = f", attached: {', '.join(self.attached)}" if self.attached else ""
         kept = f", margin {self.margin:g} m" if self.margin else ""
@@ -304,7 +336,7 @@ class CollisionModel(Surroundings):
 
 
 def as_margin(value: Any, what: str = "margin must be a distance of at least 0 [m]") -> float:
-    """Validate a margin [m]. Raises InvalidOption, "WHAT, not VALUE"."""
+    """Return a margin [m] as a float. Raises InvalidOption, "WHAT, not VALUE", if it is no distance."""
     number = floats(value, what, InvalidOption)
     if number.shape != () or not 0.0 <= number < np.inf:
         raise InvalidOption(f"{what}, not {value!r:.60}")

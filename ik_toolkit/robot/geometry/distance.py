@@ -1,7 +1,7 @@
-"""Distances between the parts of a robot and its surroundings, and how fast these can shrink.
+"""Measures distances between the parts of a robot and its surroundings, and how fast they can shrink.
 
-Distances are between convex hulls, at about a microsecond per pair; the exact shapes, which lie inside their hulls, are measured
-only where hulls meet.
+Distances are between convex hulls, at about a microsecond per pair; the exact shapes, which lie inside their hulls, are
+measured only where hulls meet.
 """
 
 import threading
@@ -12,20 +12,23 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from ...kernel.clearance import free_until, levers, rows
+from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlanes, Separation, free_until, levers, rows
 from .convex import hull_of
 
-BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using
-# The nearest points of a pair leap from one end of an edge to the other, so those found before are kept: at most CORNERS (the two
-# ends of an edge and two to spare), while they are less than NEARBY from being the nearest, and one of those within APART.
-CORNERS, NEARBY, APART = 4, 0.03, 0.01  # -, m, m
-THIN = 1e-5  # thickness over size below which a mesh counts as flat: qhull fails at 1e-9
+BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
+# The nearest points of a pair leap from one end of an edge to the other, so those found before are kept.
+# At most CORNERS are kept: the two ends of an edge and two to spare.
+# Points are kept while their distance is less than NEARBY [m] above the least one.
+# Points within APART [m] of each other count as one.
+CORNERS, NEARBY, APART = 4, 0.03, 0.01
+THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
 
 
 class Near(NamedTuple):
-    """Two parts by name, their distance [m], their nearest points (2, 3) and the unit normal (3,) from first to second.
+    """Two parts and the distance [m] between them.
 
-    Points and normal are in the axes of the model's root.
+    `points` (2, 3) are their nearest points and `normal` (3,) is the unit vector from the first to the second, both in
+    the axes of the model's root.
     """
 
     pair: tuple[str, str]
@@ -35,9 +38,10 @@ class Near(NamedTuple):
 
 
 def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, Any]) -> pin.GeometryModel:
-    """Copy of a geometry with each mesh replaced by its convex hull, where it has one, see `hull_of`.
+    """Copy a geometry and replace each mesh by its convex hull if it has one (see `hull_of`).
 
-    names: of the shapes added to the robot, last in the geometry; known: hulls by index or by such a name, extended by new ones.
+    `names` are those of the shapes added to the robot, which are last in the geometry. `known` has hulls by index or by
+    such a name; new ones are added to it.
     """
     made, own = geometry.copy(), len(geometry.geometryObjects) - len(names)
     for k, shape in enumerate(made.geometryObjects):
@@ -51,7 +55,7 @@ def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, An
 
 
 def _thick(points: np.ndarray) -> bool:
-    """Whether points (N, 3) span enough volume for qhull, which crashes on flat sets."""
+    """Return whether points (N, 3) span enough volume for qhull, which crashes on flat sets."""
     size = np.abs(points).max(initial=0.0)
     if not size < np.inf or len(points) < 4:
         return False
@@ -59,14 +63,15 @@ def _thick(points: np.ndarray) -> bool:
 
 
 class Clearance:
-    """Distances of all tested pairs of a CollisionModel; a workspace for one thread.
+    """Measures the distances of all tested pairs of a CollisionModel; it belongs to one thread.
 
-    a, b (P,): shapes of each pair; own (P,): both are the robot's; exact (P,): their hulls meet at home, so they are always
-    measured on the exact shapes; home (P,): distances at home [m]; coordinates (E,): index in q of each moving joint.
+    For each of the P pairs, `a` and `b` are its shapes, `own` says whether both are the robot's, `exact` whether their
+    hulls meet at home, so that their exact shapes are always measured, and `home` is the distance at home [m].
+    `coordinates` (E,) is the index in q of each moving joint.
     """
 
     def __init__(self, model: Any) -> None:
-        """Take the hulls of a CollisionModel and the joints that move its shapes."""
+        """Make the hulls of a CollisionModel's shapes and find the joints that move them."""
         self.robot = robot = model.robot
         self._exact, self.margins = model._state
         added = [*model._placed]
@@ -78,7 +83,7 @@ class Clearance:
             self._hulls.createData(),
         )
         shapes, pairs = self._exact.geometryObjects, self._exact.collisionPairs
-        # References, which follow each placement and measurement: making one takes three times as long as reading it.
+        # References to Pinocchio's placements are kept, because making one takes three times as long as reading it.
         self._frames = list(self._data.oMi)
         self._hull_found, self._exact_found = (
             [data.distanceResults[k] for k in range(len(pairs))] for data in (self._hull_data, self._exact_data)
@@ -88,7 +93,7 @@ class Clearance:
         robots = np.array([name not in model.obstacles for name in self._names])
         self.own = robots[self.a] & robots[self.b]
         solid = np.array([isinstance(s.geometry, coal.BVHModelBase) for s in shapes])
-        self._surface = solid[self.a] | solid[self.b]  # exact shapes that differ from their hulls
+        self._surface = solid[self.a] | solid[self.b]  # The exact shapes of these pairs differ from their hulls.
         self._joints(shapes)
         self.exact, self._on_surface = np.zeros((2, len(pairs)), dtype=bool)
         self.place(robot.home)
@@ -114,15 +119,16 @@ class Clearance:
             shape.geometry.computeLocalAABB()
             self._middle[k, :3] = shape.placement.act(np.array(shape.geometry.aabb_center))
             self._size[k] = shape.geometry.aabb_radius
-        self._radius = np.where(moved.any(axis=1), self._size, 0.0)  # a shape that never moves may be an infinite plane
+        # A shape that never moves may be an infinite plane.
+        self._radius = np.where(moved.any(axis=1), self._size, 0.0)
 
     def name(self, k: int) -> tuple[str, str]:
-        """Names of pair k."""
+        """Return the names of the two parts of pair k."""
         return self._names[self.a[k]], self._names[self.b[k]]
 
     # ------------------------------------------------------------------------------------------------ distances
     def place(self, q: np.ndarray) -> None:
-        """Place every shape at configuration q (n,) [rad or m]; the methods below refer to the last placement."""
+        """Place every shape at configuration q (n,) [rad or m], to which the methods below refer."""
         full = self.robot._fill(self.robot.rest.copy(), q)
         pin.forwardKinematics(self.robot.model, self._data, full)
         pin.updateGeometryPlacements(self.robot.model, self._data, self._hulls, self._hull_data)
@@ -132,7 +138,7 @@ class Clearance:
         return pin.computeDistance(self._hulls, self._hull_data, k).min_distance
 
     def distance(self, k: int) -> float:
-        """Distance [m] of pair k: never more than that of the exact shapes, 0 or less where they touch."""
+        """Measure the distance [m] of pair k, which is never more than that of the exact shapes and 0 or less where they touch."""
         if not self.exact[k]:
             d = self._hull_distance(k)
             if d > self.margins[k] or not self._surface[k]:
@@ -145,27 +151,27 @@ class Clearance:
         return pin.computeDistance(self._exact, self._exact_data, k).min_distance
 
     def distances(self) -> np.ndarray:
-        """Distances (P,) [m] of all pairs."""
+        """Measure the distances (P,) [m] of all pairs."""
         return np.array([self.distance(k) for k in range(len(self.a))])
 
     def gap(self, k: int) -> float:
-        """Distance [m] of pair k less its margin."""
+        """Return the distance [m] of pair k minus its margin."""
         return self.distance(k) - self.margins[k]
 
     def points(self, ks: np.ndarray) -> np.ndarray:
-        """Nearest points (K, 2, 3) of pairs ks (K,) (root axes), after `distance`."""
+        """Return the nearest points (K, 2, 3) [m] of pairs ks (K,) in the root's axes, once `distance` has measured them."""
         results = [(self._exact_found if self._on_surface[k] else self._hull_found)[k] for k in ks.tolist()]
         return np.array([(found.getNearestPoint1(), found.getNearestPoint2()) for found in results]).reshape(-1, 2, 3)
 
     def near(self, q: np.ndarray, within: float) -> list[tuple[tuple[int, int], Near]]:
-        """Pairs closer than `within` [m] at q (n,), nearest first, with the indices of their shapes."""
+        """Return the pairs closer than `within` [m] at q (n,) [rad or m], nearest first, with the indices of their shapes."""
         self.place(q)
         found = [(self.distance(k), k) for k in np.flatnonzero(self._apart() < within).tolist()]
         close = sorted(pair for pair in found if pair[0] < within)
         return [((int(self.a[k]), int(self.b[k])), self._near(d, k)) for d, k in close]
 
     def nearest(self, q: np.ndarray) -> Near | None:
-        """The nearest pair at q (n,); None when there is none."""
+        """Return the nearest pair at q (n,) [rad or m], or None if no pair is tested."""
         self.place(q)
         apart, least, found = self._apart(), np.inf, -1
         for k in np.argsort(apart, kind="stable").tolist():
@@ -176,20 +182,20 @@ class Clearance:
         return None if found < 0 else self._near(least, found)
 
     def _near(self, distance: float, k: int) -> Near:
-        """Pair k as a Near, from its last measurement."""
+        """Return the last measurement of pair k as a Near."""
         points = self.points(np.array([k]))[0]
         gap = points[1] - points[0]
         return Near(self.name(k), distance, points, gap / max(np.sqrt(gap @ gap), 1e-300))
 
     def _apart(self) -> np.ndarray:
-        """Distances (P,) between the bounding spheres of all pairs; -inf for infinite shapes."""
+        """Return the distances (P,) [m] between the bounding spheres of all pairs, -inf for infinite shapes."""
         self._locate()
         middles = np.sqrt(((self._at[self.a] - self._at[self.b]) ** 2).sum(1))
         size = self._size[self.a] + self._size[self.b]
         return np.where(np.isfinite(size) & np.isfinite(middles), middles - size, -np.inf)
 
     def _locate(self) -> None:
-        """Centres of the shapes (root axes)."""
+        """Compute the centres [m] of the shapes in the root's axes."""
         self._placements = np.array([M.homogeneous for M in self._frames])[self._owner]
         self._at = np.ascontiguousarray((self._placements @ self._middle[:, :, None])[:, :3, 0])
 
@@ -199,15 +205,16 @@ class Clearance:
         pin.computeJointJacobians(self.robot.model, self._data)
         self._V = np.ascontiguousarray(self._data.J.T[self._columns])
         self._locate()
+        moved = self.a, self.b, self.by_a, self.by_b
+        self._parts = Bodies(self._V, self.coordinates, self._at, self._radius, *moved)
 
     def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How much closer (P, E) each pair can come per unit of each moving joint, while joint i moves at most way (n,).
+        """Bound how much closer (P, E) a pair can come per unit of each moving joint, while joint i moves at most way (n,).
 
-        Also returns the sum (P,) [m] over all joints moving that far.
+        The second result (P,) [m] is the sum over all joints if each moves that far.
         """
         out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
-        joints = self._V, self.coordinates, self._at, self._radius
-        levers(*joints, self.a, self.b, self.by_a, self.by_b, way, out, spread)
+        levers(self._parts, way, out, spread)
         return out, spread
 
     def forget(self) -> None:
@@ -215,28 +222,36 @@ class Clearance:
         self._held[:] = False
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """The nearest points found before: what `recall` takes."""
+        """Return the nearest points found before, for `recall`."""
         return self._corners, self._held
 
     def recall(self, found: tuple[np.ndarray, np.ndarray]) -> None:
-        """Go on with nearest points found before, those of another one of the same model."""
+        """Continue with nearest points found before by another Clearance of the same model."""
         self._corners, self._held = (one.copy() for one in found)
 
     def facing(self, ks: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nearest points of pairs ks (K,), their distances [m] known, and points that were nearest before and nearly still are.
+        """Find where pairs face each other: their nearest points, and points that were nearest before and nearly still are.
 
-        Returns pairs (R,), points (R, 2, 3) (root axes) and distances (R,) [m]: first those of ks, then those before; after `move`.
+        Args:
+            ks: The pairs (K,).
+            distances: Their distances [m], already measured.
+
+        Returns:
+            The pairs (R,), points (R, 2, 3) [m] in the root's axes and distances (R,) [m]: first those of ks, then
+            those found before. `move` must have been called.
         """
         points, each = self.points(ks), np.arange(len(ks))
-        at = self._placements[np.stack([self.a[ks], self.b[ks]], axis=1)]  # (K, 2, 4, 4)
+        # Placements (K, 2, 4, 4) of the two shapes of each pair.
+        at = self._placements[np.stack([self.a[ks], self.b[ks]], axis=1)]
         turn, origin = at[..., :3, :3], at[..., :3, 3]
         own = ((points - origin)[..., None, :] @ turn)[..., 0, :]
         known = self._corners[ks]
         before = (turn[:, None] @ known[..., None])[..., 0] + origin[:, None]
         gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
-        # Where a corner slides along a face, only the point on the face is another one.
+        # A corner that slides along a face counts as one point, although the point on the face changes.
         same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
-        hull = ~self._on_surface[ks][:, None]  # points kept of hulls, which may meet, are none of the exact shapes
+        # Points kept from hulls, which may meet, are not points of the exact shapes.
+        hull = ~self._on_surface[ks][:, None]
         held = self._held[ks] & hull & ~same & (gaps < distances[:, None] + NEARBY)
         new = np.argmax(np.where(held, gaps, np.inf), axis=1)
         held[each, new] = False
@@ -250,16 +265,21 @@ class Clearance:
         )
 
     def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Half-planes of pairs ks (K,) as in `kernel.clearance.rows`."""
-        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, points, gap, rate, *rest)
+        """Write the half-planes of pairs ks (K,), see `kernel.clearance.rows`; rest: deceleration, `Approach`, `HalfPlanes`."""
+        deceleration, *rules = rest[:5]
+        facing, planes = Facing(ks, points, gap), HalfPlanes(*rest[5:])
+        return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
 
-    def free_until(self, ks: np.ndarray, distances: np.ndarray, *rest: Any) -> np.ndarray:
-        """How far (K,) pairs ks are certainly free, as in `kernel.clearance.free_until`, from their last measurement."""
+    def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
+        """Return how far (K,) pairs ks are free from their last measurement on, see `kernel.clearance.free_until`.
+
+        path: the fields of `BrakingPath`, and where it is looked at from [pieces].
+        """
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
         normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
-        normals[self._on_surface[ks]] = 0.0  # non-convex shapes have no separating plane
+        normals[self._on_surface[ks]] = 0.0  # Non-convex shapes have no separating plane.
         out = np.empty(len(ks))
-        parts = self._at, self._radius, self.a, self.b, self.by_a, self.by_b
-        free_until(self._V, self.coordinates, *parts, ks, normals, distances, *rest, out)
+        pairs = Separation(ks, normals, distances)
+        free_until(self._parts, pairs, levers, BrakingPath(*path[:-1]), path[-1], out)
         return out

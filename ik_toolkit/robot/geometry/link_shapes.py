@@ -1,7 +1,7 @@
-"""The shapes of a URDF's links, as Pinocchio places and names them, without its mesh reader.
+"""Reads the shapes of a URDF's links and places and names them as Pinocchio does, but without its mesh reader.
 
-Pinocchio's own reader opens any path a file names, in this process, and drops all shapes of a link with a line on stderr when
-one of them is broken. Here each broken or missing shape is reported.
+Pinocchio's own reader opens any path a file names, in this process, and drops all shapes of a link with a line on
+stderr when one of them is unusable. Here each unusable or missing shape is reported.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,29 +12,30 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import ModelError
-from ..formats.urdf import Item, numbers, parse
-from ..pose import rpy_matrix
+from ..formats.urdf import Item, attribute_numbers, parse
+from ..rotation import rpy_matrix
 from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
 
-MAX_TOTAL = 5_000_000  # triangles per robot: 2 GB as bounding volume trees for collisions; robots have up to 1,000,000
-LARGEST = 1e6  # [m] or factor: largest size, scale and distance of a shape
-SIZES = {  # shape -> attribute -> count of numbers
+# Limit on a robot's triangles, which take 2 GB as bounding volume trees for collisions. Robots have up to 1,000,000.
+MAX_TOTAL = 5_000_000
+LARGEST = 1e6  # Limit on the size, scale and distance of a shape [m, or factor].
+SIZES = {  # Maps a shape to the URDF attributes of its size and how many numbers they hold.
     "box": {"size": 3},
     "sphere": {"radius": 1},
     "cylinder": {"radius": 1, "length": 1},
     "capsule": {"radius": 1, "length": 1},
 }
 ROLES = {"surface": "collision", "look": "visual"}
-Problems = list[tuple[str, str]]  # (element, what is wrong with it)
+Problems = list[tuple[str, str]]  # A problem names an element and what is wrong with it.
 
 
 @dataclass(frozen=True)
 class LinkShape:
     """One shape of a link.
 
-    name ("LINK_K"); link; kind ('box', 'sphere', 'cylinder', 'capsule' or 'mesh'); sizes: (x, y, z), (radius,), (radius,
-    length), or the mesh's scale (3,) [m]; T_link_shape; color: (r, g, b, opacity) of the URDF or None; file: the mesh's name in the
-    URDF; convex: whether the mesh is treated as convex; mesh: contents of the file.
+    `name` is "LINK_K", `kind` 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'. `sizes` [m] are (x, y, z), (radius,) or
+    (radius, length), or for a mesh its scale (3,). `color` is (r, g, b, opacity) as in the URDF, or None. For a mesh,
+    `file` is its name in the URDF, `mesh` the contents of the file, and `convex` tells whether it is treated as convex.
     """
 
     name: str
@@ -49,9 +50,9 @@ class LinkShape:
 
 
 def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Problems]:
-    """Shapes of a robot's links for 'surface' (collisions) or 'look' (visuals), and the problems with unusable ones.
+    """Read the shapes of a robot's links for 'surface' (collisions) or 'look' (visuals); also return what is wrong with the others.
 
-    most: largest number allowed; ModelError beyond it.
+    Raises ModelError if there are more than `most`.
     """
     role = ROLES[kind]
     items = [item for item in parse(robot.urdf) if item.tag in ("link", "material")]
@@ -66,7 +67,8 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     files = {}
     for item in items:
         own = [given for given in item.shapes if given["role"] == role]
-        asked = {(part.tag, part.attributes.get("name")) for part in item.inside}  # in <collision_checking>
+        # A <collision_checking> element names the cylinders that count as capsules and the meshes that count as convex.
+        asked = {(part.tag, part.attributes.get("name")) for part in item.inside}
         for k, given in enumerate(own):
             try:
                 shape = _shape(item, k, given, asked, colors)
@@ -94,14 +96,14 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     return found, problems
 
 
-def said(problems: Problems) -> str:
-    """One sentence for a list of problems: the first three, and the number of others."""
+def problems_sentence(problems: Problems) -> str:
+    """Summarise problems in one sentence: the first three, and the number of others."""
     rows = list(dict.fromkeys(f"{element}: {problem}" for element, problem in problems))
     return "; ".join(rows[:3]) + (f"; and {len(rows) - 3} more" if len(rows) > 3 else "")
 
 
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
-    """Pinocchio's geometry: forms (coal shapes) placed on the links of their shapes."""
+    """Make Pinocchio's geometry by placing forms (coal shapes) on the links of their shapes."""
     geometry = pin.GeometryModel()
     frames: dict[str, int] = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY}
     for shape, form in zip(shapes, forms, strict=True):
@@ -120,9 +122,9 @@ def _shape(
     asked: set[tuple[str, str | None]],
     colors: Mapping[str, tuple[float, ...]],
 ) -> LinkShape:
-    """Return one shape; ModelError, whose text ends a sentence, if it is invalid.
+    """Return one shape of a link. Raises ModelError, whose text ends a sentence, if it is invalid.
 
-    asked: (tag, name of a collision shape) where 'capsule' replaces a cylinder or 'convex' a mesh.
+    `asked` has (tag, name of a collision shape) where 'capsule' replaces a cylinder or 'convex' a mesh.
     """
     tag, attributes = given.get("geometry", ("", {}))
     kind = "capsule" if tag == "cylinder" and ("capsule", given["name"]) in asked else tag
@@ -150,7 +152,7 @@ def _shape(
     if max(map(abs, xyz)) > LARGEST:
         raise ModelError(f'its shape <origin xyz="{origin["xyz"][:60]}"> is further than {LARGEST:g} m away')
     material = given.get("material", {}).get("name", "")
-    color = colors.get(material) or _color(given.get("color", {}))  # a material name refers to its first colour
+    color = colors.get(material) or _color(given.get("color", {}))  # The name of a material refers to its first colour.
     place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
     mesh = kind == "mesh"
     return LinkShape(
@@ -173,7 +175,7 @@ def _numbers(
         text = attributes.get(key, default)
         if text is None:
             raise ModelError(f"<{tag}> has no {key}")
-        some = numbers(text)
+        some = attribute_numbers(text)
         if some is None or len(some) != count or not np.isfinite(some).all():
             raise ModelError(f'<{tag} {key}="{text[:60]}"> is not {count} finite number{"s" * (count > 1)}')
         values += some
@@ -181,7 +183,7 @@ def _numbers(
 
 
 def _colors(items: Sequence[Item]) -> dict[str, tuple[float, ...]]:
-    """Colours by material name: first the robot's materials, then those defined inside a visual; the first of a name counts."""
+    """Map material names to colours; the robot's materials come before those inside a visual, and the first of a name counts."""
     found: dict[str, tuple[float, ...]] = {}
     of_robot = [(item.name, item.first("color") or {}) for item in items if item.tag == "material"]
     written = [(s["material"].get("name", ""), s.get("color", {})) for i in items for s in i.shapes if "material" in s]
@@ -193,6 +195,6 @@ def _colors(items: Sequence[Item]) -> dict[str, tuple[float, ...]]:
 
 
 def _color(attributes: Mapping[str, str]) -> tuple[float, ...] | None:
-    """(r, g, b, opacity) in 0..1 of a <color>, or None."""
-    values = numbers(attributes.get("rgba", "")) or []
+    """Return the (r, g, b, opacity) of a <color>, each in 0..1, or None."""
+    values = attribute_numbers(attributes.get("rgba", "")) or []
     return tuple(min(max(x, 0.0), 1.0) for x in values) if len(values) == 4 and np.isfinite(values).all() else None

@@ -1,8 +1,9 @@
 """Subprocess that reads mesh files for `meshes.py`, so that a file that crashes its reader crashes only this process.
 
-It imports nothing from the toolkit. Job (JSON on stdin): kind 'surface' (triangles by coal, for collisions) or 'look' (triangles
-and colours by trimesh), out (folder), folders (the only ones referenced files are read from), files, and the caps. It prints
-"begin K", then one line of JSON per file, and writes OUT/K.npz with v0, f0, c0 (vertices [m], faces, colour or empty), v1, ...
+It imports nothing from the toolkit. Its job (JSON on stdin) has kind, 'surface' (triangles by coal, for collisions) or
+'look' (triangles and colours by trimesh), out (a folder), folders (the only ones referenced files are read from),
+files, and the limits. It prints "begin K", then one line of JSON per file, and writes OUT/K.npz with v0, f0, c0
+(vertices [m], faces, colour or empty), v1, ...
 """
 
 import base64
@@ -16,46 +17,47 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.parsers import expat
 
-FAR = 1e6  # [units of the file]; a coordinate beyond this is taken for corrupt
-REPEATED = 100_000  # nodes that one node may expand to
-# Lines of coal's message around the actual reason.
+FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
+REPEATED = 100_000  # Limit on the nodes that one node may expand to.
+# Lines of coal's message that surround the actual reason.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# What trimesh loads if it is there, and reading does without: it takes three times as long to import as all the rest.
+# trimesh loads scipy, networkx and shapely if they are installed, although reading a mesh does not need them.
+# Importing UNUSED takes three times as long as importing everything else.
 UNUSED = ("scipy", "networkx", "shapely")
-DEEP = 200  # nesting of nodes in a .dae or .gltf; exporters nest a few
+DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 
 
-class Refused(Exception):
-    """A file that is not read; the message says why."""
+class MeshRefused(Exception):
+    """A file is not read; the message says why."""
 
 
 class References:
-    """Files referenced by a mesh file: read only from inside the folders, and only regular files up to the cap."""
+    """Reads files that a mesh file refers to, only from inside the folders, and only regular files up to the size limit."""
 
     def __init__(self, file: Path, job: dict) -> None:
         self.file, self.job = file, job
-        self.refused: list[str] = []  # files outside the folders
+        self.refused: list[str] = []  # Sentences on the files refused so far because they lie outside the folders.
         self.last = ""
 
     def get(self, name: str) -> bytes:
-        """Bytes of a referenced file; Refused if it lies outside or does not exist."""
+        """Return the bytes of a referenced file. Raises Refused if it lies outside the folders or does not exist."""
         shown, inside = repr(name)[:100], False
         try:
             if "://" in name:
-                raise Refused
+                raise MeshRefused
             path = (self.file.parent / unquote(name).strip()).resolve()
             inside = any(path.is_relative_to(folder) for folder in self.job["folders"])
             if inside and path.is_file() and path.stat().st_size <= self.job["bytes"]:
                 return path.read_bytes()
             said = "does not exist or is too large" if inside else "lies outside the folders of the robot"
-        except Refused:
+        except MeshRefused:
             said = "is a network address"
         except (OSError, ValueError, RuntimeError):
             said = "cannot be read"
         self.last = f"{shown}, which it refers to, {said} and is not read"
         if not inside:
             self.refused.append(self.last)
-        raise Refused(self.last)
+        raise MeshRefused(self.last)
 
     __getitem__ = get
 
@@ -63,27 +65,29 @@ class References:
 def check_xml(raw: bytes) -> None:
     """Reject a .dae that declares entities, nests nodes too deep or has one that contains itself: readers crash on these."""
     stack: list[str] = []
-    inside: dict[str, list] = {}  # id of a node or scene -> the nodes below it or instanced by it
+    inside: dict[str, list] = {}  # Each node or scene, by id, has the nodes below it or instanced by it.
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict) -> None:
         tag = tag.rpartition(":")[2]
         stack.append(attributes.get("id", "") if tag in ("node", "visual_scene") else "")
         if len(stack) > DEEP:
-            raise Refused(f"its elements are nested more than {DEEP} deep")
+            raise MeshRefused(f"its elements are nested more than {DEEP} deep")
         child = attributes.get("url", "").lstrip("#") if tag.startswith("instance_") else stack[-1]
         if child:
             inside.setdefault(next(filter(None, reversed(stack[:-1])), ""), []).append(child)
 
     def refuse(*_: object) -> None:
-        raise Refused("it has a DOCTYPE or entity declarations")
+        raise MeshRefused("it has a DOCTYPE or entity declarations")
 
     parser.StartElementHandler, parser.EndElementHandler = start, lambda tag: stack.pop()
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
         parser.Parse(raw, True)
     except expat.ExpatError as error:
-        raise Refused(f"it is not well-formed XML ({expat.ErrorString(error.code)} in line {error.lineno})") from None
+        raise MeshRefused(
+            f"it is not well-formed XML ({expat.ErrorString(error.code)} in line {error.lineno})"
+        ) from None
     check_instances(inside)
 
 
@@ -99,20 +103,20 @@ def check_instances(inside: dict[str, list]) -> None:
             if child is None:
                 size[node] = 1 + sum(size.get(other, 1) for other in inside[node])
                 if size[node] > REPEATED:
-                    raise Refused(f"its nodes expand to more than {REPEATED:,} others")
+                    raise MeshRefused(f"its nodes expand to more than {REPEATED:,} others")
                 path.pop()
                 on_path.discard(node)
             elif child in on_path:
-                raise Refused(f"its node {child[:60]!r} contains itself")
+                raise MeshRefused(f"its node {child[:60]!r} contains itself")
             elif child in inside and child not in size:
                 path.append((child, iter(inside[child])))
                 on_path.add(child)
                 if len(path) > DEEP:
-                    raise Refused(f"its nodes are nested more than {DEEP} deep")
+                    raise MeshRefused(f"its nodes are nested more than {DEEP} deep")
 
 
 def inline(raw: bytes, references: References) -> bytes:
-    """Text of a .gltf with its buffers embedded (readers would open any path written there)."""
+    """Return the text of a .gltf with its buffers embedded, because a reader would open any path written there."""
     tree = json.loads(raw)
     for buffer in tree.get("buffers", []):
         uri = buffer.get("uri", "")
@@ -133,21 +137,21 @@ def check_gltf(raw: bytes) -> None:
             not str(buffer.get("uri", "data:")).startswith("data:") for buffer in tree.get("buffers", [])
         )
     except (ValueError, AttributeError, TypeError, RecursionError):
-        raise Refused("its JSON is broken") from None
+        raise MeshRefused("its JSON is broken") from None
     if outside:
-        raise Refused("it keeps buffers in other files")
+        raise MeshRefused("it keeps buffers in other files")
     check_instances(inside)
 
 
-def surface(file: Path, raw: bytes, references: References, out: Path):
-    """Triangles of a mesh file by coal (assimp), used for collision tests."""
+def collision_mesh(file: Path, raw: bytes, references: References, out: Path):
+    """Yield the triangles of a mesh file, read by coal (assimp), for collision tests."""
     import coal
     import numpy as np
 
     path, kind = file, file.suffix.lower()
     if kind in (".obj", ".gltf"):
         path = out / f"copy{kind}"
-        if kind == ".obj":  # vertices and faces only: other lines name files
+        if kind == ".obj":  # Only vertices and faces are kept, because other lines name files.
             lines = raw.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
             path.write_bytes(b"\n".join(line for line in lines if line.split()[:1] in ([b"v"], [b"f"])))
         else:
@@ -157,8 +161,8 @@ def surface(file: Path, raw: bytes, references: References, out: Path):
     yield shape.vertices(), np.array(faces, dtype=np.int64).reshape(-1, 3), None
 
 
-def look(file: Path, raw: bytes, references: References, out: Path):
-    """Triangles and colour of every material of a mesh file by trimesh, used for drawing."""
+def coloured_mesh(file: Path, raw: bytes, references: References, out: Path):
+    """Yield the triangles and the colour of every material of a mesh file, read by trimesh, for drawing."""
     import numpy as np
 
     sys.modules.update(dict.fromkeys(UNUSED))  # type: ignore[arg-type]  None: not found
@@ -172,7 +176,7 @@ def look(file: Path, raw: bytes, references: References, out: Path):
         get = __getitem__ = staticmethod(references.get)  # pyright: ignore[reportAssignmentType]
         write = namespaced = keys = lambda *_: None  # pyright: ignore[reportAssignmentType]
 
-    warnings.simplefilter("ignore")  # trimesh warns about materials that do not matter here
+    warnings.simplefilter("ignore")  # trimesh warns about materials that do not matter here.
     scene = trimesh.load_scene(io.BytesIO(raw), file_type=file.suffix.lower()[1:], resolver=Resolver())
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
@@ -184,7 +188,7 @@ def look(file: Path, raw: bytes, references: References, out: Path):
         yield trimesh.transform_points(mesh.vertices, T), mesh.faces, color
 
 
-def read(file: Path, references: References, job: dict, out: Path, number: int) -> None:
+def read_mesh(file: Path, references: References, job: dict, out: Path, number: int) -> None:
     """Read one file and write its triangles to OUT/NUMBER.npz."""
     import numpy as np
 
@@ -194,22 +198,22 @@ def read(file: Path, references: References, job: dict, out: Path, number: int) 
     elif file.suffix.lower() in (".gltf", ".glb"):
         check_gltf(raw)
     arrays, count = {}, 0
-    pieces = {"surface": surface, "look": look}[job["kind"]](file, raw, references, out)
+    pieces = {"surface": collision_mesh, "look": coloured_mesh}[job["kind"]](file, raw, references, out)
     for k, (vertices, faces, color) in enumerate(pieces):
         vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
         count += len(faces)
         if count > job["triangles"]:
-            raise Refused(f"it has more than {job['triangles']:,} triangles")
-        if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # NaN too
-            raise Refused(f"it has vertices that are not finite numbers up to {FAR:g}")
+            raise MeshRefused(f"it has more than {job['triangles']:,} triangles")
+        if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # The comparison is false for NaN too.
+            raise MeshRefused(f"it has vertices that are not finite numbers up to {FAR:g}")
         arrays |= {f"v{k}": vertices, f"f{k}": faces, f"c{k}": np.empty(0) if color is None else color}
     if not count:
-        raise Refused("it has no triangles")
+        raise MeshRefused("it has no triangles")
     np.savez(out / f"{number}.npz", **arrays)
 
 
 def limit(what: str, value: int) -> None:
-    """Cap a resource of this process where the system supports it."""
+    """Limit a resource of this process where the system supports it."""
     with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
         import resource
 
@@ -219,26 +223,26 @@ def limit(what: str, value: int) -> None:
 
 
 def main() -> None:
-    """Read the job from stdin and the files one by one."""
+    """Read the job from stdin, then read the files one by one."""
     job = json.load(sys.stdin)
     out = Path(job["out"])
     limit("CORE", 0)
     limit("AS", job["memory"])
     for number, (name, seconds) in enumerate(job["files"]):
         print(f"begin {number}", flush=True)
-        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # the system kills the process beyond it
+        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # The system kills the process if it takes more time.
         file = Path(name)
         references = References(file, job)
         said = ""
         try:
-            read(file, references, job, out, number)
-        except Refused as error:
+            read_mesh(file, references, job, out, number)
+        except MeshRefused as error:
             said = str(error)
         except MemoryError:
             said = "it needs too much memory"
         except RecursionError:
             said = "its parts are nested too deep"
-        except Exception as error:  # readers can raise anything on a broken file
+        except Exception as error:  # Readers can raise any exception on a broken file.
             lines = [line for line in str(error).splitlines() if not line.startswith(COAL)]
             said = references.last or " ".join(" ".join(lines).split())[:120] or type(error).__name__
         notes = [] if said else list(dict.fromkeys(references.refused))[:3]

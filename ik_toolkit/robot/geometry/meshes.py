@@ -1,8 +1,8 @@
-"""Mesh files: where they may be, and their triangles, read in a subprocess.
+"""Finds mesh files and reads their triangles in a subprocess with limits, because mesh readers crash on broken files.
 
-One rule for `ik check`, pictures, panel and collisions: a mesh is read only from the URDF's folder, the ROS package the URDF is
-in (the nearest folder above with a package.xml), `package_dirs` and the packages it names. Symbolic links that lead outside are
-rejected; the same holds for files a mesh refers to. Mesh readers crash on broken files, so they run in a subprocess with limits.
+One rule holds for `ik check`, pictures, panel and collisions: a mesh is read only from the URDF's folder, the ROS
+package the URDF is in (the nearest folder above with a package.xml), `package_dirs` and the packages it names. Symbolic
+links that lead outside are rejected; the same holds for files a mesh refers to.
 """
 
 import json
@@ -22,19 +22,29 @@ from ...errors import ModelError
 from ..packages import find_package
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
-MAX_MESH_BYTES = 100_000_000  # the largest file of example-robot-data has 29 MB
-MAX_TRIANGLES = 2_000_000  # per file; that one has 351,394
-MAX_MESHES = 1_000  # different files per robot
-MAX_PACKAGES = 50  # different packages per robot
-MEMORY = 2_000_000_000  # bytes for the reading process; that file takes 0.5 GB
-SECONDS, SECONDS_PER_MB = 4.0, 2.0  # processor time per file; that file takes 1.6 s in all
-MAX_CRASHES = 5  # reading processes that may crash per robot
-KEPT = 256  # files whose triangles are cached
+# Cap on processor time [s] for each file. The largest file of example-robot-data takes 1.6 s in all.
+SECONDS = 4.0
+
+
+class MeshCaps(NamedTuple):
+    """Limits on the meshes of a robot; the comments give what the largest file of example-robot-data has."""
+
+    bytes: int = 100_000_000  # Bytes of a file; the largest has 29 MB.
+    triangles: int = 2_000_000  # Triangles of a file; the largest has 351,394.
+    meshes: int = 1_000  # Number of different mesh files of a robot.
+    packages: int = 50  # Number of different ROS packages that a robot's meshes come from.
+    memory: int = 2_000_000_000  # Memory [bytes] of the reading process; the largest file takes 0.5 GB.
+    seconds_per_mb: float = 2.0  # Processor time [s] for each MB of a file, beyond SECONDS.
+    crashes: int = 5  # Number of reading processes that may crash for one robot.
+    kept: int = 256  # Number of files whose triangles are cached.
+
+
+CAPS = MeshCaps()
 WORKER = Path(__file__).with_name("mesh_worker.py")
 
 
-class Piece(NamedTuple):
-    """Triangles of one material: vertices (N, 3) [units of the file], faces (M, 3), color (3,) in 0..1 or None."""
+class MeshPiece(NamedTuple):
+    """The triangles of one material: vertices (N, 3) [units of the file], faces (M, 3), and color (3,) in 0..1 or None."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -43,18 +53,21 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Contents of a mesh file, or why it was not read (refused), and what was left out (notes)."""
+    """The contents of a mesh file.
 
-    pieces: tuple[Piece, ...] = ()
+    If it was not read, `refused` says why; `notes` say what was left out.
+    """
+
+    pieces: tuple[MeshPiece, ...] = ()
     refused: str = ""
     notes: tuple[str, ...] = ()
 
 
-_read: dict[tuple, Mesh] = {}  # by kind, path, size and modification time
+_read: dict[tuple, Mesh] = {}  # The cache has meshes by kind, path, size and modification time.
 
 
 def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[Path]:
-    """Folders from which meshes of a URDF file (None: of a text) are read, symbolic links resolved."""
+    """Return the folders, with symbolic links resolved, from which meshes of a URDF file (None: of a text) are read."""
     folders = [Path(folder).expanduser() for folder in package_dirs]
     if path is not None:
         home = path.expanduser().resolve().parent
@@ -64,18 +77,19 @@ def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[
 
 
 def mesh_packages(names: Iterable[str], path: Path | None, package_dirs: Iterable[str | Path]) -> dict[str, Path]:
-    """Folders of the packages that mesh names refer to (package://NAME/...), as far as found."""
+    """Find the folders of the packages that mesh names refer to (package://NAME/...)."""
     spoken = dict.fromkeys(
         name.partition("://")[2].partition("/")[0] for name in names if name.startswith("package://")
     )
-    found = {package: find_package(package, path, package_dirs) for package in [*spoken][:MAX_PACKAGES]}
+    found = {package: find_package(package, path, package_dirs) for package in [*spoken][: CAPS.packages]}
     return {package: folder for package, folder in found.items() if folder}
 
 
 def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] | None = None) -> Path:
-    """Real path of a mesh named in a URDF (package://, model://, file:// or a path); ModelError whose text ends a sentence.
+    """Find the real path of a mesh named in a URDF (package://, model://, file:// or a path).
 
-    folders: from `mesh_folders`; packages: from `mesh_packages`.
+    `folders` are those of `mesh_folders`, `packages` those of `mesh_packages`. Raises ModelError, whose text ends a
+    sentence, if there is none or it may not be read.
     """
     folders = [*folders, *(packages or {}).values()]
     scheme, separator, rest = name.partition("://")
@@ -103,26 +117,27 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         real = [Path(place).resolve() for place in inside if os.path.isfile(place)]
         found = next((path for path in real if lies_in(path, folders)), None)
         size = found.stat().st_size if found else 0
-    except (OSError, ValueError, RuntimeError):  # circular links, too long a name
+    except (OSError, ValueError, RuntimeError):  # A circular link or a name that is too long raises one of these.
         raise ModelError("cannot be read") from None
     if found is None:
         raise ModelError("is a link that leads outside the allowed folders" if real else "is not there")
     if found.suffix.lower() not in FORMATS:
         raise ModelError(f"is not a supported format ({', '.join(FORMATS)})")
-    if size > MAX_MESH_BYTES:
-        raise ModelError(f"is larger than {MAX_MESH_BYTES // 1_000_000} MB")
+    if size > CAPS.bytes:
+        raise ModelError(f"is larger than {CAPS.bytes // 1_000_000} MB")
     return found
 
 
 def lies_in(path: Path, folders: Sequence[Path]) -> bool:
-    """Whether a real path lies in one of the folders that may be read."""
+    """Return whether a real path lies in one of the folders that may be read."""
     return any(path.is_relative_to(folder) for folder in folders)
 
 
 def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
-    """Triangles of files (paths of `find_mesh`) for 'surface' (one piece per file) or 'look' (one piece per material).
+    """Read files found by `find_mesh` for 'surface' (one piece per file) or 'look' (one piece per material).
 
-    A mesh that cannot be read has `refused`, the end of a sentence; files they refer to are read only from `folders`.
+    A mesh that cannot be read has `refused`, the end of a sentence; files that a mesh refers to are read only from
+    `folders`.
     """
     found: dict[Path, Mesh] = {}
     left: dict[Path, tuple] = {}
@@ -135,32 +150,32 @@ def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> di
         key = kind, path, about.st_size, about.st_mtime_ns, tuple(folders)
         if key in _read:
             found[path] = _read[key]
-        elif len(left) < MAX_MESHES:
+        elif len(left) < CAPS.meshes:
             left[path] = key
         else:
-            found[path] = Mesh(refused=f"is not read: the robot has more than {MAX_MESHES:,} meshes")
-    for _ in range(MAX_CRASHES):
+            found[path] = Mesh(refused=f"is not read: the robot has more than {CAPS.meshes:,} meshes")
+    for _ in range(CAPS.crashes):
         for path, mesh in (_run([*left], kind, folders) if left else {}).items():
-            if len(_read) >= KEPT:
+            if len(_read) >= CAPS.kept:
                 del _read[next(iter(_read))]
             found[path] = _read[left.pop(path)] = mesh
     return found | dict.fromkeys(left, Mesh(refused="is not read: too many others crashed their reader"))
 
 
 def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
-    """Read files in one process until all are read or one crashes it; returns the files done, including that one."""
-    seconds = [SECONDS + SECONDS_PER_MB * path.stat().st_size / 1e6 for path in paths]
+    """Read files in one process until all are read or one crashes it; return the files done, including the one that crashed it."""
+    seconds = [SECONDS + CAPS.seconds_per_mb * path.stat().st_size / 1e6 for path in paths]
     with tempfile.TemporaryDirectory(prefix="ik_mesh_") as out:
         job = {
             "kind": kind,
             "out": out,
             "folders": [str(folder) for folder in folders],
             "files": [(str(path), allowed) for path, allowed in zip(paths, seconds, strict=True)],
-            "bytes": MAX_MESH_BYTES,
-            "triangles": MAX_TRIANGLES,
-            "memory": MEMORY,
+            "bytes": CAPS.bytes,
+            "triangles": CAPS.triangles,
+            "memory": CAPS.memory,
         }
-        # Every thread takes memory.
+        # One thread is enough, and every further one takes memory.
         threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         try:
             done = subprocess.run(
@@ -169,7 +184,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
-                timeout=6.0 * math.fsum(seconds),  # wall time: allows for a busy machine or a slow disk
+                timeout=6.0 * math.fsum(seconds),  # The limit on wall time allows for a busy machine or a slow disk.
                 env={**os.environ, **threads},
                 check=False,
             )
@@ -194,10 +209,10 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
         return meshes
 
 
-def _pieces(file: Path) -> tuple[Piece, ...]:
+def _pieces(file: Path) -> tuple[MeshPiece, ...]:
     with np.load(file) as arrays:
         pieces = []
         for k in range(len(arrays.files) // 3):
             vertices, faces, color = (arrays[f"{letter}{k}"] for letter in "vfc")
-            pieces.append(Piece(vertices, faces, tuple(color.tolist()) or None))
+            pieces.append(MeshPiece(vertices, faces, tuple(color.tolist()) or None))
     return tuple(pieces)

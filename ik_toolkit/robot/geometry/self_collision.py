@@ -1,7 +1,8 @@
-"""Pairs of links that need no collision test: found by sampling, as in MoveIt's Setup Assistant, and written as an SRDF.
+"""Finds pairs of links that need no collision test by sampling, as MoveIt's Setup Assistant does, and writes them as an SRDF.
 
-For every pair of links with collision shapes: are they joined by a joint, and do they touch in (almost) every configuration, by
-construction, or in none? All joints of the model move, not only those on the path to a tip.
+For every pair of links with collision shapes it asks whether they are joined by a joint, and whether they touch in
+(almost) every configuration, by construction, or in none. All joints of the model move, not only those on the path to a
+tip.
 """
 
 from collections.abc import Callable
@@ -16,22 +17,23 @@ from ..joints import Joints
 from ..probe import NO_LIMIT
 from .convex import owner_above, read_shapes, request
 
-ALWAYS = 0.95  # share of configurations from which a pair counts as touching "always", as in MoveIt
-DEFAULT = (
-    0.5  # same for touching "by default", if the pair also touches at zero; MoveIt uses 0, which hides real contacts
-)
-# Two links this near [m] in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
+ALWAYS = 0.95  # A pair that touches in this share of the configurations is said to touch "always", as in MoveIt.
+# A pair that touches at zero and in half of the samples touches "by default".
+# MoveIt needs no sample for that, which hides contacts.
+DEFAULT = 0.5
+# Two links within 1 cm of each other in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
 NEAR = 0.01
-SAMPLES = 10_000  # as in MoveIt
+SAMPLES = 10_000  # Number of samples, the same as in MoveIt.
 REASONS = ("Adjacent", "Always", "Default", "Never")
 
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """The pairs found: robot (its name in the URDF); reasons (pair of links -> one of REASONS); tested (pairs left to test).
+    """The pairs of links found by `self_collision`.
 
-    samples, seed; before, after: share of the samples with any contact, over all pairs that move relative to each other and are
-    not joined by a joint, and over the pairs left to test.
+    `reasons` maps a pair to one of REASONS, `tested` has the pairs left to test. `before` and `after` are the shares of
+    the samples with any contact: over all pairs that move relative to each other and are not joined by a joint, and
+    over the pairs left to test.
     """
 
     robot: str
@@ -43,12 +45,12 @@ class SelfCollision:
     after: float
 
     def counts(self) -> dict[str, int]:
-        """Number of pairs for each reason."""
+        """Count the pairs for each reason."""
         given = list(self.reasons.values())
         return {reason: given.count(reason) for reason in REASONS}
 
     def to_srdf(self) -> str:
-        """SRDF text with the pairs that need no collision test."""
+        """Write the pairs that need no collision test as SRDF text."""
         lines = [
             f"    <disable_collisions link1={quoteattr(a)} link2={quoteattr(b)} reason={quoteattr(reason)}/>"
             for (a, b), reason in self.reasons.items()
@@ -63,9 +65,10 @@ def self_collision(
 ) -> SelfCollision:
     """Sample random configurations of all joints of a robot's model to find the pairs of links that need no collision test.
 
-    Adjacent: joined by one joint. Always: touch in 95 % of the samples. Default: touch with all joints at zero and in half of the
-    samples. Never: no joint moves them relative to each other, or they were never nearer than 1 cm. progress: called with the
-    number of samples done. Raises ModelError, InvalidOption.
+    A pair is Adjacent if joined by one joint, Always if it touches in 95 % of the samples, Default if it touches with
+    all joints at zero and in half of the samples, Never if no joint moves the two relative to each other or they were
+    never nearer than 1 cm. `progress` is called with the number of samples done. Raises ModelError for fewer than two
+    links with shapes, InvalidOption for less than one sample.
     """
     if samples < 1:
         raise InvalidOption(f"samples must be at least 1, not {samples}")
@@ -115,7 +118,7 @@ def self_collision(
 
 
 class _Probe:
-    """Contacts of pairs of shapes (P, 2) of a model at given joint values; lower, upper (m,): limits of its one-DOF joints."""
+    """Tests pairs of shapes (P, 2) of a model for contact at joint values within `lower` and `upper` (m,) of its one-DOF joints."""
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel, shapes: np.ndarray) -> None:
         """Prepare two tests for all pairs: whether they touch, and whether they are nearer than NEAR."""
@@ -142,7 +145,7 @@ class _Probe:
         self.lower, self.upper = np.minimum(lower, upper), np.maximum(lower, upper)
 
     def contacts(self, values: np.ndarray, asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of the pairs in `asked` (P,) that touch, and of those nearer than NEAR, at joint values (m,) [rad or m]."""
+        """Return which pairs in `asked` (P,) touch, and which are nearer than NEAR, at joint values (m,) [rad or m]."""
         full, circles = pin.neutral(self.model), self._circles
         full[self._places] = np.where(circles, np.cos(values), values)
         full[self._places[circles] + 1] = np.sin(values[circles])

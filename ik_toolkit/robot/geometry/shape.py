@@ -16,10 +16,14 @@ from .meshes import Mesh, find_mesh, read_meshes
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape in its own frame: Shape.box(size), .sphere(radius), .cylinder(radius, length), .capsule(...), .mesh(file).
+    """A collision shape in its own frame, best made by Shape.box, sphere, cylinder, capsule or mesh.
 
-    kind: 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'; sizes: (x, y, z), (radius,) or (radius, length) [m], or (file, scale)
-    for a mesh. Raises InvalidOption, however it is made.
+    Args:
+        kind: 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'.
+        sizes: (x, y, z), (radius,) or (radius, length) [m], or (file, scale) for a mesh.
+
+    Raises:
+        InvalidOption: There is no such kind, or a size is not positive.
     """
 
     kind: str
@@ -40,31 +44,37 @@ class Shape:
 
     @classmethod
     def box(cls, size: Sequence[float]) -> "Shape":
-        """Return a box of size (x, y, z) [m] about its centre. Raises InvalidOption."""
+        """Make a box of size (x, y, z) [m], centred at its origin. Raises InvalidOption."""
         return cls("box", size)
 
     @classmethod
     def sphere(cls, radius: float) -> "Shape":
-        """Return a sphere of a given radius [m] about its centre. Raises InvalidOption."""
+        """Make a sphere of a radius [m], centred at its origin. Raises InvalidOption."""
         return cls("sphere", (radius,))
 
     @classmethod
     def cylinder(cls, radius: float, length: float) -> "Shape":
-        """Return a cylinder [m] along z, about its centre. Raises InvalidOption."""
+        """Make a cylinder [m] along z, centred at its origin. Raises InvalidOption."""
         return cls("cylinder", (radius, length))
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> "Shape":
-        """Return a capsule [m] along z, about its centre: a cylinder with half a ball at each end. Raises InvalidOption."""
+        """Make a capsule along z, centred at its origin: a cylinder [m] with half a ball at each end.
+
+        Raises InvalidOption.
+        """
         return cls("capsule", (radius, length))
 
     @classmethod
     def mesh(cls, path: str | Path, scale: float = 1.0) -> "Shape":
-        """Return the surface of a scaled mesh file (STL, OBJ, DAE); a part inside it touches nothing. Raises InvalidOption."""
+        """Make the surface of a scaled mesh file (STL, OBJ, DAE); a part inside it touches nothing.
+
+        Raises InvalidOption.
+        """
         return cls("mesh", (as_path(path, "the file of a mesh"), scale))
 
     def form(self) -> Any:
-        """The shape as a coal object. Raises InvalidConfiguration (a mesh that cannot be read)."""
+        """Return the shape as a coal object. Raises InvalidConfiguration if its mesh cannot be read."""
         if self.kind != "mesh":
             return PLAIN[self.kind](*self.sizes)
         path, scale = self.sizes
@@ -85,7 +95,7 @@ PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "cap
 
 
 def surface(mesh: Mesh, scale: np.ndarray) -> Any:
-    """The surface of a mesh scaled by (3,), as a coal object."""
+    """Make the surface of a mesh, scaled by (3,), a coal object."""
     made = coal.BVHModelOBBRSS()
     (piece,) = mesh.pieces
     made.beginModel(len(piece.faces), len(piece.vertices))
@@ -96,7 +106,7 @@ def surface(mesh: Mesh, scale: np.ndarray) -> Any:
 
 
 def is_shape(value: Any) -> Shape:
-    """Return a Shape; InvalidOption for anything else."""
+    """Return the value if it is a Shape. Raises InvalidOption otherwise."""
     if not isinstance(value, Shape):
         raise InvalidOption(
             f"a shape must be one of ik.Shape.box, sphere, cylinder, capsule or mesh, not {value!r:.60}"

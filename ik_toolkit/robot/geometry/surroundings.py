@@ -15,8 +15,11 @@ from .shape import Shape, is_shape
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A shape around the robot (arm None) or held by an arm: its pose in base or tip frame; names of parts it may touch."""
+class PlacedShape:
+    """A shape around the robot, if `arm` is None, or held by an arm.
+
+    Its pose T (4, 4) [m] is in the base frame or the tip frame; `touch` has the names of parts it may touch.
+    """
 
     shape: Shape
     form: Any
@@ -26,10 +29,7 @@ class Placed:
 
 
 class Surroundings(ReadOnly):
-    """The shapes of a CollisionModel that are not part of the robot.
-
-    version: increases with every change; robot: the Robot or Tree.
-    """
+    """The shapes of a CollisionModel that are not part of the robot; `version` increases with every change of them."""
 
     robot: Any
     _names: list[str]
@@ -37,22 +37,23 @@ class Surroundings(ReadOnly):
     def __init__(self) -> None:
         """Start with no shapes."""
         self.version = 0
-        self._placed: dict[str, Placed] = {}
-        self._hulls: dict[Any, Any] = {}  # see clearance.hulls
+        self._placed: dict[str, PlacedShape] = {}
+        self._hulls: dict[Any, Any] = {}  # These are the convex hulls of added shapes (see `distance.hulls`).
 
     def _rebuild(self) -> None:
-        """Update after shapes were added or removed."""
+        """Update the model after shapes were added or removed."""
         raise NotImplementedError
 
     def _moved(self, name: str) -> None:
-        """Update after a shape was moved."""
+        """Update the model after a shape was moved."""
         raise NotImplementedError
 
-    def _object(self, name: str, one: Placed) -> pin.GeometryObject:
-        """Pinocchio geometry object of an added shape."""
+    def _object(self, name: str, one: PlacedShape) -> pin.GeometryObject:
+        """Return an added shape as a Pinocchio geometry object."""
         arm = self.robot.arms[one.arm or 0]
         held = one.arm is not None
-        at = arm._ids[1] if held else arm._ids[0]  # the base moves when a follower's leader lies above it
+        # An obstacle is placed in the base, which itself may move in the model.
+        at = arm._ids[1] if held else arm._ids[0]
         frame = self.robot.model.frames[at]
         place = frame.placement * (arm.tool if held else pin.SE3.Identity()) * pin.SE3(one.T)
         return pin.GeometryObject(name, frame.parentJoint, at, place, one.form)
@@ -68,40 +69,53 @@ class Surroundings(ReadOnly):
         return tuple(name for name, one in self._placed.items() if one.arm is not None)
 
     def placed(self) -> list[tuple[str, Shape, np.ndarray]]:
-        """Obstacles: name, shape and pose (4, 4) in the base frame."""
+        """Return the name, shape and pose (4, 4) [m] in the base frame of each obstacle."""
         return [(name, one.shape, one.T) for name, one in self._placed.items() if one.arm is None]
 
     # ------------------------------------------------------------------------------------------------ obstacles
     def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> Self:
-        """Add a box of size (x, y, z) [m] centred at a pose (4, 4), pin.SE3 or position (3,) in the base frame."""
+        """Add a box of size (x, y, z) [m] centred at a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame."""
         return self.add(Shape.box(size), pose, name)
 
     def add_sphere(self, radius: float, position: Any, name: str | None = None) -> Self:
-        """Add a sphere of a radius [m] centred at a position (3,) in the base frame."""
+        """Add a sphere of a radius [m] centred at a position (3,) [m] in the base frame."""
         return self.add(Shape.sphere(radius), position, name)
 
     def add_cylinder(self, radius: float, length: float, pose: Any, name: str | None = None) -> Self:
-        """Add a cylinder [m] along z of a pose (4, 4), pin.SE3 or position (3,) in the base frame, centred there."""
+        """Add a cylinder [m] along z of a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame, centred there."""
         return self.add(Shape.cylinder(radius, length), pose, name)
 
     def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> Self:
-        """Add a mesh file (STL, OBJ, DAE) times a scale, at a pose (4, 4), pin.SE3 or position (3,) in the base frame.
+        """Add a scaled mesh file (STL, OBJ, DAE) at a pose (4, 4), pin.SE3 or position (3,) [m] in the base frame.
 
         Only its surface counts: a part wholly inside it touches nothing.
         """
         return self.add(Shape.mesh(path, scale), pose, name)
 
     def add(self, shape: Shape, pose: Any, name: str | None = None) -> Self:
-        """Add a shape at a pose (4, 4), pin.SE3 or position (3,) in the base frame. Raises InvalidOption, InvalidTarget."""
+        """Add a shape around the robot.
+
+        Args:
+            shape: The shape, for example `ik.Shape.box((0.1, 0.2, 0.3))`.
+            pose: Its pose (4, 4), pin.SE3 or position (3,) [m] in the base frame.
+            name: Its name, by default made of its kind and a number.
+
+        Returns:
+            The model itself, so that calls can be chained.
+
+        Raises:
+            InvalidOption: The shape is none, or the name is taken.
+            InvalidTarget: The pose is none.
+        """
         form, T = is_shape(shape).form(), as_matrix(pose)
-        self._placed[self._new_name(shape, name)] = Placed(shape, form, T)
+        self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T)
         self._rebuild()
         return self
 
     def move(self, name: str, pose: Any) -> Self:
         """Give an obstacle a new pose in the base frame, or an attached shape one in its tip frame.
 
-        Raises InvalidOption, InvalidTarget.
+        Raises InvalidOption if there is no such shape, InvalidTarget if the pose is none.
         """
         one = self._placed[self._known(name)]
         self._placed[name] = replace(one, T=as_matrix(pose))
@@ -109,7 +123,7 @@ class Surroundings(ReadOnly):
         return self
 
     def remove(self, name: str) -> Self:
-        """Remove an obstacle or an attached shape. Raises InvalidOption."""
+        """Remove an obstacle or an attached shape. Raises InvalidOption if there is none of this name."""
         del self._placed[self._known(name)]
         self._hulls.pop(name, None)
         self._rebuild()
@@ -125,11 +139,26 @@ class Surroundings(ReadOnly):
         name: str | None = None,
         touch: Iterable[str] = (),
     ) -> Self:
-        """Attach a shape to a tip at T_tip_shape (4, 4) or (3,) (default: at the tip), or attach an obstacle given by name.
+        """Attach a shape to a tip, so that it moves with the robot.
 
-        An obstacle is grasped where it is with the robot at q (n,) [rad or m], unless T_tip_shape is given. tip: the tip of a Tree
-        that holds it. touch: names of links and obstacles it may touch. It is tested against every part it can move relative to.
-        Raises InvalidOption, InvalidTarget, FrameNotFound.
+        It is tested against every part it can move relative to.
+
+        Args:
+            shape: A shape, or the name of an obstacle that is grasped.
+            T_tip_shape: Pose (4, 4) or position (3,) [m] in the tip frame. By default a shape is at the tip, and an
+                obstacle stays where it is at q.
+            q: Configuration (n,) [rad or m] at which an obstacle is grasped.
+            tip: The tip of a Tree that holds the shape.
+            name: Name of the shape, by default made of its kind and a number.
+            touch: Names of links and obstacles that it may touch.
+
+        Returns:
+            The model itself, so that calls can be chained.
+
+        Raises:
+            InvalidOption: A name is unknown or taken, or neither q nor T_tip_shape is given for an obstacle.
+            InvalidTarget: T_tip_shape is no pose.
+            FrameNotFound: There is no such tip.
         """
         arm = self._arm(tip)
         try:
@@ -153,19 +182,22 @@ class Surroundings(ReadOnly):
             self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
         else:
             form, T = is_shape(shape).form(), np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape)
-            self._placed[self._new_name(shape, name)] = Placed(shape, form, T, arm, touch)
+            self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T, arm, touch)
         self._rebuild()
         return self
 
     def detach(self, name: str, q: Any = None) -> Self:
-        """Release an attached shape; with q (n,) [rad or m] it becomes an obstacle where it is at q. Raises InvalidOption."""
+        """Release an attached shape; if q (n,) [rad or m] is given, it becomes an obstacle where it is at q.
+
+        Raises InvalidOption.
+        """
         one = self._placed[self._known(name)]
         if one.arm is None:
             raise InvalidOption(f"'{name}' is an obstacle, not attached; use remove()")
         if q is None:
             return self.remove(name)
         T = self._tip(one.arm, q).homogeneous @ one.T
-        self._placed[name] = Placed(one.shape, one.form, T)
+        self._placed[name] = PlacedShape(one.shape, one.form, T)
         self._rebuild()
         return self
 
@@ -177,7 +209,7 @@ class Surroundings(ReadOnly):
         return 0 if tip is None else self.robot.tips.index(tip)
 
     def _tip(self, arm: int, q: Any) -> pin.SE3:
-        """Pose of an arm's tip in the base at q (n,)."""
+        """Return the pose of an arm's tip in the base frame at q (n,) [rad or m]."""
         return self.robot.arms[arm]._fk(self.robot.check_q(q)[self.robot.places[arm]])
 
     def _known(self, name: str) -> str:

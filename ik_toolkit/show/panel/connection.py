@@ -1,7 +1,8 @@
-"""A visitor of the panel: one thread that runs its requests, newest first, error messages, and camera control."""
+"""A visitor of the panel: one thread that runs its requests, newest first, undo, error messages, and camera control."""
 
 import html
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,8 +11,7 @@ import numpy as np
 from ...errors import IKError
 from ...style import BAD
 from .session import Session
-from .target_widget import Goal
-from .undo import Past
+from .solve_tab import Goal
 
 
 class Worker:
@@ -26,7 +26,7 @@ class Worker:
         threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
 
     def post(self, name: str, job: Callable[[], None]) -> None:
-        """Queue a job."""
+        """Queue a job under a name."""
         with self._wake:
             self._jobs[name] = job
             self._wake.notify_all()
@@ -45,7 +45,7 @@ class Worker:
             job()
 
     def idle(self, timeout: float = 30.0) -> bool:
-        """Wait until all jobs are done."""
+        """Wait until all jobs are done; return whether they are."""
         with self._wake:
             return self._wake.wait_for(lambda: not self._jobs and not self._busy, timeout)
 
@@ -56,14 +56,40 @@ class Worker:
             self._wake.notify_all()
 
 
+KEPT = 100  # changes that can be undone
+TOGETHER = 1.0  # [s] changes of one kind within this time are merged: a drag, a slider being moved
+
+
+class Past:
+    """The states before a visitor's changes: pairs of q (n,) and poses (4, 4) of the targets by tip."""
+
+    def __init__(self) -> None:
+        """Start with an empty history."""
+        self._entries: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
+        self._last = "", 0.0
+
+    def note(self, name: str, q: np.ndarray, targets: dict[str, Any]) -> None:
+        """Store the state before a change of the given kind."""
+        now = time.monotonic()
+        kind, at = self._last
+        self._last = name, now
+        if kind != name or now - at > TOGETHER:
+            self._entries = [*self._entries[1 - KEPT :], (q.copy(), {tip: T.copy() for tip, T in targets.items()})]
+
+    def back(self) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+        """Remove and return the state before the last change, or None if there is none."""
+        self._last = "", 0.0
+        return self._entries.pop() if self._entries else None
+
+
 PLAIN = "#37424f"
 LONGEST = 600  # characters of a status message
-STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see stage.FREE */
+STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.FREE */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
 
 
 class Visit:
-    """Interaction between a visitor and the controls of a page; Desk builds them."""
+    """Interaction between a visitor and the controls of a page, which Desk builds."""
 
     def __init__(
         self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
@@ -92,7 +118,7 @@ class Visit:
         self.worker.end()
 
     def _guard(self, job: Callable[[], None]) -> Callable[[], None]:
-        """Wrap a job to report user errors as messages, and anything else as a bug. Never ends the thread."""
+        """Wrap a job so that user errors become messages and anything else is reported as a bug; the thread never ends."""
 
         def run() -> None:
             try:
@@ -108,7 +134,7 @@ class Visit:
         return run
 
     def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
-        """Run a job when the visitor (not this program) changes or clicks something."""
+        """Run a job when the visitor, not this program, changes or clicks something."""
         listen = getattr(handle, "on_click", None) or handle.on_update
 
         @listen
@@ -147,5 +173,5 @@ class Visit:
             self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
 
     def build(self) -> None:
-        """Rebuild the robot and its controls."""
+        """Build the robot and its controls anew."""
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""A robot that follows targets dragged by hand, using tracker steps in simulated robot time."""
+"""Moves a robot after targets that are dragged by hand, with tracker steps in simulated robot time."""
 
 import math
 from typing import Any, NamedTuple
@@ -10,14 +10,15 @@ from ...robot.pose import length
 from ...servo.path_reach import near_limits
 from ...servo.tracker import Tracker
 
-STEP = 0.02  # [s] of robot time
-STEPS = 50  # steps before the page is redrawn: one second
-FAR = 1000.0  # reaches: a target farther away is a mistake
-REST = 25  # steps in a row at rest after which the arm has settled: half a second, in which a tracker finds another way
+STEP = 0.02  # Length of a step [s] of robot time.
+STEPS = 50  # Number of steps before the page is drawn anew, which make one second.
+FAR = 1000.0  # A target further away than this many reaches is a mistake.
+# The arm has settled after 25 steps at rest in a row: half a second, in which a tracker finds another way.
+REST = 25
 
 
 class Followed(NamedTuple):
-    """State of a following arm: q (n,), whether at the target, whether at rest, errors by tip [m, rad or None], and a sentence."""
+    """State of a following arm: q (n,), whether it is at the target and at rest, errors by tip [m, rad or None], and a sentence."""
 
     q: np.ndarray
     success: bool
@@ -29,8 +30,8 @@ class Followed(NamedTuple):
 class Hand:
     """An arm that goes after a target from call to call, with one `Tracker`.
 
-    q (n,): where it stands; tolerance [m and rad]: for a reached target; limits, avoid_collisions and reconfigure as in
-    `Tracker`. Raises what `Tracker` raises.
+    q (n,) is where it starts, tolerance [m and rad] defines a reached target; limits, avoid_collisions and reconfigure
+    are those of `Tracker`. Raises what `Tracker` raises.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class Hand:
         avoid_collisions: Any = False,
         reconfigure: bool = True,
     ) -> None:
-        """Stand at q."""
+        """Start at rest at q."""
         self.robot = robot
         self.options = {"tolerance": tolerance, "limits": limits, "avoid_collisions": avoid_collisions}
         self._tracker = Tracker(
@@ -61,15 +62,15 @@ class Hand:
     def follow(self, q: np.ndarray, target: Any) -> Followed:
         """Step from q (n,) towards a target until it is reached, nothing moves any more, or a second has passed.
 
-        Where q is not where it stood it starts again from rest. At the edge of its reach the arm goes on to the closest pose.
-        Raises InvalidTarget, and what `Tracker` raises.
+        If q is not where the arm was, it starts again from rest. At the edge of its reach the arm moves to the closest
+        pose. Raises InvalidTarget, and what `Tracker` raises.
         """
         robot, tracker, tolerance = self.robot, self._tracker, self.options["tolerance"]
         errors, rested, at, between = _errors(robot, q, target), 0, q, None
         away = max(position for position, _ in errors.values())
         if not away < FAR * robot.reach:
             raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
-        kinds = [np.ndim(target.get(tip)) for tip in robot.tips] if robot.by_tip else [np.ndim(target)]
+        kinds = [np.ndim(robot.each_tip(target).get(tip)) for tip in robot.tips]
         if kinds != self._kinds or not np.array_equal(q, tracker.q):
             tracker.reset(q, rate0=np.zeros(robot.n))
             self._kinds = kinds
@@ -91,10 +92,9 @@ def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
 
 
 def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, float | None]]:
-    """Errors at q by tip, for the tips that have a target."""
-    each = target if robot.by_tip else {robot.tips[0]: target}
+    """Return the errors at q by tip, for the tips that have a target."""
     arms = dict(zip(robot.tips, zip(robot.arms, robot.places, strict=True), strict=True))
-    return {tip: arms[tip][0]._errors(q[arms[tip][1]], T) for tip, T in each.items()}
+    return {tip: arms[tip][0]._errors(q[arms[tip][1]], T) for tip, T in robot.each_tip(target).items()}
 
 
 def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> bool:
@@ -102,7 +102,7 @@ def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> boo
 
 
 def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, between: tuple[str, str] | None) -> str:
-    """The remaining error in a sentence; between: names of what would touch."""
+    """Say the remaining error in a sentence; `between` names what would touch."""
     away = max(position for position, _ in errors.values())
     angles = [angle for _, angle in errors.values() if angle is not None]
     left = length(away) + (f" and {math.degrees(max(angles)):.3g} deg" if angles else "")
@@ -110,7 +110,7 @@ def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, bet
         return f"converged to {left}"
     touch = f"{' and '.join(between)} would touch" if between else ""
     if not settled:
-        return f"on its way, {left} to go{touch and ': '}{touch}"
+        return f"on its way, {left} from the target{touch and ': '}{touch}"
     held = near_limits(robot, q)
     why = f"{', '.join(held)} at {'a limit' if len(held) > 1 else 'its limit'}" if held else "at the edge of its reach"
     return f"the closest pose is {left} away: {touch or why}"

@@ -11,25 +11,26 @@ from ...kernel.counted_error import POSE, POSITION
 from ...solvers.closed_form import fits
 from ...solvers.explain.dh_table import dh_blocks, dh_of
 from ...solvers.explain.explanation import Explanation, target_table
-from ...solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, number, to_html, unit_of
+from ...solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, digits, to_html, unit_of
 from ...solvers.explain.worked_solution import Branch, WorkedSolution
 from ...solvers.registry import find_row
 from ...solvers.result import Result
 from ...solvers.solve import solve
 from ...style import BAD, GOOD
 from .session import Session
-from .tables import sentence
+from .tables import as_sentence
 
-QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # colours of the branch buttons
-FREEDOMS = 6  # least number of joints for which the target is a pose, unless a closed form says otherwise
+QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # Colours of the branch buttons.
+FREEDOMS = 6  # With fewer joints the target is a position, unless a closed form says otherwise.
 COLUMNS = ("n", "o", "a")
-STEP = 0.001  # mm or deg, step of the slider of the free parameter
+STEP = 0.001  # Step [mm or deg] of the slider of the free parameter.
 
 
 class Lesson:
-    """The computations of the tab, without a page: forward, inverse, one value of the free parameter. Millimetres and degrees.
+    """The computations of the tab, without a page, in millimetres and degrees: forward, inverse, the free parameter.
 
-    made: Explanation of the last inverse, or None; shown: which branch of it; T: its target (4, 4) [m].
+    `made` is the Explanation of the last inverse, or None; `shown` is the number of its branch shown; `T` is its target
+    (4, 4) [m].
     """
 
     def __init__(self, session: Session) -> None:
@@ -45,15 +46,18 @@ class Lesson:
         self.table = dh_of(self.robot)
 
     def scale(self, i: int) -> float:
-        """Factor from the value of joint i [rad or m] to degrees or millimetres."""
+        """Return the factor from the value of joint i [rad or m] to degrees or millimetres."""
         return SCALES[unit_of(self.robot.joint_kinds[i])]
 
     def unit(self, i: int) -> str:
-        """Displayed unit of joint i."""
+        """Return the displayed unit of joint i."""
         return UNITS[unit_of(self.robot.joint_kinds[i])]
 
     def read(self, values: list[float], shown: list[float]) -> np.ndarray:
-        """q (n,) [rad or m] from typed joint values; an unchanged one keeps its full precision. Raises InvalidConfiguration."""
+        """Return q (n,) [rad or m] from typed joint values; an unchanged one keeps its full precision.
+
+        Raises InvalidConfiguration.
+        """
         q = self.session.q.copy()
         for i, (value, before) in enumerate(zip(values, shown, strict=True)):
             if value != before:
@@ -63,7 +67,7 @@ class Lesson:
         return np.clip(q, self.robot.lower, self.robot.upper)
 
     def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
-        """Columns n, o, a and p [mm] of a pose (4, 4)."""
+        """Return the columns n, o, a and p [mm] of a pose (4, 4)."""
         places = (6, 6, 6, self.places)
         scaled = T[:3].T * np.array([1.0, 1.0, 1.0, SCALES["m"]])[:, None]
         return {
@@ -72,7 +76,7 @@ class Lesson:
         }
 
     def sample(self) -> np.ndarray | None:
-        """Pose (4, 4) computed in the robot's paper, as printed, or None."""
+        """Return the pose (4, 4) computed in the robot's paper, as printed, or None."""
         given = self.session.entry.sample
         if given is None or not self.posed:
             return None
@@ -88,7 +92,7 @@ class Lesson:
         return self._explain(T, "auto")
 
     def at(self, value: float) -> Result:
-        """The same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
+        """Solve the same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
         assert self.made is not None and self.worked is not None and self.worked.free is not None
         free, label = self.worked.free, self.label
         row = find_row(self.made.form)
@@ -100,7 +104,8 @@ class Lesson:
     def _explain(self, T: np.ndarray, rule: Any) -> Result:
         result = solve(self.robot, T if self.posed else T[:3, 3], rule, q0=self.session.q)
         self.made = result.explain()
-        self.T = self.made.targets[self.robot.tip] if self.posed else T  # its rotation may have been corrected
+        # The rotation of the target may have been corrected.
+        self.T = self.made.targets[self.robot.tip] if self.posed else T
         self.shown = self.made.chosen or 0
         return result
 
@@ -111,25 +116,26 @@ class Lesson:
 
     @property
     def branches(self) -> tuple[Branch, ...]:
-        """Branches of the last inverse."""
+        """The branches of the last inverse."""
         return self.worked.branches if self.worked is not None else ()
 
     @property
     def label(self) -> str:
-        """Label of the branch shown."""
+        """The label of the branch shown."""
         return self.branches[self.shown].label if self.branches else ""
 
     def span(self) -> tuple[float, float] | None:
-        """Range [mm or deg] of the free parameter: from the first to the last interval within limits."""
+        """Return the range [mm or deg] of the free parameter, from the first to the last interval within limits."""
         free = self.worked.free if self.worked is not None else None
         if free is None or not free.inside:
             return None
         low, high = (self.scale(free.joint) * x for x in (free.inside[0][0], free.inside[-1][1]))
-        return math.ceil(low / STEP) * STEP, math.floor(high / STEP) * STEP  # both ends reach the pose
+        # The range is rounded inwards, so that the pose can be reached from both of its ends.
+        return math.ceil(low / STEP) * STEP, math.floor(high / STEP) * STEP
 
 
 class Learn:
-    """Controls of the tab on a visitor's desk."""
+    """The controls of the tab on a visitor's desk."""
 
     def __init__(self, desk: Any) -> None:
         """Build the controls; there are none for a robot with several tips."""
@@ -137,7 +143,7 @@ class Learn:
         session: Session = desk.session
         self.session = session
         self.robot: Any = session.robot
-        self.alone = not self.robot.by_tip
+        self.alone = len(self.robot.tips) == 1
         if self.alone:
             self._build()
         else:
@@ -236,7 +242,7 @@ class Learn:
         try:
             result = self.lesson.inverse({name: field.value for name, field in self.fields.items()})
         except IKError as error:
-            self.outcome.content = said(sentence(str(error)), BAD)
+            self.outcome.content = said(as_sentence(str(error)), BAD)
             raise
         self._branches()
         self._tell(result)
@@ -259,7 +265,7 @@ class Learn:
             self.desk.stage.gaps({self.robot.tip: self.lesson.T})
 
     def _tell(self, result: Result) -> None:
-        words = f"{sentence(result.message)} {sentence(result.notice)}".strip()
+        words = f"{as_sentence(result.message)} {as_sentence(result.notice)}".strip()
         self.outcome.content = said(words, GOOD if result.success else BAD)
         self.desk.say(words, GOOD if result.success else BAD)
 
@@ -330,14 +336,14 @@ class Learn:
 
 
 def said(words: str, color: str) -> str:
-    """A sentence in a colour."""
+    """Write a sentence in a colour as HTML."""
     return f'<div style="padding:2px 12px 6px;font-size:13px;color:{color}">{html.escape(words)}</div>'
 
 
 def values_table(robot: Any, q: np.ndarray, places: int) -> Table:
-    """Table of the joint values of one configuration."""
+    """Make the table of the joint values of one configuration."""
     units = [unit_of(kind) for kind in robot.joint_kinds]
     rows = [
-        (name, number(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)
+        (name, digits(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)
     ]
     return Table(("joint", "value", ""), rows)

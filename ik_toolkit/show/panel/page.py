@@ -11,15 +11,12 @@ from ...errors import IKError, InvalidConfiguration
 from ...robot.library import list_robots
 from ...style import BAD, GOOD
 from ..body import Body
-from .chart import Chart
-from .connection import PLAIN, Visit
+from .connection import PLAIN, Past, Visit
 from .learn_tab import Learn
-from .scene_tab import Around, freedom, slide
+from .scene_tab import Around, null_directions, slide
 from .session import PATIENCE
-from .solutions_tab import Found
-from .tables import note_html, pose_html, sentence, table_html
-from .target_widget import Goal
-from .undo import Past
+from .solve_tab import Chart, Goal, SolutionsTab
+from .tables import as_sentence, note_html, pose_html, table_html
 from .viser_scene import Stage
 
 QUIET = (71, 85, 105)  # colour of secondary buttons
@@ -28,12 +25,12 @@ PUSH = 3.0  # [rad, or reaches] of self-motion from the middle of the slider to 
 MOST_TIPS = 4  # tips that can be chosen on the page
 
 
-class Desk(Visit):
-    """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be loaded by path."""
+class PanelPage(Visit):
+    """Controls and view of one visitor, who is a viser client; `files` tells whether robots may be loaded by path."""
 
     # -------------------------------------------------------------------------------------------------------- build
     def build(self) -> None:
-        """Rebuild the robot and its controls (after a change of robot, tip or units)."""
+        """Build the robot and its controls anew, after a change of robot, tip or units."""
         s = self.session
         body = Body(s.robot)
         with self.client.atomic():
@@ -87,7 +84,7 @@ class Desk(Visit):
             self._build_robot()
 
     def _build_tips(self) -> None:
-        """A drop-down list for each tip solved for, and one more to add another."""
+        """Add a drop-down list for each tip solved for, and one more to add another."""
         s = self.session
         chosen, every = s.robot.tips, list(dict.fromkeys([*s.robot.tips, *s.tips]))
         if len(every) < 2:
@@ -131,12 +128,16 @@ class Desk(Visit):
             self._on(gui.add_button(text, color=QUIET), name, job)
         self.pose = gui.add_html("")
 
+    def _build_goals(self) -> None:
+        """Controls of each tip's target."""
+        s, self.goals = self.session, []
+        for tip in s.robot.tips:
+            with self.gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
+                self.goals.append(Goal(self.gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+
     def _build_solve(self) -> None:
         s, gui = self.session, self.gui
-        self.goals = []
-        for tip in s.robot.tips:
-            with gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
-                self.goals.append(Goal(gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+        self._build_goals()
         go = gui.add_button("Solve", color="blue")
         self._on(go, "solve", self._solve)
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
@@ -149,7 +150,7 @@ class Desk(Visit):
         every = gui.add_button("All solutions", color=QUIET)
         self._on(every, "solve", self._solve_all)
         self.outcome = gui.add_html("", visible=False)
-        self.found = Found(gui, s, self._on, lambda q: self.stage.ghost(q), self._pick)
+        self.found = SolutionsTab(gui, s, self._on, lambda q: self.stage.ghost(q), self._pick)
         with gui.add_folder("Solver"):
             choice = gui.add_dropdown("Method", s.choices(), initial_value=s.solver)
             self._on(choice, "choice", lambda: self._choose(choice.value))
@@ -212,7 +213,7 @@ class Desk(Visit):
         self._again()
 
     def _again(self) -> None:
-        """Rebuild the controls, keeping the kinds of orientation."""
+        """Build the controls anew, but keep for each tip how its orientation is given."""
         self.kinds = {goal.tip: goal.kind for goal in self.goals}
         self.build()
 
@@ -228,10 +229,10 @@ class Desk(Visit):
         self.show()
 
     def _push(self) -> None:
-        """Move through the self-motion by the slider's push, holding the tips' orientations only where they are targeted."""
+        """Move through the self-motion as far as the slider says; the tips' orientations are held only where they are targeted."""
         s, value = self.session, float(np.clip(self.push.value, -1.0, 1.0))
         turns = any(goal.posed for goal in self.goals)
-        if not np.isfinite(value) or not len(freedom(s.robot, s.q, turns)):
+        if not np.isfinite(value) or not len(null_directions(s.robot, s.q, turns)):
             self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
         along = np.cos(np.arange(s.robot.n))  # practically never orthogonal to an arm's self-motion
@@ -259,7 +260,7 @@ class Desk(Visit):
         self.say("undone")
 
     def _limits(self, limits: bool) -> None:
-        """Switch joint limits on or off; when on, move back inside them."""
+        """Switch joint limits on or off; when they are switched on, move back inside them."""
         s = self.session
         s.limits = limits
         s.q = np.clip(s.q, s.robot.lower, s.robot.upper) if limits else s.q
@@ -322,7 +323,7 @@ class Desk(Visit):
         return self._joined({goal.tip: goal.typed() for goal in self.goals})
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
-        """Targets in the form the robot expects, without the tips that have none."""
+        """Return targets in the form the robot expects, without the tips that have none."""
         return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
 
     def _solve(self) -> None:
@@ -342,8 +343,8 @@ class Desk(Visit):
         if left is not None:
             self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
         words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
-        near = "" if left is None else f" {sentence(left.message)}"
-        self.say(f"{sentence(words)}{near}", GOOD if result.success else BAD)
+        near = "" if left is None else f" {as_sentence(left.message)}"
+        self.say(f"{as_sentence(words)}{near}", GOOD if result.success else BAD)
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
 
     def _dragged(self, patience: int = PATIENCE) -> None:
@@ -354,7 +355,7 @@ class Desk(Visit):
         found = self.session.follow(self._joined(targets))
         self.show()
         self.stage.gaps({} if found.success else targets)
-        self.say(sentence(found.message), GOOD if found.success else PLAIN)
+        self.say(as_sentence(found.message), GOOD if found.success else PLAIN)
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
         if self.chart is not None:
             self.chart.hide()
@@ -383,7 +384,7 @@ class Desk(Visit):
         words, details = s.solve_all(target)
         self.stage.gaps({})
         self.found.show(details)
-        self.say(sentence(words), GOOD if s.solutions else BAD)
+        self.say(as_sentence(words), GOOD if s.solutions else BAD)
 
     def _pick(self, k: int) -> None:
         s = self.session

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from ...copying import Unique
 from ...errors import InvalidOption, MissingExtra
 from ..access import guarded, is_loopback, new_token
-from .page import Desk
+from .page import PanelPage
 from .session import Session
 
 HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows and rings, the camera
@@ -29,8 +29,32 @@ HEARD = (  # messages accepted from a visitor's page: controls, the target's arr
 )
 
 
+class Follower(PanelPage):
+    """The page of `ik view --follow`: the targets' fields, the status line and the view, without the other controls."""
+
+    def _build_controls(self) -> None:
+        self.sliders: list[Any] = []
+        self.status = self.gui.add_html("")
+        self._build_goals()
+        home = self.gui.add_button("Reset to home")
+        self._on(home, "joints", self._home)
+        self.outcome = self.gui.add_html("", visible=False)
+        self.pose = self.gui.add_html("")
+
+    def _home(self) -> None:
+        s = self.session
+        s.q, s.followed = s.robot.home.copy(), None
+        self.outcome.visible = False
+        self.show()
+        self._target_to_tip()
+        self.say("at home")
+
+
 class Panel(Unique):
-    """The panel's server. url: its address, including the access token; `close()` stops it. Several browsers may be open."""
+    """The panel's server; `url` is its address with the access token, and `close()` stops it.
+
+    Several browsers may be open.
+    """
 
     def __init__(
         self,
@@ -39,13 +63,13 @@ class Panel(Unique):
         *,
         host: str = "127.0.0.1",
         port: int = 0,
-        desk: type[Desk] = Desk,
+        desk: type[PanelPage] = PanelPage,
     ) -> None:
-        """Serve a robot given by name or path. tips: one or several, default all known ones. port 0: a free one.
+        """Serve a robot given by name or path.
 
-        desk: what each visitor sees.
-
-        Raises MissingExtra, InvalidOption, RobotNotFound, ...
+        tips is one or several, by default all known ones; port 0 takes a free port; desk is the page that each visitor
+        sees. Raises MissingExtra without viser, InvalidOption if it cannot listen there, and what loading a robot
+        raises.
         """
         try:
             import viser
@@ -68,7 +92,7 @@ class Panel(Unique):
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
         _hear_only(self.server.gui._websock_interface, ())  # messages are accepted only by a visitor's desk
-        self.desks: dict[int, Desk] = {}
+        self.desks: dict[int, PanelPage] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")
         local = is_loopback(host)
@@ -109,7 +133,7 @@ class Panel(Unique):
 
 
 def _check_address(host: str, port: int) -> None:
-    """Reject an address that cannot be listened on; viser would try one port after another for ever."""
+    """Reject an address that cannot be listened on, because viser would try one port after another for ever."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
@@ -123,7 +147,7 @@ def _check_address(host: str, port: int) -> None:
 
 
 def _hear_only(interface: Any, names: tuple[str, ...]) -> None:
-    """Accept only some kinds of message from a page: viser would store files, broadcast form values and open tunnels."""
+    """Accept only some kinds of message from a page, because viser would store files, broadcast form values and open tunnels."""
     for kind in list(interface._incoming_handlers):
         if kind.__name__ not in names:
             interface.unregister_handler(kind)

@@ -14,17 +14,17 @@ from .session import Session
 from .viser_scene import Stage
 
 BOX = (148, 103, 60)
-SIDE = 0.15  # edge of a new box, as a fraction of the robot's size
-NEAR = 0.25  # distances below this fraction of the robot's size are drawn
+SIDE = 0.15  # Edge of a new box, as a fraction of the robot's size.
+NEAR = 0.25  # Distances below this fraction of the robot's size are drawn.
 
 
 class Around:
-    """Controls and drawings of a robot's surroundings. facts: text below the status line, updated by `show`."""
+    """Controls and drawings of a robot's surroundings."""
 
     def __init__(self, gui: Any, session: Session, listen: Callable[..., None], changed: Callable[[], None]) -> None:
-        """Build the controls; changed() is called after something was moved. listen: see Goal."""
+        """Build the controls; `changed` is called after something was moved, `listen` is as in Goal."""
         self.session, self.listen, self.changed = session, listen, changed
-        self.stage: Stage  # set by `join`
+        self.stage: Stage  # The stage is set by `join`.
         avoid = gui.add_checkbox(
             "Avoid collisions", session.avoid, hint="When solving, listing solutions and dragging."
         )
@@ -56,14 +56,14 @@ class Around:
         self.changed()
 
     def add(self) -> None:
-        """Add a box of the typed size in front of the robot. Raises InvalidTarget."""
+        """Add a box of the typed size in front of the robot. Raises InvalidTarget if the size is wrong."""
         size = vector(self.size.value, "the size of the box x y z [m]", 3)
         if min(size) <= 0.0:
             raise InvalidTarget("the size of the box x y z [m] must be positive")
         T = np.eye(4)
         tips = np.array([pose[:3, 3] for pose in self.session.poses().values()])
         T[:3, 3] = tips.mean(axis=0)
-        T[2, 3] += 0.5 * size[2] + 0.1 * self.stage.size  # above them
+        T[2, 3] += 0.5 * size[2] + 0.1 * self.stage.size  # The box is above the tips.
         self._draw(self.session.add_box(size, T), size, T)
         self.changed()
 
@@ -84,7 +84,7 @@ class Around:
         self.changed()
 
     def show(self) -> str:
-        """Update the drawings to the session's q; returns a line of HTML on contacts, clearance and manipulability."""
+        """Update the drawings to the session's q; return a line of HTML on contacts, clearance and manipulability."""
         s, stage = self.session, self.stage
         touching, near = s.contacts()
         words, color = "no pair of shapes to test", "inherit"
@@ -98,33 +98,34 @@ class Around:
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
         values = []
         for tip, size in s.manipulability().items():
-            values.append(f"manipulability{f' of {tip}' if s.robot.by_tip else ''} {size:.3g}")
+            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {size:.3g}")
         words = html.escape("; ".join([words, *values]))
         return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
 
 
-STEP = 0.02  # [rad, or reaches] between corrections: the tip error grows with its square
-THIN = 1e-6  # singular value over the largest below which a direction does not move the tips
-CORRECTIONS = 3  # Newton steps, each of which squares the remaining error
-LEFT = 1e-7  # [m, rad] largest tip error that counts as staying in place
+STEP = 0.02  # Step [rad, or reaches] between corrections, because the error of a tip grows with its square.
+THIN = 1e-6  # A direction does not move the tips if its singular value is below this fraction of the largest.
+CORRECTIONS = 3  # Number of Newton steps, each of which squares the remaining error.
+LEFT = 1e-7  # Largest error [m, rad] of a tip that counts as staying in place.
 
 
-def freedom(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Null-space directions (k, n) at q (n,): no tip moves; turns: whether the tips' rotations are held, too."""
+def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
+    """Return the null-space directions (k, n) at q (n,), which move no tip; `turns` tells whether rotations are held too."""
     J = _rows(robot, q, turns)
     _, sizes, V = np.linalg.svd(J, full_matrices=True)
     return V[int((sizes > THIN * max(sizes.max(initial=0.0), 1e-12)).sum()) :]
 
 
 def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool, limits: bool) -> np.ndarray:
-    """Move `far` [rad, or reaches] from q (n,) along the self-motion nearest the direction `along` (n,); stops at a joint limit.
+    """Move `far` [rad, or reaches] from q (n,) along the self-motion nearest the direction `along` (n,), up to a joint limit.
 
-    Each step continues in the direction that the null space shares with the previous step, so that moving back is reversible.
+    Each step continues in the direction that the null space shares with the previous step, so that moving back is
+    reversible.
     """
     start, unit = q, np.where(robot.slides, robot.reach, 1.0)
     done, at = 0.0, along / unit
     while done < abs(far):
-        free = freedom(robot, q, turns) / unit
+        free = null_directions(robot, q, turns) / unit
         free = np.linalg.qr(free.T)[0].T if len(free) else free
         at = free.T @ (free @ at)
         if np.linalg.norm(at) < THIN:
@@ -139,7 +140,7 @@ def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool,
 
 
 def _corrected(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray | None:
-    """Nearest q (n,) with the tips where they are at `start`; None if not found."""
+    """Return the nearest q (n,) with the tips where they are at `start`, or None if it is not found."""
     error = np.zeros(0)
     for _ in range(CORRECTIONS + 1):
         error = _away(robot, start, q, turns)
@@ -150,13 +151,13 @@ def _corrected(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.
 
 
 def _rows(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Stacked Jacobian of the tips; positions only if rotations are not held."""
+    """Stack the Jacobians of the tips, with positions only if rotations are not held."""
     J = robot.jacobian(q).reshape(-1, 6, robot.n)
     return (J if turns else J[:, :3]).reshape(-1, robot.n)
 
 
 def _away(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Error from the tips at q to those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
+    """Return the difference of the tips at q from those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
     import pinocchio as pin
 
     left = []

@@ -1,4 +1,4 @@
-"""State of one panel visitor: a robot with one or several tips, q, targets and solver. No drawing, no web."""
+"""State of one panel visitor: a robot with one or several tips, q, targets and solver; nothing is drawn or served here."""
 
 import contextlib
 import itertools
@@ -14,8 +14,9 @@ from ...kernel.counted_error import POSE, POSITION
 from ...robot.geometry.collision import CollisionModel
 from ...robot.geometry.distance import Near
 from ...robot.library import find
-from ...robot.pose import check_target, length, matrix_quat, matrix_rpy, pose
+from ...robot.pose import check_target, length, pose
 from ...robot.robot import Robot
+from ...robot.rotation import matrix_quat, matrix_rpy
 from ...robot.tips import path_ends
 from ...robot.tree import Tree
 from ...solvers.registry import find_row, list_rows, make_rule
@@ -25,19 +26,20 @@ from ...solvers.solve_all import solve_all
 from ...text import parameter, plain, vector
 from .drag_follower import Followed, Hand, prepare
 
-KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")  # how a typed target's orientation is given
-NONE = "no target"  # for one of several tips
-SHOWN = 16  # most solutions listed
-SAMPLES = 8  # random configurations; at least one of them is not singular
-PATIENCE = 20  # seconds of robot time that an arm may go on towards a target that is no longer being moved
+# A typed target's orientation has one of the forms in KINDS.
+KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")
+NONE = "no target"  # One of several tips may have no target.
+SHOWN = 16  # At most this many solutions are listed.
+SAMPLES = 8  # Of this many random configurations, at least one is not singular.
+PATIENCE = 20  # An arm may move this long [s of robot time] towards a target that is no longer being moved.
 
 
 class Session:
-    """State of one visitor. q (n,) [rad or m]; target, as the robot takes it, or None; result and solutions of the last solve.
+    """The state of one visitor: robot, q (n,) [rad or m], target, and the result and solutions of the last solve.
 
-    robot: a Robot, or a Tree; tips: all available ones; ranks: number of directions in which each tip can move (2 for a planar
-    arm). A target is (4, 4) or (3,) [m], for a Tree a dict of these by tip. solver (name) and parameters (name -> text as typed, ''
-    for the default); degrees: unit of typed and shown angles.
+    `robot` is a Robot or a Tree, `tips` are all available ones, `ranks` the number of directions in which each tip can
+    move (2 for a planar arm). A target is (4, 4) or (3,) [m], for a Tree a dict of these by tip, or None. `parameters`
+    maps names to text as typed, '' for the default; `degrees` is the unit of typed and shown angles.
     """
 
     def __init__(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -46,15 +48,15 @@ class Session:
         self.solver = "auto"
         self.parameters: dict[str, str] = {}
         self.tolerance = 1e-6
-        self.limits, self.avoid = True, False  # whether joint limits are kept, and collisions avoided
-        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # sizes [m] and poses (4, 4) in the base
+        self.limits, self.avoid = True, False  # Joint limits are kept, collisions are not avoided.
+        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # Size [m] and pose (4, 4) in the base, by name.
         self.source = ""
         self.random = np.random.default_rng(0)
-        self.warm: set[tuple] = set()  # solvers and kinds of target that have been solved before
+        self.warm: set[tuple] = set()  # Solvers and kinds of target that have been solved before.
         self.load(source, tips)
 
     def load(self, source: str, tips: str | Sequence[str] | None = None) -> None:
-        """Switch to another robot; nothing changes if that fails. tips: default all known ones, or else the first."""
+        """Switch to another robot; nothing changes if that fails. The tips are by default all known ones or the first."""
         source = source.strip()
         entry = find(source)
         chosen = [tips] if isinstance(tips, str) else list(tips or entry.tips)
@@ -87,15 +89,15 @@ class Session:
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
-        """Factor from the value of joint i [rad or m] to the displayed unit."""
+        """Return the factor from the value of joint i [rad or m] to the displayed unit."""
         return math.degrees(1.0) if self.degrees and self.robot.joint_kinds[i] != "prismatic" else 1.0
 
     def unit(self, i: int) -> str:
-        """Displayed unit of joint i."""
+        """Return the displayed unit of joint i."""
         return "m" if self.robot.joint_kinds[i] == "prismatic" else "deg" if self.degrees else "rad"
 
     def digits(self, i: int) -> int:
-        """Displayed decimals of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
+        """Return the displayed decimals of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
         return 2 if self.unit(i) == "deg" else 4
 
     @property
@@ -104,7 +106,7 @@ class Session:
         return KINDS[0] if min(arm.n for arm in self.robot.arms) >= 6 else "free"
 
     def range(self, i: int) -> tuple[float, float]:
-        """Slider range of joint i in displayed units, rounded inwards if there is room."""
+        """Return the slider range of joint i in displayed units, rounded inwards if there is room."""
         low, high = (self.scale(i) * x for x in self.ends(i))
         unit = 10.0 ** -self.digits(i)
         inner = (unit * math.ceil(low / unit - 1e-6), unit * math.floor(high / unit + 1e-6))
@@ -112,7 +114,7 @@ class Session:
         return round(low, 9), round(high, 9)
 
     def ends(self, i: int) -> tuple[float, float]:
-        """Slider range of joint i [rad or m]: its limits, or one turn (one reach) without limits."""
+        """Return the slider range of joint i [rad or m]: its limits, or one turn (one reach) without limits."""
         span = math.pi if self.robot.joint_kinds[i] != "prismatic" else self.robot.reach
         low, high = float(self.robot.lower[i]), float(self.robot.upper[i])
         if not self.limits:
@@ -121,30 +123,25 @@ class Session:
         return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
 
     def poses(self, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """T_base_tip (4, 4) of each tip at q (n,), default the current q."""
-        T: Any = self.robot.fk(self.q if q is None else q)
-        return {tip: (T[tip] if self.robot.by_tip else T).homogeneous for tip in self.robot.tips}
+        """Return T_base_tip (4, 4) of each tip at q (n,), by default the current q."""
+        each = self.robot.each_tip(self.robot.fk(self.q if q is None else q))
+        return {tip: T.homogeneous for tip, T in each.items()}
 
     def random_poses(self) -> dict[str, np.ndarray]:
-        """Random poses that the tips can reach together, new at every call."""
+        """Return random poses that the tips can reach together, new ones at every call."""
         return self.poses(self.robot.random_q(self.random))
 
-    def joined(self, targets: dict[str, np.ndarray]) -> Any:
-        """Targets by tip in the form the robot expects: without the name for a single tip."""
-        return targets if self.robot.by_tip else targets[self.robot.tips[0]]
-
     def goals(self) -> dict[str, np.ndarray]:
-        """Pose (4, 4) of each tip's target; the tip's own pose without a target, the tip's rotation for a position."""
-        given = self.target if self.robot.by_tip else {self.robot.tips[0]: self.target}
+        """Return the pose (4, 4) of each tip's target; a tip without one has its own pose, a position has the tip's rotation."""
         poses = self.poses()
-        for tip, target in (given or {}).items():
+        for tip, target in (self.robot.each_tip(self.target) or {}).items():
             if target is not None:
                 poses[tip] = target if target.ndim == 2 else np.r_[np.c_[poses[tip][:3, :3], target], [[0, 0, 0, 1]]]
         return poses
 
     # ------------------------------------------------------------------------------------------------------- target
     def typed(self, xyz: str, kind: str, rotation: str) -> np.ndarray:
-        """Target from typed numbers. Raises InvalidTarget naming the field."""
+        """Make a target from typed numbers. Raises InvalidTarget, which names the field."""
         if kind == "matrix":
             values = vector(rotation.translate(str.maketrans("[],;", "    ")), "the matrix, row by row,")
             if len(values) not in (12, 16):
@@ -159,7 +156,7 @@ class Session:
         return pose(place, rpy=[math.radians(a) if self.degrees else a for a in angles])
 
     def words(self, T: np.ndarray, kind: str) -> tuple[str, str]:
-        """Text of a pose's position and rotation, as `typed` reads them."""
+        """Write a pose's position and rotation as texts that `typed` reads."""
         at = T if T.ndim == 1 else T[:3, 3]
         xyz = "  ".join(_figure(x) for x in at)
         if T.ndim == 1 or kind == "free":
@@ -173,39 +170,37 @@ class Session:
 
     # -------------------------------------------------------------------------------------------------------- solve
     def choices(self) -> list[str]:
-        """Names of the solvers available for this robot."""
+        """Return the names of the solvers available for this robot."""
         from ...solvers.closed_form import fits
 
         closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
-        rows = (row for row in list_rows() if not (self.robot.by_tip and row.one_tip))
+        rows = (row for row in list_rows() if not (len(self.robot.tips) > 1 and row.one_tip))
         return ["auto", *(row.name for row in rows if not row.closed or row.name in closed)]
 
     def fields(self) -> dict[str, Any]:
-        """Parameters of the chosen solver with their defaults."""
+        """Return the parameters of the chosen solver with their defaults."""
         if self.solver == "auto":
             return {}
         cls = find_row(self.solver).load()
         return {name: cls._field_defaults.get(name) for name in cls._fields if name not in ("tuned", "starts")}
 
     def rule(self) -> Any:
-        """Solver name, or a rule with the typed parameters. Raises InvalidOption."""
+        """Return the solver's name, or a rule with the typed parameters. Raises InvalidOption."""
         given = {name: text.strip() for name, text in self.parameters.items() if text.strip() and name in self.fields()}
         if not given:
             return self.solver
         return make_rule(find_row(self.solver), {name: parameter(name, text) for name, text in given.items()})
 
     def options(self) -> dict[str, Any]:
-        """Tolerance, limits and collision options for `ik.solve`."""
+        """Return tolerance, limits and collision options for `ik.solve`."""
         avoided = self.world if self.avoid else False
         return {"tolerance": self.tolerance, "limits": self.limits, "avoid_collisions": avoided}
 
     def solve(self, target: Any) -> Result:
         """Solve from q with history and move to the result, or to the closest pose. Raises what `ik.solve` raises."""
         self.target, self.followed, rule = _copy(target), None, self.rule()
-        how = self.solver, *(T.ndim for T in (self.target.values() if self.robot.by_tip else [self.target]))
-        for _ in range(
-            1 if how in self.warm else 2
-        ):  # the first call loads or compiles, which would distort the time shown
+        how = self.solver, *(T.ndim for T in self.robot.each_tip(self.target).values())
+        for _ in range(1 if how in self.warm else 2):  # The first call loads or compiles and would distort the time.
             result = solve(self.robot, self.target, rule, q0=self.q, history=True, **self.options())
         self.warm.add(how)
         if np.isfinite(result.q).all():
@@ -217,8 +212,9 @@ class Session:
 
     def _approach(self) -> None:
         """Continue from a failed attempt to the closest pose near it."""
-        with contextlib.suppress(InvalidTarget, InvalidConfiguration):  # too far away, or already in contact
-            # As it stands: where another posture reaches the target, it is not the chosen solver that has found it.
+        # A target that is too far away and an arm already in contact raise.
+        with contextlib.suppress(InvalidTarget, InvalidConfiguration):
+            # The arm keeps its posture, because the chosen solver has found no other posture that reaches the target.
             hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
             for _ in range(PATIENCE):
                 if self._move(hand).settled:
@@ -226,7 +222,7 @@ class Session:
 
     def follow(self, target: Any) -> Followed:
         """Step towards a dragged target, as far as the arm gets in one second. Raises what `Tracker` raises."""
-        if self.robot.by_tip and not target:
+        if not len(target):
             raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
         self.target, self.result = _copy(target), None
         if self._hand is None or self._hand.options != self.options():
@@ -240,10 +236,10 @@ class Session:
 
     def prepare(self) -> None:
         """Load or compile what `follow` needs, without moving."""
-        prepare(self.robot, self.q, self.joined(self.poses()))
+        prepare(self.robot, self.q, self.robot.for_tips(self.poses()))
 
     def solve_all(self, target: Any) -> tuple[str, str]:
-        """Find solutions (at most 16 are kept); returns their number in words, and details. Raises what `ik.solve_all` raises."""
+        """Find solutions (at most 16 are kept); return their number in words, and details. Raises what `ik.solve_all` does."""
         self.target = _copy(target)
         found = solve_all(self.robot, self.target, self.rule(), self.q, starts=200, count=SHOWN, **self.options())
         self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]
@@ -283,30 +279,30 @@ class Session:
         self.boxes, self._world, self._hand = {}, None, None
 
     def contacts(self) -> tuple[list[tuple[str, str]], Near | None]:
-        """Pairs that touch at the current q, and the nearest pair; none if the robot's shapes cannot be read."""
+        """Return pairs that touch at the current q, and the nearest pair; none if the robot's shapes cannot be read."""
         try:
             return self.world.collisions(self.q), self.world.distance(self.q)
         except ModelError:
             return [], None
 
     def ellipsoids(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Velocity ellipsoid of each tip at joint speeds of norm 1: axes (3, 3) in the base and radii (3,) [m/s], by tip."""
+        """Return the velocity ellipsoid of each tip at joint speeds of norm 1: axes (3, 3) in the base and radii (3,) [m/s]."""
         missing = max(0, 3 - self.robot.n)
         svd = [np.linalg.svd(np.pad(J, ((0, 0), (0, missing))), full_matrices=False) for J in self._rates(self.q)]
         return {tip: (U, sizes) for tip, (U, sizes, _) in zip(self.robot.tips, svd, strict=True)}
 
     def manipulability(self) -> dict[str, float]:
-        """Product of the ellipsoid's radii by tip, without those that are 0 at every q: an area for a planar arm."""
+        """Return the product of the ellipsoid's radii by tip, without those that are 0 at every q: an area for a planar arm."""
         radii = (radii for _, radii in self.ellipsoids().values())
         return {tip: float(np.prod(r[:rank])) for tip, r, rank in zip(self.robot.tips, radii, self.ranks, strict=True)}
 
     def _rates(self, q: np.ndarray) -> np.ndarray:
-        """Linear rows (tips, 3, n) of the Jacobian at q (n,)."""
+        """Return the linear rows (tips, 3, n) of the Jacobian at q (n,)."""
         return self.robot.jacobian(q).reshape(-1, 6, self.robot.n)[:, :3]
 
     # ------------------------------------------------------------------------------------------------------- display
     def figures(self) -> list[tuple[str, str]]:
-        """Rows (name, value) about the last solve, or the current state of a drag."""
+        """Return rows (name, value) about the last solve, or the current state of a drag."""
         if self.followed is not None and self.result is None:
             left = self.followed.errors
             words = {tip: f"{length(position)}, {_angle(angle)}" for tip, (position, angle) in left.items()}
@@ -315,7 +311,7 @@ class Session:
         if r is None:
             return []
         errors = [("position error", length(r.position_error)), ("orientation error", _angle(r.orientation_error))]
-        if self.robot.by_tip:
+        if len(self.robot.tips) > 1:
             errors = []
             for tip, position in r.position_errors.items():
                 left = f"{length(position)}, {_angle(r.orientation_errors[tip])}"
@@ -328,8 +324,8 @@ class Session:
         ]
 
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
-        """Caption, header and rows: the D-H table if the robot has one, otherwise its joint axes at home, in base axes."""
-        if self.entry.dh_file is not None and not self.robot.by_tip and self.entry.tips == self.robot.tips:
+        """Return caption, header and rows of the D-H table or, without one, of the joint axes at home in base axes."""
+        if self.entry.dh_file is not None and self.entry.tips == self.robot.tips:
             from ...robot.formats.dh import read_dh_table
 
             table = read_dh_table(self.entry.dh_file)
@@ -354,7 +350,7 @@ class Session:
         return "Joint axes at home, in base axes", ("joint", "kind", "axis", "through [m]"), rows
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything on the screen, in metres and radians, ready for JSON."""
+        """Return everything on the screen, in metres and radians, ready for JSON."""
         each = {
             tip: {
                 "T_base_tip": T.tolist(),
@@ -367,7 +363,7 @@ class Session:
         return {
             "robot": self.source,
             "base": self.robot.base,
-            **({"tips": each} if self.robot.by_tip else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
+            **({"tips": each} if len(each) > 1 else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
             "joint_names": list(self.robot.joint_names),
             "q": self.q.tolist(),
             "target": plain(self.target),
@@ -376,12 +372,12 @@ class Session:
         }
 
     def to_json(self) -> str:
-        """JSON text of `to_dict`."""
+        """Return `to_dict` as JSON text."""
         return json.dumps(self.to_dict(), indent=1)
 
 
 def _copy(target: Any) -> Any:
-    """Copy of a target, or of targets by tip."""
+    """Copy a target, or targets by tip."""
     return {tip: np.array(T) for tip, T in target.items()} if isinstance(target, dict) else np.array(target)
 
 

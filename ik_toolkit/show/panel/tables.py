@@ -1,4 +1,4 @@
-"""Texts and tables of the panel as HTML; all contents are escaped."""
+"""Writes texts and tables of the panel as HTML; all contents are escaped."""
 
 import html
 from typing import Any
@@ -9,18 +9,18 @@ from ...style import MUTED
 from .session import KINDS, Session
 
 
-def sentence(text: str) -> str:
-    """Text with a capital letter and a full stop."""
+def as_sentence(text: str) -> str:
+    """Return a text with a capital letter and a full stop."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
 def note_html(text: str) -> str:
-    """A sentence in small print, or nothing."""
-    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(sentence(text))}</p>' if text else ""
+    """Write a sentence in small print, or nothing if it is empty."""
+    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(as_sentence(text))}</p>' if text else ""
 
 
 def table_html(rows: Any, head: Any = None) -> str:
-    """HTML table of texts."""
+    """Write rows of texts as an HTML table."""
     cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"
     top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
     body = "".join(
@@ -33,13 +33,13 @@ def table_html(rows: Any, head: Any = None) -> str:
 
 
 def pose_html(T: np.ndarray, s: Session, tip: str) -> str:
-    """Pose of a tip as matrix, xyz, rpy and quaternion."""
+    """Write the pose of a tip as matrix, xyz, rpy and quaternion."""
     matrix = [[f"{x + 0.0:.5f}" for x in row] for row in np.round(T, 5)]
     lines = [
         ("xyz [m]", s.words(T, "free")[0]),
         (f"rpy [{'deg' if s.degrees else 'rad'}]", s.words(T, KINDS[0])[1]),
         ("quaternion xyzw", s.words(T, "quaternion")[1]),
     ]
-    name = html.escape(tip) if s.robot.by_tip else "the tip"
+    name = html.escape(tip) if len(s.robot.tips) > 1 else "the tip"
     head = f'<div style="padding:6px 12px 0;font-size:12px;font-weight:600">Pose of {name}, T_base_tip</div>'
     return head + table_html(matrix).replace(f"color:{MUTED}", "") + table_html(lines)

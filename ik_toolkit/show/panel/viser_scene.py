@@ -17,14 +17,14 @@ LENS = 0.7  # [rad] from top to bottom
 FILL = 0.72  # of the picture, by the robot: its arrows and the next poses need the rest
 NARROW = 576  # pixels of a page below which viser lays its controls over the lower part of the picture
 EDGE = 0.95  # of the way from the middle of the picture to its edge: a target further out counts as not in it
-FREE = 0.5  # of the height left there, see desk.STYLE
+FREE = 0.5  # of the height left there, see connection.STYLE
 
 
 class Handle:
-    """Arrows and rings of one tip's target. target: T_base_target (4, 4)."""
+    """Arrows and rings of one tip's target; `target` is the pose T_base_target (4, 4) [m]."""
 
     def __init__(self, stage: "Stage", k: int, name: str, T: np.ndarray, dragged: Callable[[], None]) -> None:
-        """Draw them at T (4, 4); `dragged` is called when the visitor moves them."""
+        """Draw arrows and rings at T (4, 4); `dragged` is called when the visitor moves them."""
         self.T_world_base = stage.body.T_world_base
         scene = stage.client.scene
         self.gizmo = scene.add_transform_controls(f"/target/{k}", scale=0.22 * stage.size, disable_sliders=True)
@@ -34,7 +34,7 @@ class Handle:
         self.gizmo.on_update(lambda event: self._moved(event, dragged))
 
     def put(self, target: np.ndarray) -> None:
-        """Put them at T_base_target (4, 4), or at a position (3,) with the rotation they have; into the picture, if need be."""
+        """Move to T_base_target (4, 4), or to a position (3,) with the present rotation, and keep it in the picture."""
         self._put(target)
         self.stage.keep_in_view()
 
@@ -51,19 +51,19 @@ class Handle:
         _place(self.gizmo, self.T_world_base @ target)
 
     def read(self) -> np.ndarray:
-        """T_base_target (4, 4) to which the visitor has dragged them."""
+        """Return T_base_target (4, 4) to which the visitor has dragged the arrows and rings."""
         self.target = _dragged(self.gizmo, self.T_world_base)
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
-        """Show or hide the rings, and everything."""
+        """Show or hide the rings, and the whole handle."""
         self.gizmo.disable_rotations, self.gizmo.visible = not rotations, visible
         if self.name is not None:
             self.name.visible = visible
 
 
 class Stage:
-    """A robot in the view of a viser client (or server). handles: one per tip."""
+    """A robot in the view of a viser client (or server), with a handle for each tip."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Stage:
     ) -> None:
         """Draw the robot at q and targets (4, 4) by tip; `dragged` is called when the visitor moves one.
 
-        widest: largest width [pixels] of the picture so far.
+        `widest` is the largest width [pixels] of the picture so far.
         """
         self.widest, self.away = widest, False  # whether the camera has moved away to see a target
         self.client, self.body = client, body
@@ -142,7 +142,7 @@ class Stage:
         self.line("/gap", [*zip(tips, goals, strict=True)], RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
-        """Also show the robot at q (n,), translucent; None: remove it."""
+        """Also show the robot at q (n,), translucent; None removes it."""
         if q is None:
             for handle in self.shade:
                 handle.visible = False
@@ -174,7 +174,7 @@ class Stage:
         return gizmo
 
     def dragged(self, gizmo: Any) -> np.ndarray:
-        """Pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
+        """Return the pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
         return _dragged(gizmo, self.body.T_world_base)
 
     def line(self, name: str, points: Any, color: tuple[int, int, int]) -> None:
@@ -186,7 +186,7 @@ class Stage:
             self.lines[name] = self.client.scene.add_line_segments(name, ends, color, thickness=0.004 * self.size)
 
     def ellipsoid(self, k: int, axes: np.ndarray, radii: np.ndarray, visible: bool) -> None:
-        """Draw a velocity ellipsoid around tip k, axes (3, 3) in the base and radii (3,), scaled to a quarter of a second."""
+        """Draw a velocity ellipsoid around tip k: axes (3, 3) in the base, radii (3,) [m/s] as the way of a quarter of a second."""
         R = self.body.T_world_base[:3, :3] @ axes
         if np.linalg.det(R) < 0.0:
             R[:, 2] *= -1.0
@@ -222,7 +222,7 @@ class Stage:
         self._look(camera, self.extent, VIEW)
 
     def keep_in_view(self) -> None:
-        """Move the camera away, along the direction it looks in, until all targets are in the picture; later back again."""
+        """Move the camera away, along the direction it looks in, until all targets are in the picture, and later back again."""
         camera = getattr(self.client, "camera", None)
         if camera is None:
             return
@@ -240,16 +240,16 @@ class Stage:
             self._look(camera, box, turn[:, 2])
 
     def _free(self) -> float:
-        """Share of the picture's height, from the top, that no controls lie over."""
+        """Return the share of the picture's height, from the top, that no controls cover."""
         return FREE if self.widest < NARROW else 1.0
 
     def _look(self, camera: Any, box: np.ndarray, view: np.ndarray) -> None:
-        eye, to = look(box, view, camera.image_width / max(camera.image_height, 1), self._free())
+        eye, to = camera_for(box, view, camera.image_width / max(camera.image_height, 1), self._free())
         camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
 
 
 def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
-    """Pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
+    """Return the pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
     if not np.isfinite([*gizmo.wxyz, *gizmo.position]).all() or not np.any(gizmo.wxyz):
         raise InvalidTarget("the dragged target is not a valid pose")
     T = np.eye(4)
@@ -258,11 +258,11 @@ def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
     return np.linalg.inv(T_world_base) @ T
 
 
-def look(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where a camera stands, and the point (3,) [m] it looks at, to see a box (2, 3) as large as fits.
+def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a camera must be, and the point (3,) [m] it must look at, to see a box (2, 3) as large as fits.
 
-    view: direction (3,) in which it looks, not straight up or down; aspect: width over height of the picture; free: share of its
-    height, from the top, in which the box is to be seen.
+    `view` (3,) is the direction in which it looks, not straight up or down; `aspect` is width over height of the
+    picture; `free` is the share of its height, from the top, in which the box is to be seen.
     """
     ahead = view / np.linalg.norm(view)
     across = np.cross(ahead, (0.0, 0.0, 1.0))

@@ -1,1 +1,1 @@
-"""Many targets in one call."""
+"""Solves many targets in one call."""

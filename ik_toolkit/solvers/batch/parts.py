@@ -1,4 +1,4 @@
-"""How the rows of a batch are solved: in parts, on threads or on an executor."""
+"""Solves the rows of a batch in parts, on threads or on an executor."""
 
 import functools
 import pickle
@@ -17,18 +17,19 @@ from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ...kernel.limits import LARGEST
 from ...kernel.records import ANSWER, AT
 from ...kernel.simd_search import LEFT
-from ..outcome import Outcome
+from ..outcome import SolveRecord
 from ..plan import Plan
-from ..postprocess import confirmed, mark_open
+from ..postprocess import acquit_rows, confirmed, mark_open
 from ..task import counts_in_part
 from .targets import mended
 
-AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in total at an executor: iterators are never read far ahead
-SLICE = 0.05  # s; how often a thread checks whether to stop
+# This many parts wait for each thread, and in total at an executor; iterators are read no further ahead.
+AHEAD, REMOTE_AHEAD = 4, 64
+SLICE = 0.05  # A thread checks this often [s] whether to stop.
 
 
 def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
-    """Validated starts (1 or m, n), inside the limits."""
+    """Return validated starts (1 or m, n), moved inside the limits."""
     bad = ~np.isfinite(q0).all(axis=1)
     if bad.any():
         raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
@@ -48,10 +49,10 @@ def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
 
 # --------------------------------------------------------------------------------------------------------------- solving
 def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
-    """Loop that solves eight targets side by side (kernel.lanes), where the rule has one and the options allow it."""
+    """Return the loop that solves eight targets side by side (kernel.lanes) if the rule has one and the options allow it."""
     o = plan.options
     plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
-    plain = plain and not (o.closest or o.follow) and not plan.robot.by_tip
+    plain = plain and not (o.closest or o.follow)
     compiled = not config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return plan.rule.lanes() if compiled and plain and plan.robot.chain.plain else None
 
@@ -66,14 +67,14 @@ class Part(NamedTuple):
     first: int
 
     def rows(self, some: slice) -> "Part":
-        """Some of them."""
+        """Return the part that has only these rows."""
         start = self.start if len(self.start) == 1 else self.start[some]
         return Part(self.T[some], self.kinds, start, self.given, self.first + some.start)
 
 
 def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable | None = None) -> None:
     """Solve rows (m, width), each from its own target and start alone."""
-    if len(plan.held) and len(part.start) > 1:  # each with a table of starts of its own
+    if len(plan.held) and len(part.start) > 1:  # Each target then has a table of starts of its own.
         for k in range(len(part.T)):
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
         return
@@ -90,19 +91,22 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
         one = part.rows(slice(k, k + 1))
         T[k] = mended(T[k], kinds, plan.robot.tips, first + int(k))
         plan.run(one.T, kinds, one.start, given, out[k : k + 1])
+    if plan.options.limits:
+        acquit_rows(plan, T, kinds, start, given, out)
     if plan.improving:
         for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
             one = part.rows(slice(k, k + 1))
-            outcome = Outcome(plan, one.T, kinds, one.start, given, out[k].copy(), 0.0)
+            outcome = SolveRecord(plan, one.T, kinds, one.start, given, out[k].copy(), 0.0)
             for step in plan.improving:
                 outcome = step(outcome)
             out[k] = outcome.row
 
 
 def _sampled(first: int, count: int, share: float) -> Iterator[int]:
-    """Rows of a part to check, so that of the whole batch row ceil(j / share) is, for j = 0, 1, 2, ...
+    """Yield which rows of a part to check, so that of the whole batch these are the rows ceil(j / share), j = 0, 1, 2, ...
 
-    Whole numbers throughout: any share is met to a row, by the same rows however the batch is cut, and none overflows.
+    Whole numbers are used throughout, so any share is met to a row, by the same rows however the batch is cut, and none
+    overflows.
     """
     p, q = float(share).as_integer_ratio()
     j = (first - 1) * p // q + 1
@@ -121,7 +125,7 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
 
 
 def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | None = None) -> np.ndarray:
-    """Rows (m, width) of one part, in slices between which it may be stopped (then they are incomplete)."""
+    """Solve the rows (m, width) of one part in slices, between which it may be stopped, and is then incomplete."""
     start = plan.home if job.q0 is None else _starts(plan, job.q0, job.first)
     part = Part(job.T, job.kinds, start, job.q0 is not None, job.first)
     out = np.zeros((len(part.T), plan.width))
@@ -140,12 +144,13 @@ def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | No
 
 @functools.lru_cache(4)
 def _unpacked(payload: bytes) -> Plan:
-    """Plan from its pickle, kept by the worker for the next part."""
-    return pickle.loads(payload)  # noqa: S301  made by on_executor, and sent by the scheduler that already runs our code
+    """Read a plan from its pickle; a worker keeps it for the next part."""
+    # The payload is made by on_executor and sent by the scheduler, which runs our code anyway.
+    return pickle.loads(payload)  # noqa: S301
 
 
 def _solve_remote(payload: bytes, job: "Job", share: float) -> np.ndarray:
-    """Function that a worker process or machine runs."""
+    """Solve a part in a worker process or on another machine."""
     return _solve_part(_unpacked(payload), job, share)
 
 
@@ -162,7 +167,7 @@ Tables = Generator[np.ndarray, None, None]
 
 
 def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Tables of the jobs, in order, solved on threads of this process."""
+    """Yield the tables of the jobs, in order, solved on threads of this process."""
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
@@ -179,13 +184,13 @@ def check_executor(executor: Any) -> None:
 
 
 def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
-    """Tables of the jobs, in order, solved by the workers of an executor."""
+    """Yield the tables of the jobs, in order, solved by the workers of an executor."""
     payload = pickle.dumps(plan)
     yield from _in_order(lambda job: executor.submit(_solve_remote, payload, job, share), jobs, REMOTE_AHEAD)
 
 
 def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Iterator[np.ndarray]:
-    """Results in the order of the jobs, of which no more than `ahead` are under way."""
+    """Yield the results in the order of the jobs, of which no more than `ahead` are in progress."""
     waiting: deque = deque()
     try:
         for job in jobs:

@@ -1,4 +1,4 @@
-"""Result of a batch: arrays with a row per target."""
+"""The result of a batch: arrays with a row per target."""
 
 from typing import Any
 
@@ -8,14 +8,14 @@ from ...errors import IKError, Portable
 from ...kernel.records import ANSWER, AT, MISS
 from ...readonly import ReadOnly
 from ..collision_free import collision_model
-from ..outcome import SPOKEN, Outcome
+from ..outcome import SPOKEN, SolveRecord
 from ..plan import Plan
 from ..result import Result
 from ..status import Status, count_statuses
 
 
 class BatchInterrupted(Portable, KeyboardInterrupt):
-    """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
+    """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, starting with the first."""
 
     def __init__(self, result: "BatchResult") -> None:
         """Store the finished part."""
@@ -26,12 +26,15 @@ class BatchInterrupted(Portable, KeyboardInterrupt):
 class BatchCheckFailed(IKError):
     """Pinocchio does not confirm an answer of a batch: the solver is wrong for this robot, so no row is a success.
 
-    result: BatchResult whose rows all have the status CHECK_FAILED; target: number of the first that is not confirmed. From
-    `solve_batch` the result has every row, with NaN where the batch ended before; from `solve_parts` it is the part that failed.
+    Attributes:
+        result: BatchResult whose rows all have the status CHECK_FAILED. From `solve_batch` it has every row, with NaN
+            where the batch ended before; from `solve_parts` it is the part that failed.
+        target: Number of the first target whose answer is not confirmed.
+        before: Number of results already returned, which cannot be trusted either.
     """
 
     def __init__(self, result: "BatchResult", target: int, before: int) -> None:
-        """Keep the rows; `before` counts those already handed out."""
+        """Store the rows; `before` counts those already returned."""
         doubt = f" The {before} results already returned cannot be trusted either." if before else ""
         super().__init__(
             f"Pinocchio does not confirm the result for target {target}, so no result of this batch can be trusted.{doubt}"
@@ -43,15 +46,20 @@ class BatchCheckFailed(IKError):
 
 
 class BatchResult(ReadOnly):
-    """Answers of a batch, row k belonging to target k.
+    """Answers of a batch, where row k belongs to target k, and batch[k] is the Result of target k with its sentence.
 
-    q (N, n) [rad or m]; status (N,) numbers of Status; success (N,) bool; position_error (N,) [m]; orientation_error (N,)
-    [rad], None where orientation is free; of several tips the largest, and position_errors, orientation_errors by tip;
-    iterations, restarts, fk_evaluations (N,). batch[k] is the Result of target k, with its sentence. table: the rows of the kernel.
+    Attributes:
+        q: Solutions (N, n) [rad or m].
+        status, success: Numbers of Status (N,), and whether they are CONVERGED (N,).
+        position_error: Distance (N,) [m] from the target; of several tips the largest.
+        orientation_error: Rotation angle (N,) [rad] left; of several tips the largest. None if orientation is free.
+        position_errors, orientation_errors: The errors of each tip, by its name.
+        iterations, restarts, fk_evaluations: Counts (N,).
+        table: The rows (N, width) of the kernel.
     """
 
     def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan) -> None:
-        """Wrap the kernel's rows (N, width) of targets of these kinds, one per tip."""
+        """Wrap the kernel's rows (N, width) of targets of these kinds, one kind per tip."""
         self.table = table
         self.kinds = kinds
         self.plan = plan
@@ -59,22 +67,23 @@ class BatchResult(ReadOnly):
         self._seal()
 
     def of(self, table: np.ndarray) -> "BatchResult":
-        """The same batch with other rows."""
+        """Return the same batch with other rows."""
         return BatchResult(table, self.kinds, self.plan)
 
     def __len__(self) -> int:
-        """Number of targets."""
+        """Return the number of targets."""
         return len(self.table)
 
     def __getitem__(self, k: int) -> Result:
-        """Result of target k."""
+        """Return the Result of target k."""
         row = self.table[k]
         touching = None
         if int(row[AT.status]) == Status.COLLISION:
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
-            touching = next(iter(model.collisions(self.q[k])), None)  # None: the colliding obstacle has been moved away
-        nothing = np.empty(0)  # a batch keeps neither targets nor starts
-        return Result(Outcome(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
+            # There is no pair if the colliding obstacle has been moved away since.
+            touching = next(iter(model.collisions(self.q[k])), None)
+        nothing = np.empty(0)  # A batch keeps neither targets nor starts.
+        return Result(SolveRecord(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
 
     @property
     def position_only(self) -> bool:
@@ -94,12 +103,12 @@ class BatchResult(ReadOnly):
 
     @property
     def orientation_errors(self) -> dict[str, np.ndarray | None]:
-        """Rotation angle (N,) left at each tip [rad]; None where orientation is free."""
+        """Rotation angle (N,) left at each tip [rad]; None if orientation is free."""
         each = zip(self.plan.robot.tips, self.kinds, self._each(), strict=True)
         return {tip: None if kind in SPOKEN else errors[:, 1] for tip, kind, errors in each}
 
     def _each(self) -> list[np.ndarray]:
-        """Errors (N, 2) of each tip."""
+        """Return the errors (N, 2) of each tip."""
         if len(self.kinds) == 1:
             return [self.table[:, [AT.position, AT.rotation]]]
         first = ANSWER + self.plan.robot.n
@@ -110,11 +119,11 @@ class BatchResult(ReadOnly):
     fk_evaluations = property(lambda self: self.table[:, AT.evaluations].astype(np.int64))
 
     def counts(self) -> dict[str, int]:
-        """How many targets ended with each status."""
+        """Count how many targets ended with each status."""
         return count_statuses(self.table[:, AT.status])
 
     def to_dict(self) -> dict[str, Any]:
-        """Arrays by name, for np.savez and tables; of several tips also TIP.position_error and TIP.orientation_error."""
+        """Return arrays by name, for np.savez and tables; of several tips also TIP.position_error and TIP.orientation_error."""
         names = ("q", "status", "success", "position_error", "orientation_error", "iterations", "restarts")
         arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations")}
         if len(self.kinds) > 1:
@@ -126,5 +135,5 @@ class BatchResult(ReadOnly):
         return {name: array for name, array in arrays.items() if array is not None}
 
     def __repr__(self) -> str:
-        """One line."""
+        """Describe the batch in one line."""
         return f"BatchResult({len(self)} targets, {int(self.success.sum())} solved, solver='{self.solver}', {self.counts()})"

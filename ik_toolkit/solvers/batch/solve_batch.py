@@ -1,4 +1,4 @@
-"""Many targets at once: compiled, on all cores, in parts, with the same bytes for any number of threads or workers."""
+"""Solves many targets at once: compiled, on all cores, in parts, with the same bytes for any number of threads or workers."""
 
 import math
 import os
@@ -21,10 +21,10 @@ from ..plan import Plan
 from ..solve import Solver, require_robot
 from .parts import Job, Tables, check_executor, on_executor, on_threads
 from .result import BatchCheckFailed, BatchInterrupted, BatchResult
-from .targets import Block, blocks, known
+from .targets import Block, blocks, freed, known
 
-PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed to a worker of an executor
-LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
+PART, REMOTE_PART = 2048, 4096  # Most rows given to a thread, and to a worker of an executor.
+LEAST_PART = 128  # Smaller batches are divided evenly between the threads, but not into smaller parts than this.
 
 
 def solve_parts(
@@ -40,7 +40,7 @@ def solve_parts(
 ) -> Iterator[BatchResult]:
     """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
 
-    An array is read as parts are taken, so do not change it before; arrays from an iterator may be reused at once.
+    An array is read as parts are taken, so it must not change before; arrays from an iterator may be reused at once.
     Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
     require_robot(robot)
@@ -56,16 +56,17 @@ def solve_parts(
     count = whole(threads, "threads") if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check must be the fraction of results to verify, 0 to 1, not {check!r}")
-    given = known(targets)
+    targets, options = freed(robot, targets, options)
+    given = known(targets, robot.base)
     total = None if given is None else _length(given)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
     first = next(chunks, None)
-    starts = _checked_starts(q0, robot.n, total)
+    starts = _checked_starts(robot, q0, total)
     local = Solver(robot, solver, **options)
     if first is None:
         return iter(())
     plan = local.plan_for(first.kinds)
-    plan.orders(first.kinds, starts is not None)  # a solver that cannot do it is refused here
+    plan.orders(first.kinds, starts is not None)  # A solver that cannot solve this task is refused here.
     size = PART if executor is None else REMOTE_PART
     if executor is None and total is not None:
         size = min(size, max(LEAST_PART, math.ceil(total / count)))
@@ -78,14 +79,17 @@ def solve_parts(
 
 
 def _length(targets: Any) -> int:
-    """Number of targets of an array, or of a dict of arrays by tip."""
+    """Return the number of targets in an array, or in a dict of arrays by tip."""
     return len(next(iter(targets.values()), ())) if isinstance(targets, Mapping) else len(targets)
 
 
-def _checked_starts(q0: Any, n: int, rows: int | None) -> np.ndarray | None:
-    """Starts (n,) or (rows, n), any number of rows where that is None. Raises InvalidConfiguration."""
+def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarray | None:
+    """Return starts (n,) or (rows, n), with any number of rows if that is None. Raises InvalidConfiguration."""
     if q0 is None:
         return None
+    n = robot.n
+    if not isinstance(q0, np.ndarray | list | tuple):
+        return robot.read_q(q0, "q0")[0]
     starts = floats(q0, "q0 must be numbers", InvalidConfiguration)
     if starts.shape not in ((n,), (len(starts) if rows is None else rows, n)):
         wanted = f"({n},)" if rows == 1 else f"({n},) or ({'N' if rows is None else rows}, {n})"
@@ -94,7 +98,7 @@ def _checked_starts(q0: Any, n: int, rows: int | None) -> np.ndarray | None:
 
 
 def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
-    """Parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
+    """Yield parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
     done = 0
     with closing(tables):
         for table in tables:
@@ -112,7 +116,7 @@ def _jobs(chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iter
     first = 0
     for chunk in chunks:
         for a in range(0, chunk.rows, size):
-            T = chunk.poses(a, a + size)  # copies: a buffer may be refilled while this waits
+            T = chunk.poses(a, a + size)  # Parts are copies, because a buffer may be refilled while they wait.
             if starts is None:
                 q0 = None
             elif not each:
@@ -126,7 +130,7 @@ def _jobs(chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iter
 
 
 def available_cores() -> int:
-    """Cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -144,20 +148,36 @@ def solve_batch(
 ) -> BatchResult:
     """Solve many targets on all cores.
 
-    targets: (N, 4, 4) poses or (N, 3) positions [m], a list of poses, or an iterator of arrays of these shapes; for a Tree of
-    F tips (N, F, 4, 4), (N, F, 3), or a dict by tip of (N, 4, 4) or (N, 3), where a tip left out is free. q0: None (home and
-    the table of starts), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures
-    interface (a process pool, a Dask client's `get_executor()`) instead of threads. check: fraction of the results to verify
-    with Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`. Limits, tolerances and
-    statuses mean the same as in `solve`. A row may hold another solution than `solve` finds for that target; a q0 per row
-    selects the one to search near. A row depends only on its own target and q0: the result is identical to the last byte for
-    any number of threads, chunks or workers (on one CPU model). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt whose
-    `result` holds the targets finished. Raises BatchCheckFailed when Pinocchio does not confirm a result (its `result` has
-    every row, none of them a success), InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver and
-    InvalidOption.
+    Limits, tolerances and statuses mean the same as in `solve`. A row may hold another solution than `solve` finds for
+    that target; a q0 per row selects the one to search near. A row depends only on its own target and q0: the result is
+    identical to the last byte for any number of threads, chunks or workers (on one CPU model).
+
+    Args:
+        robot: The Robot, or a Tree of F tips.
+        targets: Poses (N, 4, 4) or positions (N, 3) [m] in the base frame, a list of poses, or an iterator of arrays of
+            these shapes. For a Tree, (N, F, 4, 4), (N, F, 3), or a dict by tip, where a tip that is left out is free.
+        solver: Name of a solver, a rule class or an instance of one.
+        q0: Start (n,) for all, (N, n) for each, or None for home and the table of starts [rad or m].
+        threads: Number of threads; by default one for each core.
+        executor: Anything with the interface of concurrent.futures (a process pool, a Dask client's `get_executor()`),
+            to use instead of threads.
+        check: Fraction of the results that Pinocchio verifies, 0 to 1.
+        progress: Function that is called with the number of targets done whenever a part is finished.
+        options: Options of the search and parameters of the solver, as for `solve`.
+
+    Returns:
+        The answers as arrays; row k belongs to target k.
+
+    Raises:
+        BatchCheckFailed: Pinocchio does not confirm a result; its `result` has every row, none of them a success.
+        BatchInterrupted: Ctrl-C, as a KeyboardInterrupt; its `result` has the targets finished.
+        InvalidTarget, InvalidConfiguration: A target or start is wrong; the message names it.
+        UnknownSolver, InvalidOption: The solver or an option is wrong.
     """
     check_progress(progress, "the number of targets done")
-    given = known(targets)
+    require_robot(robot)
+    targets, options = freed(robot, targets, options)
+    given = known(targets, robot.base)
     parts = solve_parts(
         robot,
         targets if given is None else given,
@@ -173,7 +193,7 @@ def solve_batch(
     try:
         for part in parts:
             end = done + len(part)
-            if end > len(table):  # in place: no second copy
+            if end > len(table):  # The table grows in place, without a second copy.
                 size = total if total is not None else max(end, len(table) + len(table) // 4)
                 table.resize((size, part.table.shape[1]), refcheck=False)
             table[done:end] = part.table
@@ -184,7 +204,8 @@ def solve_batch(
         if part is None:
             raise
         raise BatchInterrupted(part.of(table[:done])) from None
-    except BatchCheckFailed as failure:  # rows up to the one that failed, and nothing of those after it, solved or not
+    # The rows up to the one that failed are kept, and none after it, whether solved or not.
+    except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
         table.resize((total if total is not None else done + len(part), part.table.shape[1]), refcheck=False)
         table[done:end] = part.table[: end - done]

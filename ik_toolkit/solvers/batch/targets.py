@@ -1,39 +1,40 @@
-"""Targets of a batch, read part by part in whatever form they come: arrays, dicts by tip, lists, iterators."""
+"""Reads the targets of a batch part by part, in any form: arrays, dicts by tip, lists, iterators."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import InvalidTarget, masked
+from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
 from ...kernel.counted_error import FREE, POSE, POSITION
-from ...robot.pose import check_target
+from ...robot.pose import AxisTarget, as_array, check_target
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
-ROUGH, RIGID = 1e-12, 1e-6  # deviations from orthonormal between which a rotation has few digits and is replaced
+# A rotation off orthonormal by 1e-12 to 1e-6 has few digits and is replaced by the nearest exact one.
+ROUGH, RIGID = 1e-12, 1e-6
 
 
 class Block(NamedTuple):
-    """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None where it is free."""
+    """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None if it is free."""
 
     parts: tuple[np.ndarray | None, ...]
-    by_tip: bool
+    pose_shape: tuple[int, ...]  # of all tips, as the kernel takes it
 
     @property
     def kinds(self) -> tuple:
-        """Kind of target of each tip."""
+        """The kind of target of each tip."""
         return tuple(FREE if part is None else SHAPES[part.shape[1:]] for part in self.parts)
 
     @property
     def rows(self) -> int:
-        """How many targets these are."""
+        """The number of targets."""
         return next(len(part) for part in self.parts if part is not None)
 
     def poses(self, a: int, b: int) -> np.ndarray:
-        """Targets a to b as the kernel takes them, a copy: (m, 4, 4), or of several tips (m, F, 4, 4).
+        """Return targets a to b as the kernel takes them, a copy: (m, 4, 4), or of several tips (m, F, 4, 4).
 
-        Rotations of few digits are replaced by the nearest exact ones; worse ones, and NaN, are returned by the kernel.
+        Rotations of few digits are replaced by the nearest exact ones; worse ones, and NaN, are refused by the kernel.
         """
         T = np.tile(np.eye(4), (max(0, min(b, self.rows) - a), len(self.parts), 1, 1))
         for f, part in enumerate(self.parts):
@@ -44,7 +45,7 @@ class Block(NamedTuple):
             else:
                 T[:, f] = part[a:b]
                 _straighten(T[:, f])
-        return T if self.by_tip else T[:, 0]
+        return T.reshape(-1, *self.pose_shape)
 
 
 def _straighten(T: np.ndarray) -> None:
@@ -60,18 +61,66 @@ def _straighten(T: np.ndarray) -> None:
         T[rough, :3, :3] = U @ Vt
 
 
-def known(targets: Any) -> Any:
-    """Targets as one array or a dict of arrays; None for an iterator."""
+def freed(robot: Any, targets: Any, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Targets with AxisTargets in their lists as poses, and options with the free turn about the axis that they share.
+
+    Raises:
+        InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
+        InvalidOption: `free_turn` is given as well.
+    """
+    if isinstance(targets, Mapping):
+        columns = dict(targets)
+    elif not isinstance(targets, list | tuple) or not targets:
+        return targets, options
+    elif not robot.by_tip:
+        columns = {robot.tips[0]: targets}
+    elif all(isinstance(row, list | tuple) and len(row) == len(robot.tips) for row in targets):
+        columns = {tip: [row[f] for row in targets] for f, tip in enumerate(robot.tips)}
+    else:
+        return targets, options
+    axes = {tip: axis for tip, column in columns.items() if (axis := _shared_axis(tip, column)) is not None}
+    if not axes:
+        return targets, options
+    if options.get("free_turn") is not None:
+        raise InvalidOption("an axis target frees the turn about its axis; leave free_turn out")
+    made = {tip: [one.T_base_tip for one in columns[tip]] if tip in axes else column for tip, column in columns.items()}
+    if robot.by_tip:
+        return made, {**options, "free_turn": axes}
+    return made[robot.tips[0]], {**options, "free_turn": axes[robot.tips[0]]}
+
+
+def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
+    """The tip axis of a list of AxisTargets; None where it holds none."""
+    axes = (
+        [one.axis if isinstance(one, AxisTarget) else None for one in column]
+        if isinstance(column, list | tuple)
+        else []
+    )
+    if not any(axes):
+        return None
+    for k, axis in enumerate(axes):
+        if axis != axes[0]:
+            raise InvalidTarget(
+                f"target {k} of {tip} has {'no free axis' if axis is None else f'the axis {axis}'} and target 0 "
+                f"{'none' if axes[0] is None else axes[0]}; the targets of one call share the tip axis about which they may turn"
+            )
+    return axes[0]
+
+
+def known(targets: Any, base: str = "") -> Any:
+    """Targets, given in the frame `base`, as one array or a dict of arrays; None for an iterator."""
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
         return targets
     if isinstance(targets, Mapping):
-        return {tip: _named(tip, known, part) for tip, part in targets.items() if part is not None}
+        return {
+            tip: _named(tip, lambda part: known(part, base), part) for tip, part in targets.items() if part is not None
+        }
     if isinstance(targets, Iterator):
         return None
     try:
-        return np.array([_plain(target) for target in targets])
+        return np.array([_plain(target, base) for target in targets])
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidTarget):
             raise
@@ -79,24 +128,26 @@ def known(targets: Any) -> Any:
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
-    """Targets of one tip as `read` returns them. Raises InvalidTarget naming the tip."""
+    """Return the targets of one tip as `read` returns them. Raises InvalidTarget, which names the tip."""
     try:
         return read(part)
     except InvalidTarget as error:
         raise InvalidTarget(f"{tip}: {error}") from None
 
 
-def _plain(target: Any) -> np.ndarray:
-    """One target of a list, or the list of those of several tips, as numbers."""
-    if isinstance(target, list | tuple) and any(hasattr(one, "homogeneous") for one in target):
-        return np.array([_numbers(getattr(one, "homogeneous", one)) for one in target])
-    return _numbers(getattr(target, "homogeneous", target))
+def _plain(target: Any, base: str) -> np.ndarray:
+    """Return one target of a list, or the list of those of several tips, as numbers."""
+    if isinstance(target, list | tuple) and any(not isinstance(one, float | int | list | tuple) for one in target):
+        return np.array([_numbers(as_array(one, base)) for one in target])
+    return _numbers(as_array(target, base))
 
 
 def _numbers(targets: Any) -> np.ndarray:
-    """Targets as an array of real numbers, see `errors.floats`; a view where they are one."""
+    """Return targets as an array of real numbers (see `errors.floats`), a view if they are one."""
     if masked(targets):
         raise InvalidTarget("targets must be numbers, and some of these are masked")
+    if isinstance(targets, AxisTarget):
+        raise InvalidTarget("an AxisTarget goes into a list of them; or give its T_base_tip, and its axis as free_turn")
     try:
         array = np.asarray(targets)
     except (TypeError, ValueError):
@@ -107,11 +158,11 @@ def _numbers(targets: Any) -> np.ndarray:
 
 
 def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
-    """Chunks as blocks; refuses the wrong shape, or another kind than the first. Their numbers are checked in the kernel."""
+    """Turn chunks into blocks, and refuse a wrong shape, or another kind than the first; the kernel checks their numbers."""
     kinds = None
     for chunk in chunks:
         if isinstance(chunk, Mapping):
-            block = _by_tip(chunk, robot)
+            block = _named_tips(chunk, robot)
         else:
             array = _numbers(chunk)
             if array.size == 0 and array.ndim < 2:
@@ -120,6 +171,10 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
         if kinds not in (None, block.kinds):
             raise InvalidTarget("a batch holds either poses or positions for each tip, not both")
         kinds = block.kinds
+        for tip, part in zip(robot.tips, block.parts, strict=True):
+            if part is not None and len(part):
+                places = np.abs(part if part.ndim == 2 else part[:, :3, 3])
+                doubt_lengths(f"targets of {tip} on {robot.name}", float(np.nanmax(places, initial=0.0)), robot.reach)
         yield block
 
 
@@ -128,16 +183,16 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
     if not robot.by_tip:
         if array.shape[1:] not in SHAPES:
             raise InvalidTarget(f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
-        return Block((array,), False)
+        return Block((array,), robot.pose_shape)
     if array.shape[1:] not in ((F, 4, 4), (F, 3)):
         raise InvalidTarget(
             f"targets of {', '.join(tips)} must be numbers of shape (N, {F}, 4, 4) or (N, {F}, 3), or a dict by tip, not of "
             f"shape {array.shape}"
         )
-    return Block(tuple(array[:, f] for f in range(F)), True)
+    return Block(tuple(array[:, f] for f in range(F)), robot.pose_shape)
 
 
-def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
+def _named_tips(chunk: Mapping[str, Any], robot: Any) -> Block:
     tips = robot.tips
     robot.check_tips(chunk)
     parts = tuple(None if chunk.get(tip) is None else _named(tip, _numbers, chunk[tip]) for tip in tips)
@@ -151,11 +206,14 @@ def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
     if len({len(part) for part in parts if part is not None}) > 1:
         counts = ", ".join(f"{tip} {len(part)}" for tip, part in zip(tips, parts, strict=True) if part is not None)
         raise InvalidTarget(f"every tip needs the same number of targets, not {counts}")
-    return Block(parts, robot.by_tip)
+    return Block(parts, robot.pose_shape)
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
-    """Target T (4, 4) or (F, 4, 4) that the kernel refused, made exact. Raises InvalidTarget naming the target and the tip."""
+    """Make a target T (4, 4) or (F, 4, 4) that the kernel refused exact.
+
+    Raises InvalidTarget naming the target and the tip.
+    """
     good = T.copy().reshape(-1, 4, 4)
     for tip, kind, one in zip(tips, kinds, good, strict=True):
         if kind == FREE:

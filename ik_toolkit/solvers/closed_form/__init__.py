@@ -1,26 +1,28 @@
-"""Closed forms: every branch at once, for the structures they are recognised to fit."""
+"""Closed forms: each gives every branch at once for robots of the structure that it recognises."""
 
 from typing import Any
 
 
 def fits(robot: Any, kind: int) -> str | None:
-    """Name of the closed form that solves this robot for a kind of target (kernel.task.POSE or POSITION), or None."""
+    """Return the name of the closed form that solves this robot for a kind of target (kernel.task.POSE or POSITION), or None."""
     found = fit(robot, kind)
     return found[0] if found else None
 
 
 def fit(robot: Any, kind: int) -> tuple[str, float] | None:
-    """Name of the closed form for a kind of target, and how far the robot is off its structure [rad, or of the reach]; or None.
+    """Return the closed form for a kind of target and how far the robot is off its structure [rad, or of the reach], or None.
 
     The chain's geometry decides; the answer is kept with the robot, so asking again costs a look-up.
     """
     if "closed forms" not in robot.memo:
-        robot.memo["closed forms"] = {} if robot.by_tip else _recognise(robot.chain)  # they are for one tip
+        robot.memo["closed forms"] = (
+            _recognise(robot.chain) if len(robot.tips) == 1 else {}
+        )  # Closed forms are for one tip.
     return robot.memo["closed forms"].get(kind)
 
 
-def describe(robot: Any) -> str:
-    """One sentence on the closed form that fits a robot and how well, or ''."""
+def describe_fit(robot: Any) -> str:
+    """Return one sentence on the closed form that fits a robot and how well it fits, or ''."""
     from ...kernel.counted_error import POSE, POSITION
     from .geometry import FIT
 

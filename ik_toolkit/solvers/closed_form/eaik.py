@@ -1,4 +1,4 @@
-"""Six revolute joints of a structure that the EAIK package knows: all its answers, called like any other solver."""
+"""Calls the EAIK package, which has all answers for six revolute joints of a structure it knows, like any other solver."""
 
 import functools
 from typing import Any, NamedTuple
@@ -12,14 +12,15 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
 
 N = 6
-STEPS = (
-    12  # Newton steps that finish an answer; at a singular pose EAIK's own are off by 1e-4, and each step halves that
-)
-H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)  # axes, steps from one to the next, tip's orientation at q = 0
+# Number of Newton steps that finish an answer.
+# At a singular pose EAIK's own answers are off by 1e-4, and each step halves that.
+STEPS = 12
+# Slices of the parameters: the axes, the steps from one axis to the next, and the tip's orientation at q = 0.
+H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
-def recognise(chain: Chain) -> Fit:
-    """Read the axes of the arm at q = 0."""
+def recognise_six_axes(chain: Chain) -> Fit:
+    """Recognise an arm by its axes at q = 0."""
     if chain.n != N:
         return no_fit(f"it has {chain.n} joints on the path, not 6")
     screws = read_screws(chain)
@@ -30,13 +31,13 @@ def recognise(chain: Chain) -> Fit:
     steps = np.diff(np.vstack([np.zeros(3), screws.point, screws.T[:3, 3]]), axis=0)
     parameters = np.concatenate([screws.axis.ravel(), steps.ravel(), screws.T[:3, :3].ravel()])
     if not _arm(parameters.tobytes()).hasKnownDecomposition():
-        return no_fit("EAIK knows no decomposition of its axes")
+        return no_fit("EAIK has no decomposition for its axes")
     return Fit(parameters, "", 0.0)
 
 
 @functools.lru_cache(16)
 def _arm(parameters: bytes) -> Any:
-    """EAIK's robot of packed axes."""
+    """Make EAIK's robot from packed axes."""
     try:
         from eaik.IK_HP import HPRobot
     except ImportError:
@@ -46,7 +47,7 @@ def _arm(parameters: bytes) -> Any:
 
 
 def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """EAIK's answers (K, 6) [rad] for T (4, 4), exact or not: its own flag is set for exact ones too."""
+    """Return EAIK's answers (K, 6) [rad] for T (4, 4), exact or not, because its flag for inexact ones is set on exact ones too."""
     if not np.isfinite(T).all():
         return np.empty((0, N))
     tool = np.eye(4)
@@ -57,7 +58,7 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 @inline
 def joint_values(angles, box, q):
-    """Fill q (6,) with the legal turns of angles nearest box[2]; return the worst limit broken and the distance."""
+    """Fill q (6,) with the legal turns of angles nearest box[2]; return the worst limit broken [rad] and the distance."""
     worst, distance = 0.0, 0.0
     for i in range(N):
         q[i], broken = legal_turn(angles[i], box[0, i], box[1, i], box[2, i])
@@ -67,8 +68,8 @@ def joint_values(angles, box, q):
 
 
 @cached
-def every_branch(Q, box, out, broken):
-    """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with the limit each breaks."""
+def eaik_branches(Q, box, out, broken):
+    """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with how much each breaks a limit [rad]."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
 
@@ -77,16 +78,16 @@ def every_branch(Q, box, out, broken):
 class EAIK(NamedTuple):
     """Analytic answers of the EAIK package for six revolute joints, for poses; the legal one nearest q0 is returned.
 
-    Needs the extra 'analytic'. The axes are read off the robot at q = 0; limits, turns and the choice are ours, and every
-    answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for analytical
-    inverse kinematics".
+    Needs the extra 'analytic'. The axes are read off the robot at q = 0; limits, turns and the choice are ours, and
+    every answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for
+    analytical inverse kinematics".
     """
 
-    recognise = staticmethod(recognise)
+    recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """All answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
+        """Return all answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
         Q = branches(p, T)
         out, broken = np.empty_like(Q), np.empty(len(Q))
-        every_branch(Q, box, out, broken)
+        eaik_branches(Q, box, out, broken)
         return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)

@@ -1,7 +1,7 @@
-"""Shared by the closed forms: reading a chain's joint screws, and moving joint angles into the limits by full turns.
+"""Functions of all closed forms: they read a chain's joint screws and move joint angles into the limits by full turns.
 
-A structure is recognised from geometry alone: every joint's axis is read at q = 0 from the Jacobian, so names, axis signs,
-angle offsets, intermediate frames and the pose of the base do not matter.
+A structure is recognised from geometry alone: every joint's axis is read at q = 0 from the Jacobian, so names, axis
+signs, angle offsets, intermediate frames and the pose of the base do not matter.
 """
 
 import math
@@ -18,29 +18,32 @@ from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import ANSWER, HEAD, WEIGHTS, Answer, Ends, Orders, read, write
 
-FIT = 1e-9  # how far [rad, or of the reach] axes may be off a structure that is taken as exact
-NEAR = 1e-4  # largest deviation accepted: files written with five digits have it, and Newton steps correct it
-SNAP = 1e-9  # an answer this little [rad or m] beyond a limit is put on it
+FIT = 1e-9  # Axes that are off a structure by less than this [rad, or of the reach] fit it exactly.
+# Axes may be off a structure by at most 1e-4 [rad, or of the reach].
+# Files written with five digits are off by up to 1e-4, and Newton steps correct them.
+NEAR = 1e-4
+SNAP = 1e-9  # An answer this little [rad or m] beyond a limit is put on the limit.
 
 
 class Fit(NamedTuple):
-    """How a chain fits a structure."""
+    """How well a chain fits the structure of a closed form."""
 
-    parameters: np.ndarray  # numbers of the closed form; empty where it does not fit
-    reason: str  # why it does not fit, or ''
-    off: float  # how far its axes are off the structure [rad, or of the reach]
+    parameters: np.ndarray  # The numbers that the closed form needs; empty if the chain does not fit.
+    reason: str  # Why the chain does not fit, or ''.
+    off: float  # How far the axes are off the structure [rad, or of the reach].
 
 
 def no_fit(reason: str) -> Fit:
-    """Give the reason why a chain does not fit."""
+    """Make a Fit of a chain that does not fit, with the reason."""
     return Fit(np.zeros(0), reason, math.inf)
 
 
 class Family(NamedTuple):
     """A continuum of solutions.
 
-    joints: names of the joints that move along it, the leading one first; lower, upper: range of the leading joint [rad or m],
-    None where the family was found numerically and not followed to its ends; message: one sentence.
+    `joints` names the joints that move along it, the leading one first; `lower` and `upper` are the range of the
+    leading joint [rad or m], or None if the family was found numerically and not followed to its ends; `message` is one
+    sentence.
     """
 
     joints: tuple[str, ...]
@@ -50,33 +53,34 @@ class Family(NamedTuple):
 
 
 class Branches(NamedTuple):
-    """What a closed form lists for one target."""
+    """All branches that a closed form lists for one target."""
 
-    q: np.ndarray  # (K, n) branches [rad or m], at the turn nearest the reference
-    broken: np.ndarray  # (K,) by how much each breaks a limit
-    marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist
-    complete: bool  # whether these are proven to be all
-    words: str  # where they are, for the message
-    families: tuple[Family, ...] = ()  # of which the rows are a sample
-    steps: int = 0  # Newton steps that finish each on the real chain
-    fixed: int = -1  # place of a joint that those steps do not move
-    partial: bool = False  # whether the closed form is known to miss some, so that a search has to add them
+    q: np.ndarray  # The branches (K, n) [rad or m], at the turn nearest the reference.
+    broken: np.ndarray  # By how much (K,) [rad or m] each branch breaks a limit.
+    marks: np.ndarray  # Signs (K, 3) of shoulder, elbow and wrist.
+    complete: bool  # Whether these branches are proven to be all.
+    words: str  # Part of the message that says where the branches are, such as ' at lift 0.2 m'.
+    families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
+    steps: int = 0  # Number of Newton steps that finish each branch on the real chain.
+    fixed: int = -1  # Place in q of a joint that those steps do not move, or -1.
+    partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
 
 
 class Screws(NamedTuple):
-    """Joint axes of a chain at q = 0 in base axes [m]."""
+    """The joint axes of a chain at q = 0 in base axes."""
 
-    turns: np.ndarray  # (n,) True where the joint turns
-    axis: np.ndarray  # (n, 3) unit direction
-    point: np.ndarray  # (n, 3) the axis' point nearest the tip (revolute joints)
-    T: np.ndarray  # (4, 4) T_base_tip
+    turns: np.ndarray  # Whether each joint turns (n,).
+    axis: np.ndarray  # Unit direction of each axis (n, 3).
+    point: np.ndarray  # The point (n, 3) [m] of a revolute joint's axis that is nearest the tip.
+    T: np.ndarray  # The pose T_base_tip (4, 4) [m].
 
 
 def read_screws(chain: Chain) -> Screws | str:
-    """Return the joint screws at q = 0, or a sentence when a coordinate drives several joints (mimic)."""
+    """Return the joint screws at q = 0, or the reason why there are none: a coordinate drives several joints (mimic)."""
     if not chain.plain:
         return "it has mimic joints"
-    T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)  # compiles nothing
+    # `evaluate` is not compiled, so recognising a robot compiles nothing.
+    T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)
     linear, angular = J[0, :3].T, J[0, 3:].T
     turns = chain.rows[:, 9] > 0.0
     axis = np.where(turns[:, None], angular, linear)
@@ -84,18 +88,18 @@ def read_screws(chain: Chain) -> Screws | str:
 
 
 def angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Angle [rad] that turns direction `start` into `end` about `axis` (all unit, start and end across the axis)."""
+    """Return the angle [rad] that turns direction `start` into `end` about `axis`; all are unit vectors, both across the axis."""
     return math.atan2(float(axis @ np.cross(start, end)), float(start @ end))
 
 
 def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Part of v (3,) perpendicular to the unit axis."""
+    """Return the part of v (3,) perpendicular to the unit axis."""
     return v - axis * (axis @ v)
 
 
 @shared
 def legal_turn(angle, low, high, near):
-    """Angle + k 2 pi inside [low, high] nearest to `near`, and by how much it breaks the limits (0 when legal)."""
+    """Return angle + k 2 pi inside [low, high] nearest to `near`, and by how much it breaks the limits (0 if legal) [rad]."""
     x = angle + TAU * np.rint((near - angle) / TAU)
     if x > high + SNAP:
         x -= TAU * math.ceil((x - high - SNAP) / TAU)
@@ -108,7 +112,7 @@ def legal_turn(angle, low, high, near):
 
 @shared
 def clamp(x, low, high):
-    """x, put on a limit it passes by less than SNAP, and by how much it breaks the limits otherwise."""
+    """Put x on a limit that it passes by less than SNAP; the second result says how much it breaks the limits otherwise."""
     if x > high:
         return (high, 0.0) if x - high <= SNAP else (x, x - high)
     if x < low:
@@ -118,7 +122,7 @@ def clamp(x, low, high):
 
 @inline
 def legal_start(ends, opt, q0):
-    """Whether a start (n,), if there is one, is finite and, when limits count, inside them [rad or m]."""
+    """Return whether a start (n,), if there is one, is finite and, if limits count, inside them [rad or m]."""
     o = read(Orders, opt)
     return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
 
@@ -139,11 +143,11 @@ def copy_limits(ends, opt, q0, box):
 
 @inline
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
-    """Evaluate q with the kernel's forward kinematics and write the result row: errors and status are of that evaluation.
+    """Evaluate q with the kernel's forward kinematics and write the result row, whose errors and status are of that evaluation.
 
-    broken: by how much the best branch breaks a limit; gap: how far [m] the target is out of reach with its orientation
-    kept; slack: how much of that [m] the orientation's tolerance may make up for. goal (12,), joints, trig: scratch, see
-    `kinematics.room`.
+    `broken` is by how much the best branch breaks a limit; `gap` how far [m] the target is out of reach with its
+    orientation kept; `slack` how much of that [m] the orientation's tolerance may make up for. `goal` (12,), `joints`
+    and `trig` are scratch, see `kinematics.room`.
     """
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)
@@ -163,7 +167,7 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
     elif broken > 0.0 and gap < o.tol_p:
         status = LIMIT_BLOCKED
     else:
-        status = STALLED  # proves nothing
+        status = STALLED  # A stall proves nothing about the target.
     noted = 0.0
     if hist.shape[0] > 0:
         noted = 1.0

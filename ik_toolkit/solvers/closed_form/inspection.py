@@ -1,8 +1,9 @@
-"""An arm with a spherical shoulder on a lift (the 7-joint inspection robot), every branch in closed form.
+"""Solves an arm with a spherical shoulder on a lift (the 7-joint inspection robot): every branch in closed form.
 
-Recognised by its axes: joint 1 turns about an axis along which joint 2 slides (in either order, or the slide is locked or
-absent); axes 1, 3 and 4 meet in one point, each across the next; axis 5 is parallel to 4, axis 6 crosses axis 5 at right
-angles level with the shoulder, axis 7 is parallel to 6. Base, tool, axis signs, angle offsets and lengths are free.
+The arm is recognised by its axes: joint 1 turns about an axis along which joint 2 slides (in either order, or the slide
+is locked or absent); axes 1, 3 and 4 meet in one point, each across the next; axis 5 is parallel to 4, axis 6 crosses
+axis 5 at right angles level with the shoulder, axis 7 is parallel to 6. Base, tool, axis signs, angle offsets and
+lengths are free.
 """
 
 import math
@@ -57,12 +58,12 @@ from .polish import polish
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals
 
 __all__ = ["Inspection", "every_branch", "feasible_lifts", "nearest_pose", "recognise", "wrist_pose"]
-STEPS = 24  # of the finish on the real chain
+STEPS = 24  # Limit on the Newton steps that finish an answer on the real chain.
 CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
 
 
 def recognise(chain: Chain) -> Fit:
-    """Read the arm off its joint axes."""
+    """Recognise the arm by its joint axes."""
     if chain.n not in (6, 7):
         return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 revolute joints (or these 6)")
     screws = read_screws(chain)
@@ -74,7 +75,7 @@ def recognise(chain: Chain) -> Fit:
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
-    off = []  # how far it is off the structure, and the message
+    off = []  # Each entry says how far the chain is off the structure, and the message for it.
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not move along the first revolute axis"))
@@ -83,12 +84,12 @@ def recognise(chain: Chain) -> Fit:
         off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
     for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
         off.append((np.linalg.norm(np.cross(a, b)), f"its revolute joints {pair} are not parallel"))
-    # The shoulder: the foot on axis 1 of joint 3's axis; axes 3 and 4 must pass through it.
+    # The shoulder is the foot on axis 1 of joint 3's axis; axes 3 and 4 must pass through it.
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         missed = np.linalg.norm(across(z, c - shoulder)) / chain.reach
         off.append((missed, f"its {place} revolute axis misses the point where the first and second are nearest"))
-    level5 = c5 + z4 * (z4 @ (shoulder - c5))  # of axis 5, level with the shoulder
+    level5 = c5 + z4 * (z4 @ (shoulder - c5))  # This is the point of axis 5 that is level with the shoulder.
     missed = np.linalg.norm(across(z6, c6 - level5)) / chain.reach
     off.append((missed, "its fifth revolute axis does not cross the fourth level with the shoulder"))
     for value, words in off:
@@ -124,13 +125,14 @@ def recognise(chain: Chain) -> Fit:
 
 
 @cached
-def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Arguments of `kernel.search.entry`: the branch inside the limits nearest Q0, or how far none is."""
+def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+    """Find the branch inside the limits nearest Q0, or how far none is; the arguments are those of `kernel.search.entry`."""
     n = seeds.shape[1]
     p = opt[WEIGHTS + n :]
     box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
     P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
-    q, trial, best = np.empty(n), np.empty(n), np.empty(n)
+    tries, best = np.empty((2, n)), np.empty(n)
+    q, trial = tries[0], tries[1]
     row, limits = np.empty(6), np.empty(WINDOWS)
     goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
     for t in range(T.shape[0]):
@@ -159,15 +161,16 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 if count < 0:
                     low, high = lift_limits(p, box)
                     count = lift_intervals(P, p[A4], p[A6], low, high, spans)
-                broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
+                broken = scan_lifts(p, P, box, near, spans[:count], moved, sols, tries, best)
                 if broken > 0.0:
-                    broken = narrow_windows(p, P, box, near, spans, count, limits, row, q, best)
+                    broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
             elif gap > 0.0:
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                if stroke > 0.0:  # in reach with more stroke: it is the lift's limit that stops it
+                # The target would be in reach with more stroke, so the lift's limit stops the arm.
+                if stroke > 0.0:
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-        slack = opt[ORDER.tol_r] * lever  # a pose turned by the tolerance moves the wrist no further than this
+        slack = opt[ORDER.tol_r] * lever  # A pose turned by the tolerance moves the wrist no further than this.
         nearly = p[NEARLY] > 0.0
         spent = 0
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
@@ -178,7 +181,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(found + 1):  # the best so far, then every branch at its lift
+            for k in range(found + 1):  # The best so far comes first, then every branch at its lift.
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
@@ -187,7 +190,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     continue
                 for j in range(n):
                     trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # one is for the answer
+                left = opt[ORDER.evaluations] - 1.0 - spent  # One evaluation is kept for the answer.
                 position, rotation, count = polish(rows, ends, opt, T[t], trial, fixed, STEPS, left)
                 spent += count
                 distance = 0.0
@@ -198,7 +201,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     copy(trial, q)
             if nearest < np.inf:
                 copy(q, best)
-            if nearly:  # proves nothing
+            if nearly:  # A chain that fits only nearly proves nothing.
                 broken, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
@@ -210,10 +213,13 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 class Inspection(NamedTuple):
     """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
 
-    lift: 'nearest' takes the feasible lift nearest q0's (another where no branch there is inside the limits), 'mid' the
-    middle of the longest feasible interval (with the same way out), a number [m] that lift only.
     Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed: every branch, the lift as the free
     parameter, reach test, singular poses.
+
+    Args:
+        lift: 'nearest' takes the feasible lift nearest q0's, or another if no branch there is inside the limits; 'mid'
+            takes the middle of the longest feasible interval, with the same exception; a number [m] takes that lift
+            only.
     """
 
     lift: float | str = "nearest"
@@ -222,7 +228,10 @@ class Inspection(NamedTuple):
     every = staticmethod(listing)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Geometry and choice of lift for the compiled solver. Raises UnknownSolver, InvalidOption for a lift that is no choice."""
+        """Return the geometry and the choice of lift for the compiled solver.
+
+        Raises UnknownSolver if the robot has another structure, InvalidOption for a lift that is no choice.
+        """
         parameters, _, off = fitted(self, robot)
         choice = CHOICES.get(self.lift, GIVEN)
         value = 0.0
@@ -236,16 +245,16 @@ class Inspection(NamedTuple):
         return np.concatenate([parameters, [choice, value, float(off > FIT)]])
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Joints (place in q) that have a given value: the lift, where it is a number [m]."""
+        """Map the place in q of a joint that has a given value to that value: the lift, if it is given as a number [m]."""
         place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """The formulas with their numbers for T (4, 4); box (4, n) as for `every`."""
+        """Work out the formulas with their numbers for T (4, 4); box (4, n) is as for `every`."""
         from .inspection_steps import derive
 
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """The compiled solve."""
-        return solve
+        """Return the compiled function that solves, called as `kernel.search.entry`."""
+        return solve_inspection

@@ -1,7 +1,7 @@
-"""The closed form of a spherical shoulder on a lift, worked out step by step for one pose at one lift."""
+"""Works out the closed form of a spherical shoulder on a lift step by step, for one pose at one lift."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from sympy import Abs, Matrix, Max, Min, atan2, cos, pi, sin, sqrt
@@ -14,7 +14,7 @@ from .lift_list import feasible_lifts, looks
 from .reach import (
     EDGE,
     ON_AXIS,
-    fill,
+    fill_shoulder_branch,
     forearm,
     inspection_margin,
     inspection_nearest,
@@ -27,23 +27,36 @@ THETA = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 LEGEND = (
     "Shoulder, elbow and wrist: the signs of sin theta_3, sin theta_6 and cos theta_5 (0 where two branches merge)."
 )
-SHOULDER, ROOM, MOVED, ON_SIX, STRAIGHT, BEND, INNER, HEADING = (
-    12,
-    *range(15, 22),
-)  # slots of `head`, after the wrist pose
-ANGLES, BROKEN, Q = 3, 9, 10  # slots of a branch
-BASE, TOOL = 0, 12  # slots of the transforms base -> shoulder axes and tip -> wrist axes: rotation, point
-ALIGNED = 1e-12  # [m], or of a rotation: what rounding leaves of axes that are the same
+ANGLES, BROKEN, Q = 3, 9, 10  # Slots of a branch, which is a row of `table`.
+# Slots of the transforms base -> shoulder axes and tip -> wrist axes; each has a rotation and a point.
+BASE, TOOL = 0, 12
+ALIGNED = 1e-12  # Rounding leaves this [m, or of a rotation] of axes that are the same.
 PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
+
+
+class HeadSlots(NamedTuple):
+    """Places in `head` of the numbers that follow the wrist pose (see `worked_out`)."""
+
+    shoulder: int = 12
+    room: int = 15
+    moved: int = 16
+    on_six: int = 17
+    straight: int = 18
+    bend: int = 19
+    inner: int = 20
+    heading: int = 21
+
+
+HEAD = HeadSlots()
 
 
 @cached
 def worked_out(p, T, d, box, head, table):
-    """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return how many branches.
+    """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return the number of branches.
 
-    head: wrist pose (12), the shoulder seen from it (3), room left in the reach and how far the pose was moved to be reached [m],
-    then what `forearm` returns of the elbow. table, one row per branch: numbers of elbow, wrist and shoulder, theta_1, 3 to 7, the
-    limit broken, q.
+    head has the wrist pose (12), the shoulder seen from it (3), the room left in the reach and how far the pose was
+    moved to be reached [m], then what `forearm` returns about the elbow. A row of table has a branch's numbers of
+    elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit broken, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -62,14 +75,14 @@ def worked_out(p, T, d, box, head, table):
             for k3 in range(1 if tilt <= ON_AXIS else 2):
                 row = table[count]
                 row[0], row[1], row[2] = k6, k5, k3
-                fill(row[ANGLES:BROKEN], k3, t1, t3, t4, t5, t6, t7)
+                fill_shoulder_branch(row[ANGLES:BROKEN], k3, t1, t3, t4, t5, t6, t7)
                 row[BROKEN] = joint_values(p, row[ANGLES:BROKEN], d, box, row[Q:])[0]
                 count += 1
     return count
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Formulas and branches of the pose T (4, 4) at box[2]'s lift, or the given one; box as in `geometry.copy_limits`."""
+    """Return formulas and branches of the pose T (4, 4) at box[2]'s lift, or the given one; box is as in `geometry.copy_limits`."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))
@@ -93,21 +106,22 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
     if _is_far(p, head):
         where = f" at lift {round(1000.0 * value, 6) + 0.0:.6g} mm" if place >= 0 else ""
         words = (
-            f"the pose is {1000.0 * head[MOVED]:.4g} mm out of reach{where}; the branches are those of the nearest one with "
+            f"the pose is {1000.0 * head[HEAD.moved]:.4g} mm out of reach{where}; the branches are those of the nearest one with "
             "the same orientation"
         )
     return WorkedSolution(tuple(sheet.steps), tuple(branches), LEGEND, words, free)
 
 
 def _is_far(p: np.ndarray, head: np.ndarray) -> bool:
-    """Whether the pose is out of reach, so that the formulas are those of the nearest one."""
-    return bool(head[ROOM] < -EDGE * (p[A4] + p[A6]))
+    """Return whether the pose is out of reach, so that the formulas are those of the nearest one."""
+    return bool(head[HEAD.room] < -EDGE * (p[A4] + p[A6]))
 
 
 def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> tuple[Any, Any, dict[str, Any]]:
-    """Give the target; return the wrist's rotation, its point, and the angles theta at q = 0 as symbols.
+    """Write down the target; return the wrist's rotation, its point, and the angles theta at q = 0 as symbols.
 
-    The point follows by a formula where base and tool only shift and the target is in reach: the rotation is then the target's.
+    The point follows by a formula if base and tool only shift and the target is in reach, because the rotation is then
+    the target's.
     """
     plain = all(np.abs(p[at : at + 9].reshape(3, 3) - np.eye(3)).max() < ALIGNED for at in (BASE, TOOL))
     of = "the target's rotation" if plain else "the wrist's rotation, in the shoulder's axes"
@@ -143,31 +157,32 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
     R, w, zeros = _wrist(sheet, p, T, head)
     h = sheet.formula("h", d - w[2], "m", "height of the shoulder above the wrist")
     words = "the shoulder, in the wrist's axes"
-    s = sheet.vector("s", R.T * Matrix([-w[0], -w[1], h]), "m", words, head[SHOULDER : SHOULDER + 3])
+    s = sheet.vector("s", R.T * Matrix([-w[0], -w[1], h]), "m", words, head[HEAD.shoulder : HEAD.shoulder + 3])
     r = sheet.formula("r", sqrt(s[0] ** 2 + s[1] ** 2), "m", "its distance from axis 7")
     near, far = (sqrt((r + side * a6) ** 2 + s[2] ** 2) for side in (-1, 1))
     words = "room left in the reach; below 0 is out of reach"
-    room = Min(a4 - near, far - a4, evaluate=False)  # unevaluated: comparing the two takes SymPy 50 ms
-    sheet.formula("g", room, "m", words, None if head[MOVED] > 0.0 else head[ROOM])
+    # The minimum stays unevaluated, because comparing the two takes SymPy 50 ms.
+    room = Min(a4 - near, far - a4, evaluate=False)
+    sheet.formula("g", room, "m", words, None if head[HEAD.moved] > 0.0 else head[HEAD.room])
     wide = Max(sqrt((a4 - s[2]) * (a4 + s[2])), Abs(r - a6), evaluate=False)
     words = "size of a4 cos theta_5, clamped to what the elbow can span"
     L = sheet.formula("L", Min(wide, r + a6, evaluate=False), "m", words)
-    if head[ON_SIX]:
+    if head[HEAD.on_six]:
         words = "free: the shoulder lies on axis 6; kept where it is"
-        beta = sheet.given("beta", head[BEND], "rad", words)
-        gamma = sheet.given("gamma", head[INNER], "rad")
+        beta = sheet.given("beta", head[HEAD.bend], "rad", words)
+        gamma = sheet.given("gamma", head[HEAD.inner], "rad")
     else:
         words = "the triangle of the links a6 and L, which span r"
         u = sheet.formula("u", sqrt(a6 + L - r) * sqrt(a6 + L + r), "m", words)
         v = sheet.formula("v", sqrt(r - Abs(a6 - L)) * sqrt(r + Abs(a6 - L)), "m")
-        beta = sheet.formula("beta", 2 * atan2(u, v), "rad", "bend of the elbow", head[BEND])
+        beta = sheet.formula("beta", 2 * atan2(u, v), "rad", "bend of the elbow", head[HEAD.bend])
         inner = atan2(-L * sin(beta), a6 + L * cos(beta))
-        gamma = sheet.angle("gamma", inner, head[INNER], "rotation due to the bent elbow")
+        gamma = sheet.angle("gamma", inner, head[HEAD.inner], "rotation due to the bent elbow")
     words = "direction away from the shoulder"
     if sheet.values[r] <= ON_AXIS * (p[A4] + p[A6]):
-        chi = sheet.given("chi", head[HEADING], "rad", "free: the shoulder lies on axis 7; kept where it is")
+        chi = sheet.given("chi", head[HEAD.heading], "rad", "free: the shoulder lies on axis 7; kept where it is")
     else:
-        chi = sheet.formula("chi", atan2(-s[1], -s[0]), "rad", words, head[HEADING])
+        chi = sheet.formula("chi", atan2(-s[1], -s[0]), "rad", words, head[HEAD.heading])
     return {"R": R, "s_z": s[2], "L": L, "beta": beta, "gamma": gamma, "chi": chi, "zeros": zeros}
 
 
@@ -180,7 +195,11 @@ def _angles(
     R, L, s_z, beta, gamma, chi = (symbols[name] for name in ("R", "L", "s_z", "beta", "gamma", "chi"))
     wrist, elbow = atan2(s_z, L), -beta if k6 else beta
     theta_5 = sheet.angle("theta_5", pi - wrist if k5 else wrist, t5, "the wrist's other side" if k5 else "")
-    words = "the elbow is straight" if head[STRAIGHT] else "elbow: beta or -beta, with the other wrist half a turn away"
+    words = (
+        "the elbow is straight"
+        if head[HEAD.straight]
+        else "elbow: beta or -beta, with the other wrist half a turn away"
+    )
     theta_6 = sheet.angle("theta_6", elbow - pi * (-1) ** k6 if k5 else elbow, t6, words)
     theta_7 = sheet.angle("theta_7", (-gamma if k6 else gamma) - chi, t7)
     phi = sheet.formula("phi", theta_6 + theta_7, "rad", "turns the wrist back to the forearm")

@@ -1,4 +1,4 @@
-"""The compiled arm with a spherical shoulder on a lift: its branches inside the limits, over the lift and over free angles."""
+"""The compiled arm with a spherical shoulder on a lift: finds its branches inside the limits, over the lift and free angles."""
 
 import math
 
@@ -18,21 +18,25 @@ from .reach import (
     nearest_lift,
 )
 
-# Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each revolute joint: its place
-# in q, sign and offset (theta = sign q + offset); of the lift: its place (-1: none), sign, choice, given value; then
-# whether the arm only nearly has the structure.
+# Slots of the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12).
+# A4 and A6 are lengths, and NEARLY tells whether the arm only nearly has the structure.
+# From JOINTS on, each revolute joint has its place in q, sign and offset: theta = sign q + offset.
+# From LIFT on, the lift has its place (-1: none), sign, choice and given value.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
-SCAN = 12  # lifts tried in each feasible interval when no branch at the first lift is legal
-WINDOWS = 33  # lifts of each branch between which minima of the limit broken are looked for when none of those is legal
-GOLDEN, CLOSING = 0.6180339887498949, 64  # of the golden section: it ends at rounding, 0.618^64 = 4e-14
-TURNS = 8  # full turns considered either way; joints with wider limits count as endless
-LEVEL = 1e-9  # slope of the tool's z axis, and miss of the forearm's length, up to which an arm is level
+SCAN = 12  # Number of lifts tried in each feasible interval if no branch at the first lift is legal.
+# If none of 33 lifts of a branch is legal, minima of the limit broken are searched for between them.
+WINDOWS = 33
+# The golden section takes 64 steps, after which it is at rounding: 0.618^64 = 4e-14.
+GOLDEN, CLOSING = 0.6180339887498949, 64
+TURNS = 8  # Full turns considered in either direction; a joint with wider limits counts as endless.
+# An arm is level if the slope of the tool's z axis, and the miss of the forearm over the arm's length, are below 1e-9.
+LEVEL = 1e-9
 
 
 @shared
 def wrist_pose(p, T, P):
-    """Fill P (12: rotation by rows, point) with the wrist pose of T (4, 4) in shoulder axes."""
+    """Fill P (12: rotation by rows, point [m]) with the wrist pose of T (4, 4) in shoulder axes."""
     for r in range(3):
         b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
         m0 = b0 * T[0, 0] + b1 * T[1, 0] + b2 * T[2, 0]
@@ -45,7 +49,7 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q with the legal turns of `angles` (6,) nearest box[2] and the lift; return the worst limit broken, the distance."""
+    """Fill q with the legal turns of `angles` (6,) nearest box[2] and lift d; return the worst limit broken and the distance."""
     worst, distance = 0.0, 0.0
     for k in range(6):
         i = int(p[JOINTS + 3 * k])
@@ -63,16 +67,16 @@ def joint_values(p, angles, d, box, q):
 
 @inline
 def near_angles(p, box, near):
-    """Fill near (6,) with the theta of the reference configuration: they stand in where an angle is free."""
+    """Fill near (6,) with the angles theta of the reference configuration, which are used where an angle is free."""
     for k in range(6):
         near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
 
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d that breaks limits least, of the legal ones the nearest; return both numbers.
+    """Fill best (n,) with the branch at lift d that breaks limits least, and is nearest among the legal ones.
 
-    The wrist point is first moved to the nearest reachable one.
+    The wrist point is first moved to the nearest reachable one. Returns the limit broken and the distance.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -87,7 +91,7 @@ def pick(p, P, d, box, near, moved, sols, q, best):
 
 @inline
 def lift_limits(p, box):
-    """Lowest and highest lift the limits allow, along the shoulder's own axis."""
+    """Return the lowest and highest lift [m] that the limits allow, along the shoulder's own axis."""
     i = int(p[LIFT])
     if p[LIFT + 1] > 0.0:
         return box[0, i], box[1, i]
@@ -96,9 +100,10 @@ def lift_limits(p, box):
 
 @inner
 def choose_lift(p, P, box, spans):
-    """Lift to try first, and how many feasible intervals stand in spans (2, 2).
+    """Return the lift [m] to try first and the number of feasible intervals, which spans (2, 2) receives.
 
-    0: reachable from no legal lift, the nearest is returned; -1: the lift is not free or its first choice is feasible.
+    A number of 0 means that no legal lift reaches the target, so the nearest is returned; -1 means that the lift is not
+    free or its first choice is feasible.
     """
     a4, a6 = p[A4], p[A6]
     i = int(p[LIFT])
@@ -126,7 +131,10 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Where no legal lift reaches: the limit nearest a lift that would, 0, and the stroke [m] missing; or d, gap and 0."""
+    """Return how a lift whose legal range does not reach the target is stopped: lift, gap and missing stroke [m].
+
+    It is the limit nearest a lift that would reach, with gap 0; if no lift would, d and gap are returned with stroke 0.
+    """
     low, high = lift_limits(p, box)
     least = np.inf
     for k in range(lift_intervals(P, p[A4], p[A6], -np.inf, np.inf, spans)):
@@ -138,65 +146,65 @@ def stopped_at(p, P, box, d, gap, spans):
 
 
 @inner
-def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
-    """Try a few feasible lifts for a branch within limits: the one nearest the reference, or what breaks the limits least.
+def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
+    """Try a few feasible lifts for a branch within limits: best receives the nearest one, or what breaks the limits least.
 
-    Lifts stand closer at the ends of an interval, where the angles change fastest.
+    Lifts are closer together at the ends of an interval, where the angles change fastest. Returns the limit broken.
     """
     least, nearest = np.inf, np.inf
-    for k in range(count):
+    for k in range(spans.shape[0]):
         middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
         for j in range(SCAN):
             d = middle - half * math.cos(math.pi * j / (SCAN - 1))
-            worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+            worst, distance = pick(p, P, d, box, near, moved, sols, tries[0], tries[1])
             if worst < least or (worst == least and distance < nearest):
                 least, nearest = worst, distance
-                copy(trial, best)
+                copy(tries[1], best)
     return least
 
 
 @inner
-def at_turn(p, P, k, middle, half, turn, box, near, row, q):
-    """Fill q with branch k at the lift middle - half cos(turn); return the worst limit broken and the distance."""
-    d = middle - half * math.cos(turn)
+def at_turn(p, P, k, span, turn, box, near, row, q):
+    """Fill q with branch k at a share (1 - cos(turn)) / 2 of a span of lifts; return the worst limit broken and the distance."""
+    d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
     return joint_values(p, row, d, box, q)
 
 
 @inner
-def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
-    """Search every branch over the feasible lifts for the windows that are inside all limits, however narrow.
+def narrow_windows(p, P, box, near, spans, broken, row, q, best):
+    """Search every branch over the feasible lifts for windows inside all limits, however narrow.
 
-    A branch leaves its limits between two lifts where the worst limit broken has a minimum above zero between them; each
-    minimum is closed in on until it is legal or as small as it gets. Returns the least that is broken.
+    Such a window lies where the worst limit broken has a minimum; each minimum is approached by golden section until it
+    is legal or as small as it gets. Returns the least limit broken.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
-    for span in range(count):
-        middle, half = 0.5 * (spans[span, 0] + spans[span, 1]), 0.5 * (spans[span, 1] - spans[span, 0])
+    for s in range(spans.shape[0]):
+        span = spans[s]
         for k in range(8):
             for j in range(WINDOWS):
-                broken[j] = at_turn(p, P, k, middle, half, j * step, box, near, row, q)[0]
+                broken[j] = at_turn(p, P, k, span, j * step, box, near, row, q)[0]
             for j in range(WINDOWS):
                 if (j > 0 and broken[j - 1] < broken[j]) or (j + 1 < WINDOWS and broken[j + 1] < broken[j]):
                     continue
                 a, b = max(j - 1, 0) * step, min(j + 1, WINDOWS - 1) * step
                 u, v = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
-                at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
-                at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                at_u = at_turn(p, P, k, span, u, box, near, row, q)[0]
+                at_v = at_turn(p, P, k, span, v, box, near, row, q)[0]
                 for _ in range(CLOSING):
                     if broken[j] == 0.0 or min(at_u, at_v) == 0.0:
                         break
                     if at_u < at_v:
                         b, v, at_v = v, u, at_u
                         u = b - GOLDEN * (b - a)
-                        at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
+                        at_u = at_turn(p, P, k, span, u, box, near, row, q)[0]
                     else:
                         a, u, at_u = u, v, at_v
                         v = a + GOLDEN * (b - a)
-                        at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                        at_v = at_turn(p, P, k, span, v, box, near, row, q)[0]
                 turn = j * step if broken[j] <= min(at_u, at_v) else (u if at_u <= at_v else v)
-                worst, distance = at_turn(p, P, k, middle, half, turn, box, near, row, q)
+                worst, distance = at_turn(p, P, k, span, turn, box, near, row, q)
                 if worst < least or (worst == least and distance < nearest):
                     least, nearest = worst, distance
                     copy(q, best)
@@ -205,7 +213,10 @@ def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
 
 @inline
 def coupled(p, up, row):
-    """Joints i and j of theta_1 and theta_4, and q_j = base + slope q_i, of a level arm (6,): theta_4 - up theta_1 is given."""
+    """Return how a level arm (6,) couples its joints i and j, which turn theta_1 and theta_4: q_j = base + slope q_i.
+
+    The sum or difference theta_4 - up theta_1 is given by the pose.
+    """
     sign, sign4 = p[JOINTS + 1], p[JOINTS + 7]
     base = sign4 * (row[2] - up * row[0] + up * p[JOINTS + 2] - p[JOINTS + 8])
     return int(p[JOINTS]), int(p[JOINTS + 6]), base, sign4 * up * sign
@@ -213,7 +224,7 @@ def coupled(p, up, row):
 
 @inline
 def shared_range(box, i, j, shift, slope):
-    """Range of q_i in which it and q_j = shift + slope q_i (slope 1 or -1) are legal; empty where the first is above."""
+    """Return the range of q_i in which it and q_j = shift + slope q_i (slope 1 or -1) are legal; it is empty if low > high."""
     a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
     return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
 
@@ -230,7 +241,8 @@ def set_free(p, up, x, row):
 def meet_limits(p, box, up, row):
     """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, to the legal pair nearest the reference.
 
-    theta_4 = constant + up theta_1, up = 1 or -1. Where no pair is legal, the one that breaks its limits least is taken.
+    theta_4 = constant + up theta_1, where up is 1 or -1. If no pair is legal, the one that breaks its limits least is
+    taken.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -252,7 +264,8 @@ def meet_limits(p, box, up, row):
 def pick_level(p, P, d, free, box, near, row, q, best):
     """Fill best with the level arm (axes 1 and 4 parallel, one angle free) that breaks limits least, then the nearest.
 
-    Returns the limit it breaks, infinity where the pose has no level arm. free: the lift may be chosen, otherwise it is d.
+    Returns the limit it breaks, or infinity if the pose has no level arm. With `free` the lift may be chosen, otherwise
+    it is d.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]

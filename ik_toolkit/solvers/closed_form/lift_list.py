@@ -1,4 +1,4 @@
-"""All branches of the arm with a spherical shoulder on a lift, and the families where an angle or the lift is free."""
+"""Lists all branches of the arm with a spherical shoulder on a lift, and the families in which an angle or the lift is free."""
 
 import math
 from typing import Any
@@ -39,16 +39,16 @@ from .reach import (
     shoulder_in_tool,
 )
 
-SPREAD_LIFTS = 9  # lifts per feasible interval when the lift is free
-STEPS = 8  # Newton steps that finish a branch of an arm that only nearly has the structure
-LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # what leaves an angle free at a given lift, as bits
+SPREAD_LIFTS = 9  # Number of lifts listed for each feasible interval of a free lift.
+STEPS = 8  # Number of Newton steps that finish a branch of an arm that only nearly has the structure.
+LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # Bits that say what leaves an angle free at a given lift.
 
 
 @cached
 def every_branch(p, T, box, lifts, out, broken):
-    """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return how many.
+    """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return their number.
 
-    broken (8 K,) receives by how much each breaks a limit.
+    broken (8 K,) receives by how much each branch breaks a limit.
     """
     near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
     near_angles(p, box, near)
@@ -66,7 +66,7 @@ def every_branch(p, T, box, lifts, out, broken):
 
 @cached
 def first_lift(p, T, box):
-    """Lift along the shoulder's axis at which to list the branches of T (4, 4) when one is asked for or q0's is wanted."""
+    """Return the lift [m] along the shoulder's axis at which the branches of T (4, 4) are listed if one is enough."""
     P, spans = np.empty(12), np.empty((2, 2))
     wrist_pose(p, T, P)
     return choose_lift(p, P, box, spans)[0]
@@ -74,9 +74,9 @@ def first_lift(p, T, box):
 
 @cached
 def looks(p, T, d, Q, marks):
-    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of Q (K, n); tell what is free at lift d, as bits."""
+    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of Q (K, n); return as bits what is free at lift d."""
     for k in range(Q.shape[0]):
-        for m in range(3):  # sin theta_3, sin theta_6, cos theta_5
+        for m in range(3):  # These are the signs of sin theta_3, sin theta_6 and cos theta_5.
             place = JOINTS + (3, 12, 9)[m]
             theta = p[place + 1] * Q[k, int(p[place])] + p[place + 2]
             value = math.cos(theta) if m == 2 else math.sin(theta)
@@ -94,10 +94,10 @@ def looks(p, T, d, Q, marks):
 
 @cached
 def level_family(p, T, box, d, free, samples, spans, out, broken):
-    """Fill spans (S, 2) with the legal ranges of theta_1's joint [rad] of the level arms of T (4, 4); return how many.
+    """Fill spans (S, 2) with the legal ranges of theta_1's joint [rad] of the level arms of T (4, 4); return their number.
 
-    out (S samples, n) and broken (S samples,) receive configurations spread evenly over each. free: the lift is whatever each
-    arm needs, otherwise it is d.
+    out (S samples, n) and broken (S samples,) receive configurations spread evenly over each range. With `free` the
+    lift is what each arm needs, otherwise it is d.
     """
     P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
     near_angles(p, box, near)
@@ -132,7 +132,7 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
 
 @cached
 def reaching(p, T, low, high, spans):
-    """Fill spans (2, 2) with the intervals of the lift, along the shoulder's axis, from which T (4, 4) is reached; how many."""
+    """Fill spans (2, 2) with the intervals of lifts along the shoulder's axis that reach T (4, 4); return their number."""
     P = np.empty(12)
     wrist_pose(p, T, P)
     return lift_intervals(P, p[A4], p[A6], low, high, spans)
@@ -140,7 +140,10 @@ def reaching(p, T, low, high, spans):
 
 @cached
 def shortened(p, T, lift, P, before):
-    """Write the wrist pose (12,) of T (4, 4), its point (3,) to `before`, and bring it into reach at a lift; tell how far."""
+    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift, and its first point to `before` (3,).
+
+    Returns how far [m] it was moved.
+    """
     wrist_pose(p, T, P)
     before[:] = P[9:]
     return inspection_nearest(P, lift, p[A4], p[A6])
@@ -149,7 +152,7 @@ def shortened(p, T, lift, P, before):
 def feasible_lifts(
     p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
 ) -> list[tuple[float, float]]:
-    """Intervals of the lift joint's value [m], inside [low, high], from which the pose T (4, 4) is reachable (0 to 2)."""
+    """Return the intervals (0 to 2) of the lift joint's value [m], inside [low, high], that reach the pose T (4, 4)."""
     spans, sign = np.empty((2, 2)), p[LIFT + 1]
     ends = sorted((sign * low, sign * high))
     count = reaching(p, np.ascontiguousarray(T, dtype=float), float(ends[0]), float(ends[1]), spans)
@@ -157,7 +160,10 @@ def feasible_lifts(
 
 
 def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray, float]:
-    """Nearest pose to T (4, 4) reachable at a value of the lift joint [m] with the orientation kept, and how far [m] it is."""
+    """Return the pose nearest T (4, 4) that is reachable at a value of the lift joint [m], and its distance [m].
+
+    The orientation is kept.
+    """
     P, before, near = np.empty(12), np.empty(3), np.array(T, dtype=float)
     gap = shortened(p, near, p[LIFT + 1] * lift, P, before)
     near[:3, 3] += p[:9].reshape(3, 3).T @ (P[9:] - before)
@@ -165,9 +171,10 @@ def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray,
 
 
 def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-    """All branches of T (4, 4) at the lift that is given, locked or asked for by 'mid'; a spread where it is free.
+    """List all branches of T (4, 4) at the lift that is given, locked or chosen by 'mid', or at several lifts if it is free.
 
-    box (4, n): limits, reference and weights (see geometry.copy_limits). count: about how many members of a family to list.
+    box (4, n) has limits, reference and weights (see geometry.copy_limits); count says about how many members of a
+    family to list.
     """
     place, sign, choice = int(p[LIFT]), p[LIFT + 1], p[LIFT + 2]
     free_lift = place >= 0 and choice == NEAREST
@@ -206,8 +213,9 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
 def _free_angles(
     robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, d: float, free: int, free_lift: bool, count: int
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Family]]:
-    """Members (q, broken) and families where theta_1, theta_6 or theta_7 is free."""
-    names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]  # of theta_1, 3, 4, 5, 6, 7
+    """Return members (q, broken) and families for a free theta_1, theta_6 or theta_7."""
+    # The joints of theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
+    names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]
     more, families = [], []
     if free & LEVEL_ARM:
         most = 8 * (2 * TURNS + 1)

@@ -1,4 +1,4 @@
-"""The solve of a closed form that only lists its branches: of those that meet the tolerances, the one nearest the start."""
+"""Solves with a closed form that only lists branches: of those that meet the tolerances, the one nearest the start is taken."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +13,14 @@ from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from .geometry import copy_limits, legal_start, measure_tip
 from .polish import polish
 
-SAMPLE = 64  # branches asked for where a family has no end
+SAMPLE = 64  # This many branches are asked for if a family has no end.
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:
-    """Solve with the arguments of `kernel.search.entry` around `form.every`, which is called from Python. It gives no proof."""
+    """Make a solve with the arguments of `kernel.search.entry` from `form.every`, which Python calls.
+
+    A failure proves nothing about the target.
+    """
 
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
         n = robot.n
@@ -39,9 +42,9 @@ def nearest_of(form: Any, robot: Any) -> Callable:
 
 @cached
 def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
-    """Write the result row of T (4, 4): of the branches Q (K, n), finished on the chain, the nearest one that is good.
+    """Write the result row of T (4, 4) from its branches Q (K, n), finished on the chain: the nearest one within tolerance.
 
-    Where none meets the tolerances inside the limits, the one with the smallest error.
+    If none meets the tolerances inside the limits, the one with the smallest error is taken.
     """
     n = Q.shape[1]
     if not legal_start(ends, opt, q0):
@@ -54,7 +57,7 @@ def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
     for k in range(Q.shape[0]):
         for i in range(n):
             q[i] = min(max(Q[k, i], box[0, i]), box[1, i])
-        left = opt[ORDER.evaluations] - 1.0 - spent  # one is for the answer
+        left = opt[ORDER.evaluations] - 1.0 - spent  # One evaluation is kept for the answer.
         position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps, left)
         spent += count
         error = max(position / opt[ORDER.tol_p], rotation / opt[ORDER.tol_r])

@@ -1,4 +1,4 @@
-"""Two revolute joints with parallel axes, asked for a position: both elbow branches in closed form."""
+"""Solves two revolute joints with parallel axes for a position: both elbow branches in closed form."""
 
 import math
 from collections.abc import Callable
@@ -28,15 +28,15 @@ from .geometry import (
     no_fit,
     read_screws,
 )
-from .planar_arm import ANGLES, L1, L2, NEARLY, every_branch, joint_values, to_plane
+from .planar_arm import ANGLES, L1, L2, NEARLY, joint_values, list_planar, to_plane
 from .polish import polish
 from .reach import planar_branches, planar_margin
 
-STEPS = 8  # Newton steps that finish a branch of an arm whose axes are only nearly parallel
+STEPS = 8  # Number of Newton steps that finish a branch of an arm whose axes are only nearly parallel.
 
 
-def recognise(chain: Chain) -> Fit:
-    """Read the arm off its joint axes."""
+def recognise_planar(chain: Chain) -> Fit:
+    """Recognise the arm by its joint axes."""
     if chain.n != 2:
         return no_fit(f"it has {chain.n} joints on the path, not 2")
     screws = read_screws(chain)
@@ -64,9 +64,9 @@ def recognise(chain: Chain) -> Fit:
 
 @inner
 def nearest_on_limits(p, x, y, box, q, best):
-    """Fill best (2,) with the legal configuration that comes nearest to (x, y), when no branch is legal.
+    """Fill best (2,) with the legal configuration that comes nearest to (x, y), if no branch is legal.
 
-    Then a joint stands on a limit: with joint 1 there the tip runs on a circle about the elbow, with joint 2 there on one
+    A joint is then at a limit. With joint 1 there the tip moves on a circle about the elbow, with joint 2 there on one
     about the base; the nearest point of the arc is where the circle's angle is nearest that of the target.
     """
     a, b = p[L1], p[L2]
@@ -83,9 +83,8 @@ def nearest_on_limits(p, x, y, box, q, best):
         j = 1 - i
         q[i] = limit
         angle = p[ANGLES + 2 * j] * (free - p[ANGLES + 2 * j + 1])
-        for turned in range(
-            3
-        ):  # the angle itself, and both limits: of an arc that leaves it out, the nearer end counts
+        # The angle itself is tried, and both limits: the nearer end counts if the arc does not contain the angle.
+        for turned in range(3):
             if turned == 0:
                 q[j] = legal_turn(angle, box[0, j], box[1, j], box[2, j])[0]
                 q[j] = min(max(q[j], box[0, j]), box[1, j])
@@ -100,8 +99,8 @@ def nearest_on_limits(p, x, y, box, q, best):
 
 
 @cached
-def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Arguments of `kernel.search.entry`: the branch inside the limits nearest Q0, or how far none is."""
+def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+    """Find the branch inside the limits nearest Q0, or how far none is; the arguments are those of `kernel.search.entry`."""
     n = 2
     p = opt[WEIGHTS + n :]
     box = np.empty((4, n))
@@ -130,13 +129,13 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
         spent = 0
-        if p[NEARLY] > 0.0:  # finished on the real chain; proves nothing
+        if p[NEARLY] > 0.0:  # Such an arm is finished on the real chain and proves nothing.
             nearest = np.inf
             for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
                 joint_values(p, sols[k], box, q)
                 for i in range(n):
                     q[i] = min(max(q[i], box[0, i]), box[1, i])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # one is for the answer
+                left = opt[ORDER.evaluations] - 1.0 - spent  # One evaluation is kept for the answer.
                 position, _, count = polish(rows, ends, opt, T[t], q, -1, STEPS, left)
                 spent += count
                 distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
@@ -152,24 +151,25 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 class Planar2R(NamedTuple):
     """Both elbow branches of two revolute joints with parallel axes, for positions; the legal one nearest q0 is returned.
 
-    Any link lengths, base pose, axis signs, angle and height offsets. Source: Chinyai, eqs. (1)-(5), with the second branch,
-    the signs and the quadrants corrected.
+    Link lengths, base pose, axis signs, angle and height offsets are free. Source: Chinyai, eqs. (1)-(5), with the
+    second branch, the signs and the quadrants corrected.
     """
 
-    recognise = staticmethod(recognise)
+    recognise = staticmethod(recognise_planar)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """All branches of the point of T (4, 4); where the links fold back onto the base, `count` of the first joint's turns.
+        """Return all branches of the point of T (4, 4).
 
-        box (4, 2): limits, reference and weights (see geometry.copy_limits).
+        If the links fold back onto the base, the first joint is free and `count` of its values are listed. box (4, 2)
+        has limits, reference and weights (see geometry.copy_limits).
         """
         q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
-        found, folded = every_branch(p, T, box, q, broken, marks)
+        found, folded = list_planar(p, T, box, q, broken, marks)
         nearly = p[NEARLY] > 0.0
         families = ()
         if folded and found and broken[0] == 0.0:
             low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
-            if high < low:  # limits that lie a turn or more away
+            if high < low:  # The limits lie a turn or more away.
                 low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
             q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
             found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)
@@ -180,11 +180,11 @@ class Planar2R(NamedTuple):
         return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """The formulas with their numbers for T (4, 4); box (4, n) as for `every`."""
-        from .planar_2r_steps import derive
+        """Work out the formulas with their numbers for T (4, 4); box (4, n) is as for `every`."""
+        from .planar_2r_steps import derive_planar
 
-        return derive(robot, p, T, box)
+        return derive_planar(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """The compiled solve."""
-        return solve
+        """Return the compiled function that solves, called as `kernel.search.entry`."""
+        return solve_planar

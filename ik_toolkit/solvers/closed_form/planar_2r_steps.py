@@ -1,4 +1,4 @@
-"""The closed form of two parallel axes, worked out step by step for one point."""
+"""Works out the closed form of two parallel axes step by step for one point."""
 
 import math
 from typing import Any
@@ -8,20 +8,20 @@ from sympy import Abs, Max, Min, atan2, cos, sin, sqrt
 
 from ..explain.worked_solution import Branch, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
-from .planar_arm import ANGLES, HEIGHT, L1, L2, every_branch
+from .planar_arm import ANGLES, HEIGHT, L1, L2, list_planar
 from .reach import ON_AXIS
 
-BESIDE = "newton"  # what Chinyai compares it with
+BESIDE = "newton"  # Chinyai compares the closed form with this solver.
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
 LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen along the line from the first joint to the target."
 
 
-def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Formulas and branches of the point of T (4, 4); box as in `geometry.copy_limits`."""
+def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
+    """Return formulas and branches of the point of T (4, 4); box is as in `geometry.copy_limits`."""
     q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
-    count, _ = every_branch(p, T, box, q, broken, marks)
-    angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # theta_1 and theta_2 of each branch
-    point = p[:9].reshape(3, 3) @ T[:3, 3] + p[9:12]  # in the arm's plane, and its height off it
+    count, _ = list_planar(p, T, box, q, broken, marks)
+    angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # The angles theta_1 and theta_2 of each branch.
+    point = p[:9].reshape(3, 3) @ T[:3, 3] + p[9:12]  # The point in the arm's plane, and its height above it.
     sheet = Worksheet()
     l1 = sheet.given("l1", p[L1], "m", "first link")
     l2 = sheet.given("l2", p[L2], "m", "second link, to the tip")
@@ -67,7 +67,7 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
 
 
 def _words(robot: Any, room: float, off: float) -> str:
-    """What is wrong with the target, or ''."""
+    """Return what is wrong with the target, or ''."""
     near = 1e-9 * robot.reach
     parts = []
     if room < -near:

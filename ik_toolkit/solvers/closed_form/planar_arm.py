@@ -1,4 +1,4 @@
-"""The compiled planar two-link arm: its branches within the limits."""
+"""The compiled planar two-link arm: finds its branches inside the limits."""
 
 import math
 
@@ -8,15 +8,16 @@ from ...compile.jit import cached, inline, inner
 from .geometry import legal_turn
 from .reach import planar_branches
 
-# Slots of the parameters: base -> arm plane (12), then these, then sign and offset of each angle (theta = sign q +
-# offset), and whether the axes are only nearly parallel.
+# Slots of the parameters, after the transform base -> arm plane (12): the lengths and the height.
+# From ANGLES on, each angle has sign and offset: theta = sign q + offset.
+# NEARLY tells whether the axes are only nearly parallel.
 L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
-FOLDED = 1e-9  # of the lengths: distance from the base below which the links count as folded onto it
+FOLDED = 1e-9  # The links count as folded onto the base if the tip is nearer to it than this fraction of their lengths.
 
 
 @inline
 def to_plane(p, T):
-    """Position of T (4, 4) in the arm's plane: along it (2), and the distance off it."""
+    """Return the position of T (4, 4) in the arm's plane, x and y [m], and its distance [m] from the plane."""
     x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
     y = p[3] * T[0, 3] + p[4] * T[1, 3] + p[5] * T[2, 3] + p[10]
     z = p[6] * T[0, 3] + p[7] * T[1, 3] + p[8] * T[2, 3] + p[11]
@@ -36,10 +37,10 @@ def joint_values(p, angles, box, q):
 
 
 @cached
-def every_branch(p, T, box, out, broken, marks):
+def list_planar(p, T, box, out, broken, marks):
     """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with the limit each breaks, marks (2, 3) with their signs.
 
-    Returns how many, and whether the links fold back onto the base, where the first angle is free.
+    Returns the number of branches, and whether the links fold back onto the base, which leaves the first angle free.
     """
     x, y, off = to_plane(p, T)
     size = p[L1] + p[L2]

@@ -12,17 +12,18 @@ from ...kernel.linalg import damped
 from ...kernel.records import HEAD, ORDER, Ends, Orders, copy, read
 from ...kernel.serial import make_serial
 
-DAMPING = 1e-9  # of the first step: next to nothing, so that it is Newton's
-SOFTEST, STIFFEST = 1e-12, 1e3  # the damping stays between
+DAMPING = 1e-9  # Damping of the first step, which is so small that the step is Newton's.
+SOFTEST, STIFFEST = 1e-12, 1e3  # The damping stays between these two.
 
 
 @build
 def polish(rows, ends, opt, T, q, fixed, steps, most):
-    """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits, by at most `steps` damped Newton steps.
+    """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits by at most `steps` damped Newton steps.
 
-    The errors count in units of their tolerances, so that a step into both tolerances is preferred to a smaller error of one.
-    fixed: place of a joint that is not moved, or -1; most: evaluations allowed (inf: any number). Stops when both errors are a
-    thousandth of their tolerances. Returns both errors of q [m], [rad] (inf when it was not evaluated) and the evaluations made.
+    The errors count in units of their tolerances, so that a step into both tolerances is preferred to a smaller error
+    of one. `fixed` is the place of a joint that is not moved, or -1; `most` is the number of evaluations allowed (inf:
+    any). It stops when both errors are a thousandth of their tolerances. Returns both errors of q [m], [rad] (inf if it
+    was not evaluated) and the evaluations made.
     """
     n = q.shape[0]
     return newton(make_serial(rows, ends, opt[HEAD:], n, read(Orders, opt)), np.empty(n), opt, T, q, fixed, steps, most)
@@ -30,7 +31,7 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
 
 @inner
 def newton(p, old, opt, T, q, fixed, steps, most):
-    """The steps of `polish`, on arrays that it has made."""
+    """Make the steps of `polish` on arrays that it has made."""
     n, o = q.shape[0], read(Orders, opt)
     s, box = p.desk, p.ends
     limited = o.limits > 0.0
@@ -90,12 +91,12 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 
 
 @cached
-def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
+def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
     """Fill table (K, 3 + n) and signs (K, 3) with the branches of Q (K, n) that count, nearest to `start` (n,) first.
 
-    They break no limit (broken (K,)) and, after `polish` with `steps`, meet the tolerances of T (4, 4) as evaluated, as new
-    answers. Columns: position error [m], rotation error [rad], distance (angles [rad], lengths over the scale), q. marks (K, 3)
-    are the labels of the branches. Returns how many count and how many are inside the limits.
+    They break no limit (broken (K,)) and, after `polish` with `steps`, meet the tolerances of T (4, 4) as evaluated.
+    The columns of table are position error [m], rotation error [rad], distance (angles [rad], lengths over the scale)
+    and q; marks (K, 3) are the labels of the branches. Returns how many count and how many are inside the limits.
     """
     n = Q.shape[1]
     box = Ends(ends, n)
@@ -130,7 +131,8 @@ def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, sig
 def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
     """Fill q (n,) with the first of starts (K, n), polished, that meets the tolerances of T (4, 4).
 
-    most: evaluations allowed in all (inf: any number). Returns its errors, or inf, and the evaluations made.
+    `most` is the number of evaluations allowed in all (inf: any). Returns the errors of q, or inf, and the evaluations
+    made.
     """
     evaluations = 0
     for k in range(starts.shape[0]):
@@ -145,7 +147,7 @@ def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
 
 
 @cached
-def finished(rows, ends, opt, T, Q, steps, errors):
+def polish_rows(rows, ends, opt, T, Q, steps, errors):
     """Polish Q (K, n) for T (4, 4) in place; errors (K, 2) receives both errors [m], [rad] of each."""
     for k in range(Q.shape[0]):
         errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps, np.inf)

@@ -1,8 +1,8 @@
-"""Closed-form mathematics of the two structures, on plain numbers: all branches, reach, and the nearest reachable point.
+"""Mathematics of two structures in closed form, on plain numbers: all branches, reach, and the nearest reachable point.
 
-Lengths in metres, angles in radians. Sources: planar 2R, Chinyai eqs. (1)-(5) with the signs corrected and atan2
-throughout; inspection arm, Shanmugasundar and Sivaramakrishnan (2012) eqs. (7)-(13), completed: their theta_1 = 2 atan2(py,
-px) has no basis, and the lift is the arm's one free parameter.
+Lengths are in metres, angles in radians. Sources: planar 2R, Chinyai eqs. (1)-(5) with the signs corrected and atan2
+throughout; inspection arm, Shanmugasundar and Sivaramakrishnan (2012) eqs. (7)-(13), completed: their theta_1 = 2
+atan2(py, px) has no basis, and the lift is the arm's one free parameter.
 """
 
 import math
@@ -10,37 +10,38 @@ import math
 from ...compile.jit import cached, shared
 from ...kernel.kinematics import TAU
 
-MERGED = 1e-7  # sin of an elbow angle below which its two branches are one (costs 1e-15 of the length)
-ON_AXIS = 1e-12  # distance (of the lengths) below which an angle about an axis is free
-EDGE = 1e-13  # of the lengths: rounding allowed in a reach test
+# The two branches of an elbow are one if the sine of its angle is below 1e-7, which costs 1e-15 of the length.
+MERGED = 1e-7
+ON_AXIS = 1e-12  # An angle about an axis is free if the point is nearer to the axis than this fraction of the lengths.
+EDGE = 1e-13  # Rounding allowed in a reach test, as a fraction of the lengths.
 
 
 @shared
 def wrap(x):
-    """The angle in -pi..pi."""
+    """Return the angle in -pi..pi."""
     return x - TAU * math.floor(x / TAU + 0.5)
 
 
 @shared
 def elbow(r, l1, l2):
-    """Elbow angle in 0..pi of two links that span the distance r: no cancellation at either end of the reach."""
-    a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # 2 l1 l2 (1 - cos)
-    b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # 2 l1 l2 (1 + cos)
+    """Return the elbow angle in 0..pi of two links that span the distance r, without cancellation at either end of the reach."""
+    a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # This is 2 l1 l2 (1 - cos).
+    b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # This is 2 l1 l2 (1 + cos).
     return 2.0 * math.atan2(math.sqrt(a), math.sqrt(b))
 
 
 @shared
 def planar_margin(x, y, l1, l2):
-    """Distance [m] of a point inside (positive) or outside (negative) the ring that two links reach."""
+    """Return the distance [m] of a point inside (positive) or outside (negative) the ring that two links reach."""
     r = math.hypot(x, y)
     return min(l1 + l2 - r, r - abs(l1 - l2))
 
 
 @shared
 def planar_branches(x, y, l1, l2, near, sols):
-    """Fill sols (2, 2) with theta_1, theta_2 of the point of the reach nearest (x, y); return how many (1 or 2).
+    """Fill sols (2, 2) with theta_1, theta_2 of the reachable point nearest (x, y); return the number of branches (1 or 2).
 
-    theta_2 > 0 comes first. Where the links fold back onto the base theta_1 is free and taken from `near`.
+    theta_2 > 0 comes first. Where the links fold back onto the base, theta_1 is free and taken from `near`.
     """
     r = math.hypot(x, y)
     size = l1 + l2
@@ -63,7 +64,7 @@ def planar_branches(x, y, l1, l2, near, sols):
 
 @shared
 def shoulder_in_tool(P, d):
-    """Shoulder point (0, 0, d) in the axes of the wrist pose P (12: rotation by rows, point), from its origin."""
+    """Return the shoulder point (0, 0, d) [m] in the axes of the wrist pose P (12: rotation by rows, point), from its origin."""
     h = d - P[11]
     x = P[6] * h - P[0] * P[9] - P[3] * P[10]
     y = P[7] * h - P[1] * P[9] - P[4] * P[10]
@@ -73,7 +74,7 @@ def shoulder_in_tool(P, d):
 
 @shared
 def inspection_margin(P, d, a4, a6):
-    """Distance [m] of the wrist point inside (positive) or outside (negative) the reach at lift d, orientation kept."""
+    """Return the distance [m] of the wrist point inside (positive) or outside (negative) the reach at lift d, orientation kept."""
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
     return min(a4 - math.hypot(r - a6, z), math.hypot(r + a6, z) - a4)
@@ -83,7 +84,8 @@ def inspection_margin(P, d, a4, a6):
 def inspection_nearest(P, d, a4, a6):
     """Move the point of P to the nearest one reachable at lift d with the orientation kept; return the distance [m].
 
-    The reach is a torus about the tool axis (circle a6, tube a4) without its inner lemon: project on the tube's circle.
+    The reach is a torus about the tool axis (circle a6, tube a4) without its inner lemon: the point is projected on the
+    tube's circle.
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -101,20 +103,23 @@ def inspection_nearest(P, d, a4, a6):
     else:
         dx, dy = u, 0.0
     dz = v - z
-    for i in range(3):  # the shoulder moves by (dx, dy, dz) in tool axes, so the tool moves the other way
+    for i in range(3):  # The shoulder moves by (dx, dy, dz) in tool axes, so the tool moves the other way.
         P[9 + i] -= P[3 * i] * dx + P[3 * i + 1] * dy + P[3 * i + 2] * dz
     return gap
 
 
 @shared
 def forearm(P, d, a4, a6, near):
-    """Elbow and wrist at lift d: on axis 6?, straight?, a4 cos(theta_5), theta_6 >= 0, inner and outer angle, theta_5's sine
-    and cosine. P has to be reachable (see inspection_nearest); a free theta_6 or theta_7 is taken from `near` (6,).
+    """Return the elbow and wrist of a wrist pose P at lift d, which all branches share.
+
+    These are: whether the shoulder is on axis 6, whether the elbow is straight, a4 cos(theta_5), theta_6 >= 0, the
+    inner and outer angle, and theta_5's sine and cosine. P must be reachable (see inspection_nearest); a free theta_6
+    or theta_7 is taken from `near` (6,).
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
     size = a4 + a6
-    # a4 cos(theta_5); held inside what the elbow spans, or poses near cos(theta_5) = 0 lose half their digits.
+    # a4 cos(theta_5) is clamped to what the elbow spans, or poses near cos(theta_5) = 0 would lose half their digits.
     reach = math.sqrt(max((a4 - z) * (a4 + z), 0.0))
     on_six = abs(r - a6) <= ON_AXIS * size and reach <= 1e-6 * a4
     reach = 0.0 if on_six else min(max(reach, abs(r - a6)), r + a6)
@@ -132,20 +137,20 @@ def forearm(P, d, a4, a6, near):
 
 @shared
 def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
-    """Cosine of theta_5, theta_5, 6 and 7 of elbow branch k6 and wrist branch k5 (0 or 1 each) of a forearm."""
+    """Return cos(theta_5), theta_5, theta_6 and theta_7 of elbow branch k6 and wrist branch k5 (0 or 1 each) of a forearm."""
     e6 = 1.0 - 2.0 * k6
     t6, t7 = bend if on_six else e6 * bend, e6 * inner - heading
     yaw = math.atan2(s5, c5)
-    if k5 == 1:  # cos(theta_5) and cos(theta_6) change sign together; the elbow's sine goes with them
+    if k5 == 1:  # cos(theta_5) and cos(theta_6) change sign together, and so does the elbow's sine.
         return -c5, math.pi - yaw, (t6 - math.pi if t6 > 0.0 else t6 + math.pi), t7
     return c5, yaw, t6, t7
 
 
 @shared
 def shoulder(P, c5, s5, phi, given, t1):
-    """Tilt of axis 4 against axis 1, and theta_1, 3, 4 of one shoulder branch, for phi = theta_6 + theta_7.
+    """Return the tilt of axis 4 against axis 1, and theta_1, 3, 4 of one shoulder branch, for phi = theta_6 + theta_7.
 
-    theta_1 is t1 where it is free (no tilt) or given; the other branch is theta_1 + pi, -theta_3, theta_4 + pi.
+    theta_1 is t1 if it is free (no tilt) or given; the other branch is theta_1 + pi, -theta_3, theta_4 + pi.
     """
     cp, sp = math.cos(phi), math.sin(phi)
     m02 = -(P[0] * sp + P[1] * cp)
@@ -165,7 +170,7 @@ def shoulder(P, c5, s5, phi, given, t1):
 
 
 @shared
-def fill(row, k3, t1, t3, t4, t5, t6, t7):
+def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
     """Fill row (6,) with the angles of shoulder branch k3 (0 or 1)."""
     row[0] = wrap(t1 + k3 * math.pi)
     row[1] = t3 * (1.0 - 2.0 * k3)
@@ -177,11 +182,11 @@ def fill(row, k3, t1, t3, t4, t5, t6, t7):
 
 @shared
 def inspection_branches(P, d, a4, a6, near, sols):
-    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist pose P at lift d; return how many.
+    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist at pose P at lift d; return their number.
 
-    Eight where nothing merges: wrist yaw e5, elbow e6, shoulder e3. P has to be reachable (see inspection_nearest).
-    Where an angle is free it is taken from `near` (6,): theta_1 when axes 1 and 4 align, theta_6 when the shoulder lies on
-    axis 6, theta_7 when it lies on axis 7.
+    There are eight if nothing merges: two each of wrist, elbow and shoulder. P must be reachable (see
+    inspection_nearest). A free angle is taken from `near` (6,): theta_1 if axes 1 and 4 align, theta_6 if the shoulder
+    lies on axis 6, theta_7 if it lies on axis 7.
     """
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     count = 0
@@ -190,28 +195,28 @@ def inspection_branches(P, d, a4, a6, near, sols):
             c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k6, k5)
             tilt, t1, t3, t4 = shoulder(P, c, s5, t6 + t7, False, near[0])
             for k3 in range(1 if tilt <= ON_AXIS else 2):
-                fill(sols[count], k3, t1, t3, t4, t5, t6, t7)
+                fill_shoulder_branch(sols[count], k3, t1, t3, t4, t5, t6, t7)
                 count += 1
     return count
 
 
 @shared
 def inspection_branch(P, d, a4, a6, near, k, row):
-    """Fill row (6,) with branch k = 0..7 (shoulder, wrist, elbow as bits) at lift d: it varies smoothly with the lift."""
+    """Fill row (6,) with branch k = 0..7 (shoulder, wrist, elbow as bits) at lift d; it varies smoothly with the lift."""
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k // 4, k // 2 % 2)
     tilt, t1, t3, t4 = shoulder(P, c, s5, t6 + t7, False, near[0])
-    fill(row, k % 2, t1, t3, t4, t5, t6, t7)
+    fill_shoulder_branch(row, k % 2, t1, t3, t4, t5, t6, t7)
 
 
 @shared
 def level_arm(P, d, free, a4, a6, k, near, row):
-    """Fill row (6,) with arm k = 0..7 whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift, how far it misses.
+    """Fill row (6,) with arm k = 0..7 whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift and its miss [m].
 
-    Only a pose whose tool z axis is level has such arms. Where the lift is free it follows from theta_6, otherwise it is d
-    and the miss [m] is that of the forearm's length. k: arm up or down, elbow, wrist as bits.
+    Only a pose whose tool z axis is level has such arms. A free lift follows from theta_6, otherwise it is d and the
+    miss is that of the forearm's length. The bits of k are: arm up or down, elbow, wrist.
     """
-    up = 1.0 - 2.0 * (k % 2)  # cos(theta_3)
+    up = 1.0 - 2.0 * (k % 2)  # This is cos(theta_3).
     phi = math.atan2(up * P[6], up * P[7])
     cp, sp = math.cos(phi), math.sin(phi)
     x, y, z = shoulder_in_tool(P, P[11] if free else d)
@@ -226,13 +231,13 @@ def level_arm(P, d, free, a4, a6, k, near, row):
     n5 = 1.0 / math.hypot(z, reach)
     t6 = math.atan2(s6, c6)
     tilt, t1, t3, t4 = shoulder(P, reach * n5, z * n5, phi, True, near[0])
-    fill(row, 0, t1, t3, t4, math.atan2(z, reach), t6, phi - t6)
+    fill_shoulder_branch(row, 0, t1, t3, t4, math.atan2(z, reach), t6, phi - t6)
     return d, miss
 
 
 @cached
 def many_branches(P, lifts, a4, a6, near, sols):
-    """Count the branches of wrist poses P (N, 12) at lifts (N,): what the benchmarks time."""
+    """Count the branches of wrist poses P (N, 12) at lifts (N,), for the benchmarks to time."""
     count = 0
     for k in range(P.shape[0]):
         count += inspection_branches(P[k], lifts[k], a4, a6, near, sols)
@@ -241,7 +246,7 @@ def many_branches(P, lifts, a4, a6, near, sols):
 
 @shared
 def depressed_roots(p, q):
-    """Count (1 or 3) and real roots of u^3 + p u + q, ascending (the one root three times)."""
+    """Return the number (1 or 3) of real roots of u^3 + p u + q and the roots, ascending; a single one is returned three times."""
     if p < 0.0 and 4.0 * p * p * p + 27.0 * q * q < 0.0:
         m = 2.0 * math.sqrt(-p / 3.0)
         a = math.acos(min(max(3.0 * q / (p * m), -1.0), 1.0)) / 3.0
@@ -254,7 +259,7 @@ def depressed_roots(p, q):
 
 @shared
 def reach_edge(P, a4, a6, outside, inside):
-    """Lift between an unreachable and a reachable one where the reach margin vanishes, on the reachable side."""
+    """Return the lift between an unreachable and a reachable one where the reach margin vanishes, on the reachable side."""
     for _ in range(60):
         middle = 0.5 * (outside + inside)
         if inspection_margin(P, middle, a4, a6) >= 0.0:
@@ -277,10 +282,10 @@ def keep_interval(out, count, a, b, low, high):
 
 @shared
 def lift_intervals(P, a4, a6, low, high, out):
-    """Fill out (2, 2) with the lifts inside [low, high] from which P is reachable, ascending; return how many (0, 1, 2).
+    """Fill out (2, 2) with the lifts inside [low, high] from which P is reachable, ascending; return their number (0, 1 or 2).
 
-    Reachable where a monic quartic in u = lift - P_z is not positive. Its turning points (a cubic) split the lifts into
-    pieces with at most one end each, which bisection on the reach margin finds to rounding.
+    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points (a cubic) split the lifts
+    into pieces with at most one end each, which bisection on the reach margin finds to rounding.
     """
     wx, wy, wz, az = P[9], P[10], P[11], P[8]
     p = wx * wx + wy * wy - a4 * a4 - a6 * a6 + 2.0 * a6 * a6 * az * az
@@ -307,8 +312,8 @@ def lift_intervals(P, a4, a6, low, high, out):
 
 @shared
 def nearest_lift(P, a4, a6, low, high):
-    """Lift in [low, high] from which the point of P (reachable from none) is missed by least, orientation kept."""
-    side = math.hypot(P[9], P[10]) + a4 + a6  # further than this from the point, going on only adds distance
+    """Return the lift in [low, high] from which the point of P, which none reaches, is missed by least, orientation kept."""
+    side = math.hypot(P[9], P[10]) + a4 + a6  # Further than this from the point, moving on only adds distance.
     low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
     best, step = low, (high - low) / 64.0
     for k in range(1, 65):
@@ -316,7 +321,7 @@ def nearest_lift(P, a4, a6, low, high):
         if inspection_margin(P, d, a4, a6) > inspection_margin(P, best, a4, a6):
             best = d
     a, b = max(best - step, low), min(best + step, high)
-    for _ in range(60):  # golden section
+    for _ in range(60):  # Close in by the golden section.
         u, v = b - 0.6180339887498949 * (b - a), a + 0.6180339887498949 * (b - a)
         if inspection_margin(P, u, a4, a6) < inspection_margin(P, v, a4, a6):
             a = u

@@ -1,1 +1,1 @@
-"""How a solution comes about, for people: what `Result.explain()` returns."""
+"""Explains how a solution comes about: what `Result.explain()` returns."""

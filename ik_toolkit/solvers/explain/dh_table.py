@@ -10,14 +10,15 @@ from ...errors import IKError
 from ...robot.formats.dh import DHRow, DHTable, dh_fk, read_dh_table
 from ...robot.library import shipped_robots
 from ..closed_form.geometry import across, angle_about, read_screws
-from .layout import Block, Sentence, Table, Variable, decimals, number
+from .layout import Block, Sentence, Table, Variable, decimals, digits
 
-SAME = 1e-7  # sine, or part of the reach, below which axes count as parallel, or as meeting
-AGREES = 1e-6  # of the reach, or rad: how far table and robot may be apart
+# Axes are parallel if the sine between them is below 1e-7, and meet if they are nearer than 1e-7 of the reach.
+SAME = 1e-7
+AGREES = 1e-6  # The table and the robot may differ by this [of the reach, or rad].
 
 
 def dh_of(robot: Any) -> DHTable | None:
-    """Table whose rows are the robot's joints in order, or None where there is none (a joint that drives others)."""
+    """Return the D-H table whose rows are the robot's joints in order, or None if there is none (a joint drives others)."""
     entry = shipped_robots().get(robot.name)
     if entry is not None and entry.dh_file is not None:
         table = read_dh_table(entry.dh_file)
@@ -28,7 +29,7 @@ def dh_of(robot: Any) -> DHTable | None:
 
 
 def _agrees(table: DHTable, robot: Any) -> bool:
-    """Whether the rows multiply to the robot's forward kinematics."""
+    """Return whether the rows multiply to the robot's forward kinematics."""
     rng = np.random.default_rng(0)
     for _ in range(3):
         q = robot.random_q(rng)
@@ -42,7 +43,7 @@ def _agrees(table: DHTable, robot: Any) -> bool:
 
 
 def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]:
-    """The table of an arm with its joints at q (n,), in millimetres and degrees; what a joint changes is marked."""
+    """Yield the table of an arm with its joints at q (n,), in millimetres and degrees; what a joint changes is marked."""
     if table is None:
         yield Sentence("None: a joint that drives others has no row of its own.")
         return
@@ -50,9 +51,9 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
     for row, x in zip(table.rows, q, strict=True):
         slides = row.type == "prismatic"
         theta, d = row.theta + (0.0 if slides else x), row.d + (x if slides else 0.0)
-        cells = [number(theta, "rad", 0), number(d, "m", places)]
+        cells = [digits(theta, "rad", 0), digits(d, "m", places)]
         cells[slides] = Variable(cells[slides])
-        cells += [number(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
+        cells += [digits(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
         rows.append((row.name, *cells))
     yield Table(("joint", "theta", "d", "a", "alpha"), rows)
     frames = [
@@ -67,12 +68,15 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
 
 
 def _from_axes(robot: Any) -> DHTable | None:
-    """Classic table read off the joint axes at q = 0. A frame that can be chosen stays as close to the previous one as possible."""
+    """Read a classic table off the joint axes at q = 0.
+
+    A frame that can be chosen stays as close to the previous one as possible.
+    """
     screws = read_screws(robot.chain)
     if isinstance(screws, str):
         return None
     n, near = robot.n, SAME * robot.reach
-    # Frame 0 is the base itself where its z axis is that of joint 1, or else its foot on that axis.
+    # Frame 0 is the base itself if its z axis is that of joint 1, otherwise the base's foot on that axis.
     z = screws.axis[0]
     point = screws.point[0] if screws.turns[0] else np.zeros(3)
     frame = np.eye(4)
@@ -104,7 +108,7 @@ def _from_axes(robot: Any) -> DHTable | None:
 
 
 def _clean(value: float) -> float:
-    """Zero for a remainder of rounding."""
+    """Return zero for a remainder of rounding, and any other value unchanged."""
     return 0.0 if abs(value) < 1e-12 else value
 
 
@@ -115,7 +119,7 @@ def _frame(z: np.ndarray, x: np.ndarray, origin: np.ndarray) -> np.ndarray:
 
 
 def _normal(z: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Unit vector perpendicular to z, as close to `like` as possible."""
+    """Return the unit vector perpendicular to z that is as close to `like` as possible."""
     side = across(z, like)
     if np.linalg.norm(side) < SAME:
         side = across(z, np.eye(3)[int(np.argmin(np.abs(z)))])
@@ -125,13 +129,13 @@ def _normal(z: np.ndarray, like: np.ndarray) -> np.ndarray:
 def _next(
     z: np.ndarray, x: np.ndarray, origin: np.ndarray, after: np.ndarray, point: np.ndarray, near: float
 ) -> np.ndarray:
-    """Frame on the axis `after` through `point`, its x axis the common normal from the axis z through `origin`."""
+    """Return the frame on the axis `after` through `point` whose x axis is the common normal from the axis z through `origin`."""
     normal = np.cross(z, after)
     if np.linalg.norm(normal) < SAME:
         foot = across(z, point - origin)
         far = float(np.linalg.norm(foot))
         return _frame(after, foot / far if far > near else x, origin + (foot if far > near else 0.0))
-    # Feet of the common normal: origin + s z and point + t after differ by a multiple of the normal.
+    # The feet of the common normal, origin + s z and point + t after, differ by a multiple of the normal.
     s, t, gap = np.linalg.solve(np.column_stack([z, -after, normal]), point - origin)
     normal = normal / np.linalg.norm(normal)
     meets = abs(gap) * np.linalg.norm(np.cross(z, after)) <= near
@@ -140,7 +144,7 @@ def _next(
 
 
 def _last(T: np.ndarray, z: np.ndarray, x: np.ndarray, origin: np.ndarray, near: float) -> np.ndarray:
-    """The tip's own frame where four parameters lead to it, or else one on the last axis, level with the tip."""
+    """Return the tip's own frame if four parameters lead to it, otherwise a frame on the last axis, level with the tip."""
     step = T[:3, 3] - origin
     if abs(T[:3, 0] @ z) < SAME and abs(np.cross(z, T[:3, 0]) @ step) < near:
         return T

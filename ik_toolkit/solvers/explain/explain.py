@@ -1,4 +1,4 @@
-"""Making an explanation: the closed form that fits, its solution for the target, and the path of an iterative solver."""
+"""Makes an explanation: the closed form that fits, its solution for the target, and the path of an iterative solver."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,7 +9,7 @@ from ...errors import InvalidTarget, MissingExtra
 from ...kernel.counted_error import FREE, POSE, POSITION
 from ...kernel.records import AT, WEIGHTS
 from ..closed_form import fits
-from ..outcome import Outcome
+from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import record
 from ..protocol import Asked, refusal
@@ -20,12 +20,17 @@ from .dh_table import dh_of
 from .explanation import Explanation, Iterations
 from .worked_solution import Branch, WorkedSolution
 
-NEARLY = 1e-3  # of the reach: what the finish on the real chain mends, EAIK's answers near a singular pose among them
-SAME = 1e-6  # rad, or of the reach: how far the answer may be from the branch it is (a near fit is finished on the real chain)
+# The finish on the real chain corrects errors up to 1e-3 of the reach, also those of EAIK near singular poses.
+NEARLY = 1e-3
+# An answer is a branch if it is within 1e-6 [rad, or of the reach] of it; the finish moves branches of a near fit.
+SAME = 1e-6
 
 
-def explain(result: Any) -> Explanation:
-    """Explain a result. Raises InvalidTarget for one that keeps no target (a row of a batch), MissingExtra (sympy)."""
+def explain_result(result: Any) -> Explanation:
+    """Explain a result.
+
+    Raises InvalidTarget for one that keeps no target (a row of a batch), MissingExtra if sympy is not installed.
+    """
     of = result._of
     if not of.T.size:
         raise InvalidTarget("a result of a batch keeps no target; solve that target alone to get an explanation")
@@ -35,7 +40,7 @@ def explain(result: Any) -> Explanation:
     if form is not None:
         solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
-        if not solution.steps:  # a list made by another package, with poses that match only roughly
+        if not solution.steps:  # Branches without steps are EAIK's, whose poses match only roughly.
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
         chosen = _nearest(robot, solution.branches, q)
@@ -46,10 +51,9 @@ def explain(result: Any) -> Explanation:
         iterations = _iterations(of if not plan.row.closed else _search(of), type(result))
     elif solution is not None and solution.beside:
         iterations = _iterations(_beside(of, solution.beside), type(result))
-    each = of.T[0] if robot.by_tip else of.T
     targets = {
         tip: T if kind == POSE else T[:3, 3]
-        for tip, T, kind in zip(robot.tips, each, of.kinds, strict=True)
+        for tip, T, kind in zip(robot.tips, of.T.reshape(-1, 4, 4), of.kinds, strict=True)
         if kind != FREE
     }
     tables = {arm.tip: dh_of(arm) for arm in robot.arms}
@@ -59,12 +63,12 @@ def explain(result: Any) -> Explanation:
     )
 
 
-def _form_of(of: Outcome) -> tuple[Plan | None, str]:
-    """The closed form to show, as a plan: the one that solved, or one that fits; or None, and why there is none."""
+def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
+    """Return the closed form to show, as a plan: the one that solved, or one that fits; or None, and why there is none."""
     plan, robot = of.plan, of.plan.robot
     if plan.row.closed:
         return plan, ""
-    if robot.by_tip:
+    if len(robot.tips) > 1:
         return None, "Closed forms are for one tip; several tips are solved together by iteration."
     if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (POSE, POSITION):
         return (
@@ -81,8 +85,8 @@ def _form_of(of: Outcome) -> tuple[Plan | None, str]:
     return Plan(robot, row, row.load()(), plan.options), ""
 
 
-def _derived(form: Plan, of: Outcome, q: np.ndarray) -> WorkedSolution:
-    """The closed form worked out for the target; free joints stay as they are at the answer q (n,)."""
+def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
+    """Work out the closed form for the target; free joints stay as they are at the answer q (n,)."""
     robot = form.robot
     free = np.full(robot.n, np.inf)
     lower, upper = (robot.lower, robot.upper) if form.options.limits else (-free, free)
@@ -97,37 +101,40 @@ def _derived(form: Plan, of: Outcome, q: np.ndarray) -> WorkedSolution:
 
 
 def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | None:
-    """Which branch the answer is."""
+    """Return the index of the branch that the answer q is, or None."""
     far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
     best = int(np.argmin(far)) if far else 0
     return best if far and far[best] < SAME else None
 
 
-def _search(of: Outcome) -> Outcome:
-    """The search that answered after a closed form."""
+def _search(of: SolveRecord) -> SolveRecord:
+    """Run the search that answered after a closed form."""
     return _run(of, of.plan.search())
 
 
-def _beside(of: Outcome, name: str) -> Outcome:
-    """Another solver on the same target, from the same start, in one attempt; the general one where it does not take the task."""
+def _beside(of: SolveRecord, name: str) -> SolveRecord:
+    """Run another solver on the same target, from the same start, in one attempt.
+
+    If that solver does not take the task, the general one runs.
+    """
     robot, options = of.plan.robot, replace(of.plan.options, restarts=0, history=False)
     row = find_row(name)
     if refusal(row, row.load()(), Asked(robot, of.kinds, of.given, options)):
         row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), options)
     made = _run(of, plan)
-    if not made.row[AT.iterations]:  # the start is the answer: there would be nothing to show
+    if not made.row[AT.iterations]:  # The start is the answer, so there would be nothing to show.
         made = _run(of._replace(start=robot.random_q(np.random.default_rng(0))[None], given=True), plan)
     return made
 
 
-def _run(of: Outcome, plan: Plan) -> Outcome:
+def _run(of: SolveRecord, plan: Plan) -> SolveRecord:
     row = plan.solve(of.T, of.kinds, of.start, of.given)
     return of._replace(plan=plan, row=row, notice="", errors=None, history=None)
 
 
-def _iterations(of: Outcome, read: Any) -> Iterations:
-    """The attempt that counts, evaluation by evaluation."""
+def _iterations(of: SolveRecord, read: Any) -> Iterations:
+    """Return the attempt that counts, evaluation by evaluation."""
     made = of if of.history is not None else record(of)
     history, result = made.history, read(made)
     assert history is not None

@@ -17,20 +17,20 @@ from .layout import (
     Sentence,
     Table,
     Title,
+    blocks_to_text,
     decimals,
-    number,
+    digits,
     to_html,
     to_markdown,
-    to_text,
     unit_of,
 )
 from .worked_solution import Branch, WorkedSolution
 
 
 class Iterations(NamedTuple):
-    """The way of an iterative solver: its name, how it ended, and of each evaluation of the attempt that counts the errors and q.
+    """How an iterative solver came to its answer, evaluation by evaluation of the attempt that counts.
 
-    position (K,) [m], orientation (K,) [rad] (NaN: free), q (K, n) [rad or m].
+    The arrays are position (K,) [m], orientation (K,) [rad] (NaN where it is free) and q (K, n) [rad or m].
     """
 
     solver: str
@@ -44,11 +44,21 @@ class Iterations(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """How a solution was computed. `str()` gives the text (80 columns), a notebook shows it with formulas rendered.
+    """How a solution was computed; `str()` gives text of 80 columns, and a notebook shows it with rendered formulas.
 
-    robot; q (n,) the answer [rad or m]; message of the solve; targets by tip: T (4, 4), or (3,) where no rotation counts; tables by
-    tip (None: there is none); worked, form (name of the closed form) and source (where it is from), or None and why there is
-    none; chosen: which branch is the answer, or None; errors of each branch by Pinocchio [m, rad or None]; iterations, or None.
+    Attributes:
+        robot: The robot that was solved for.
+        q: The answer (n,) [rad or m].
+        message: The sentence of the solve.
+        targets: Target of each tip: T (4, 4), or (3,) if no rotation counts.
+        tables: D-H table of each tip, or None if it has none.
+        worked: The closed form worked out, or None.
+        form: Name of the closed form, or ''.
+        source: Publication of the closed form.
+        why: Why there is no closed form, or ''.
+        chosen: Number of the branch that is the answer, or None.
+        errors: Position [m] and orientation error [rad, or None] of each branch, computed by Pinocchio.
+        iterations: The path of an iterative solver, or None.
     """
 
     robot: Any
@@ -67,11 +77,11 @@ class Explanation:
     # ------------------------------------------------------------------------------------------------------------- parts
     @property
     def places(self) -> int:
-        """Decimals of a millimetre."""
+        """The number of decimals of a millimetre that are shown."""
         return decimals(self.robot.reach)
 
     def blocks(self) -> Iterator[Block]:
-        """The whole, part by part."""
+        """Yield all parts of the explanation in order."""
         yield Sentence(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
         for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
             yield Title("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
@@ -94,7 +104,7 @@ class Explanation:
             yield from self.iteration_blocks()
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
-        """Formulas with their numbers, those of branch k."""
+        """Yield the formulas of branch k with their numbers."""
         assert self.worked is not None
         made = self.worked
         if made.words:
@@ -111,16 +121,16 @@ class Explanation:
             yield Sentence(f"Source: {self.source}.")
 
     def free_words(self) -> str:
-        """Ranges of the free joint."""
+        """Return a sentence or two on the ranges of the free joint."""
         assert self.worked is not None and self.worked.free is not None
         free = self.worked.free
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])
 
         def said(spans: Sequence[tuple[float, float]]) -> str:
-            ends = [(number(a, unit, self.places), number(b, unit, self.places)) for a, b in spans]
+            ends = [(digits(a, unit, self.places), digits(b, unit, self.places)) for a, b in spans]
             return " and ".join(f"{a} to {b}" for a, b in ends) + f" {UNITS[unit]}"
 
-        here = f"The joint {name} is free; here it is {number(self.q[free.joint], unit, self.places)} {UNITS[unit]}."
+        here = f"The joint {name} is free; here it is {digits(self.q[free.joint], unit, self.places)} {UNITS[unit]}."
         if not free.every:
             return f"{here} No value of it reaches the pose."
         if free.inside == free.every:
@@ -129,7 +139,7 @@ class Explanation:
         return f"{here} The pose is reached {reached}, and from {said(free.every)} without them."
 
     def branch_blocks(self) -> Iterator[Block]:
-        """Branches: label, joint values, error by Pinocchio."""
+        """Yield the branches with label, joint values and error by Pinocchio."""
         assert self.worked is not None
         branches, kinds = self.worked.branches, self.robot.joint_kinds
         if not branches:
@@ -143,7 +153,7 @@ class Explanation:
         yield Table(("", "branch", ""), rows)
         rows = []
         for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
-            texts = [number(branch.q[i], unit_of(kind), self.places) for branch in branches]
+            texts = [digits(branch.q[i], unit_of(kind), self.places) for branch in branches]
             bad = [name in branch.outside for branch in branches]
             rows.append((name, *(OutsideLimits(x) if y else x for x, y in zip(texts, bad, strict=True))))
         rows.append(("FK error", *(f"{1000.0 * position:.0e}" for position, _ in self.errors)))
@@ -154,11 +164,12 @@ class Explanation:
             yield Sentence("The solution is not one of these branches.")
 
     def iteration_blocks(self) -> Iterator[Block]:
-        """Errors by iteration."""
+        """Yield the errors of each iteration."""
         assert self.iterations is not None
         i = self.iterations
         turned = not np.isnan(i.orientation).all()
-        joints = range(self.robot.n if self.robot.n <= 3 else 0)  # more do not fit beside the errors
+        # The values of more than three joints do not fit beside the errors.
+        joints = range(self.robot.n if self.robot.n <= 3 else 0)
         units = [unit_of(kind) for kind in self.robot.joint_kinds]
         names = [self.robot.joint_names[j] for j in joints]
         head = ("k", "error (mm)", *["error (deg)"] * turned, *names)
@@ -166,8 +177,8 @@ class Explanation:
         for k in range(len(i.position)):
             cells = [str(k), f"{1000.0 * i.position[k]:.3e}"]
             cells += [f"{math.degrees(i.orientation[k]):.3e}"] if turned else []
-            rows.append((*cells, *(number(i.q[k, j], units[j], self.places) for j in joints)))
-        if len(rows) > 14:  # of a long run the first ten and the last four
+            rows.append((*cells, *(digits(i.q[k, j], units[j], self.places) for j in joints)))
+        if len(rows) > 14:  # Of a long run, the first ten and the last four are shown.
             rows[10:-4] = [("...", *[""] * (len(head) - 1))]
         yield Table(head, rows)
         which = f" Attempt {i.attempt} is shown." if i.attempt else ""
@@ -175,28 +186,28 @@ class Explanation:
 
     # ------------------------------------------------------------------------------------------------------------ written
     def __str__(self) -> str:
-        """Plain text, 80 columns wide."""
-        return to_text(self.blocks())
+        """Return the explanation as plain text, 80 columns wide."""
+        return blocks_to_text(self.blocks())
 
     def __repr__(self) -> str:
-        """One line."""
+        """Describe the explanation in one line."""
         branches = "" if self.worked is None else f", '{self.form}', {len(self.worked.branches)} branches"
         return f"Explanation('{self.robot.name}'{branches}; print it to read it)"
 
     def to_markdown(self) -> str:
-        """Markdown with the formulas in LaTeX."""
+        """Return the explanation as Markdown with the formulas in LaTeX."""
         return to_markdown(self.blocks())
 
     def to_html(self) -> str:
-        """HTML for inside a page, with the formulas in MathML."""
+        """Return the explanation as HTML for inside a page, with the formulas in MathML."""
         return to_html(self.blocks())
 
     def _repr_markdown_(self) -> str:
-        """For notebooks."""
+        """Return the explanation as notebooks show it."""
         return self.to_markdown()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists in metres and radians, ready for JSON."""
+        """Return the explanation as numbers, strings and lists in metres and radians, ready for JSON."""
         made, i = self.worked, self.iterations
         free = made.free if made is not None else None
         return {
@@ -227,9 +238,9 @@ class Explanation:
 
 
 def target_table(T: np.ndarray, places: int) -> Table:
-    """The target as n, o, a, p, or p alone where its rotation does not count."""
+    """Show a target as the columns n, o, a and p of its pose, or p alone if its rotation does not count."""
     shown = zip("xyz", T.reshape(3, -1) if T.ndim == 1 else T[:3], strict=True)
-    rows = [(axis, *(number(x, "", 0) for x in row[:-1]), number(row[-1], "m", places)) for axis, row in shown]
+    rows = [(axis, *(digits(x, "", 0) for x in row[:-1]), digits(row[-1], "m", places)) for axis, row in shown]
     return Table(("", "p") if T.ndim == 1 else ("", "n", "o", "a", "p"), rows)
 
 

@@ -1,4 +1,4 @@
-"""SymPy expressions written as text, LaTeX or MathML, with symbols or with numbers in their place."""
+"""Writes SymPy expressions as text, LaTeX or MathML, with symbols or with numbers in their place."""
 
 import functools
 import re
@@ -11,19 +11,21 @@ from sympy.printing.latex import LatexPrinter
 from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.str import StrPrinter
 
-BREAK = "\v"  # in MathML: where a line may end
-SLOT = re.compile(
-    "\x01(\\w+)\x02(\\(?)"
-)  # in a written formula: where the number of a symbol goes, in parentheses or not
+BREAK = "\v"  # This marks in MathML where a line may end.
+# SLOT finds the places in a written formula where the number of a symbol goes, in parentheses or not.
+SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
 class _Slot(sympy.Symbol):
-    """The place of a symbol's number. It sorts as the symbol does, so that a formula and its numbers have the same order."""
+    """The place in a formula that gets the number of a symbol.
+
+    It sorts as the symbol does, so that a formula and its numbers have the same order.
+    """
 
     __slots__ = ("bare",)
 
     def __new__(cls, name: str, bare: bool) -> "_Slot":
-        """bare: a negative number needs no parentheses there."""
+        """Make a slot; with `bare`, a negative number needs no parentheses there."""
         made = sympy.Symbol.__xnew__(cls, name, real=True)
         made.bare = bare
         return made
@@ -43,7 +45,7 @@ class _Slot(sympy.Symbol):
 
 
 class _PositiveFirst:
-    """Of a printer: a sum starts with a term without a minus sign, where there is one."""
+    """Makes a printer start a sum with a term without a minus sign, if there is one."""
 
     def _as_ordered_terms(self, expr: Any, order: Any = None) -> list[Any]:
         terms = super()._as_ordered_terms(expr, order)  # type: ignore[misc]
@@ -65,14 +67,14 @@ class _MathML(_PositiveFirst, MathMLPresentationPrinter):
         return "atan2" if isinstance(e, sympy.atan2) else super().mathml_tag(e)
 
     def doprint(self, expr: Any) -> str:
-        """Flat, with a BREAK wherever a line may end: browsers do not break a line inside a formula."""
+        """Write an expression in a row with a BREAK wherever a line may end, because browsers break no line inside a formula."""
         made, before = "", ""
         for node in _flat(self._print(expr)):
             now = node.firstChild.data if node.tagName == "mo" else ""
             if now in ("+", "-"):
                 node.setAttribute("form", "infix" if made and not before else "prefix")
                 made += BREAK if made and not before else ""
-            if node.tagName == "msqrt" and before == "&#xB7;":  # roots are long
+            if node.tagName == "msqrt" and before == "&#xB7;":  # Roots are long, so a line may end before one.
                 made += BREAK
             made += node.toxml() + (BREAK if now == "," else "")
             before = now.replace(")", "").replace("|", "")
@@ -80,7 +82,7 @@ class _MathML(_PositiveFirst, MathMLPresentationPrinter):
 
 
 def _flat(node: Any) -> Iterator[Any]:
-    """The nodes of MathML in a row, without the rows that only group them."""
+    """Yield the nodes of MathML in a row, without the rows that only group them."""
     if node.tagName != "mrow":
         yield node
     else:
@@ -88,9 +90,9 @@ def _flat(node: Any) -> Iterator[Any]:
             yield from _flat(child)
 
 
-@functools.lru_cache(4096)  # the formulas of a closed form are the same for every target
+@functools.lru_cache(4096)  # The formulas of a closed form are the same for every target.
 def written(expression: Any, form: str) -> str:
-    """An expression as 'text' (one line, as Python reads it), 'latex' (without dollar signs) or 'mathml' (for inside `<math>`)."""
+    """Write an expression as 'text' (one line of Python), 'latex' (without dollar signs) or 'mathml' (for inside `<math>`)."""
     if form == "text":
         return _Text().doprint(expression)
     dots = {"mul_symbol": "dot"} if form == "mathml" or expression.has(_Slot) else {}
@@ -98,7 +100,7 @@ def written(expression: Any, form: str) -> str:
 
 
 def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
-    """The same expression, unsimplified, with texts like '-12.5 deg' in place of its symbols, by their names."""
+    """Write an expression, unsimplified, with texts like '-12.5 deg' in place of its symbols, by their names."""
 
     def put_in(found: re.Match[str]) -> str:
         text = texts.get(found[1], "180 deg")
@@ -111,7 +113,7 @@ def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
 
 
 def quantity(text: str, form: str) -> str:
-    """A number with its unit, like '-12.5 deg', in a form; in MathML for inside `<mn>`."""
+    """Write a number with its unit, like '-12.5 deg', in a form; in MathML it is for inside `<mn>`."""
     digits, _, unit = text.partition(" ")
     if form == "text" or (not unit and form == "latex"):
         return text
@@ -122,7 +124,7 @@ def quantity(text: str, form: str) -> str:
 
 @functools.lru_cache(4096)
 def _with_slots(node: Any, bare: bool) -> Any:
-    """The same expression with slots for its symbols; bare: nothing stands before or behind it."""
+    """Return the same expression with slots for its symbols; with `bare`, nothing is before or behind it."""
     if node.is_Symbol or node is sympy.pi:
         return _Slot(str(node), bare)
     if not node.args:

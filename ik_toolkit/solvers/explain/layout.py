@@ -1,4 +1,4 @@
-"""The parts of an explanation (title, sentence, equations, table) and how they are written: text, Markdown with LaTeX, HTML."""
+"""The parts of an explanation (title, sentence, equations, table), written as text, as Markdown with LaTeX, or as HTML."""
 
 import html
 import math
@@ -8,23 +8,23 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from ...style import BAD, MUTED
-from .worked_solution import Step
+from .worked_solution import WorkedStep
 
-WIDTH = 80  # columns of the text
-UNITS = {"m": "mm", "rad": "deg", "": ""}  # the units in which values [m, rad or 1] are shown
-SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # from a value to the number shown
+WIDTH = 80  # The text has this many columns.
+UNITS = {"m": "mm", "rad": "deg", "": ""}  # Values [m, rad or 1] are shown in these units.
+SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # A value times this is the number shown.
 
 
 class Title(str):
-    """A line above what follows."""
+    """A title above other parts."""
 
 
 class Sentence(str):
-    """A sentence or two."""
+    """One or two sentences."""
 
 
 class Variable(str):
-    """A cell of a D-H table that its joint changes."""
+    """The value of a joint's own variable in a D-H table."""
 
 
 class OutsideLimits(str):
@@ -39,10 +39,10 @@ class Table(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """Steps of a calculation; before: the steps whose numbers may stand in them; places: decimals of a millimetre."""
+    """Steps of a calculation, which may use the numbers of the steps `before`; places is the decimals of a millimetre."""
 
-    steps: tuple[Step, ...]
-    before: tuple[Step, ...]
+    steps: tuple[WorkedStep, ...]
+    before: tuple[WorkedStep, ...]
     places: int
 
 
@@ -52,32 +52,33 @@ MARKS: dict[type, str] = {Variable: "*", OutsideLimits: "!"}
 
 # ----------------------------------------------------------------------------------------------------------------- numbers
 def decimals(reach: float) -> int:
-    """Decimals of a millimetre that show a millionth of an arm's reach [m]."""
+    """Return how many decimals of a millimetre show a millionth of an arm's reach [m]."""
     return int(min(max(round(6.0 - math.log10(1000.0 * reach)), 0), 12))
 
 
 def unit_of(kind: str) -> str:
-    """Unit of the values of a joint of this kind, a key of UNITS."""
+    """Return the unit, a key of UNITS, of the values of a joint of this kind."""
     return "m" if kind == "prismatic" else "rad"
 
 
-def number(value: float, unit: str, places: int) -> str:
-    """Digits of a value [m, rad or 1] in millimetres (with `places` decimals), degrees or as it is."""
-    digits = {"m": places, "rad": 4}.get(unit, 6)
-    text = f"{SCALES[unit] * value:.{digits}f}"
+def digits(value: float, unit: str, places: int) -> str:
+    """Write the digits of a value: millimetres with `places` decimals for 'm', degrees for 'rad', otherwise the value."""
+    text = f"{SCALES[unit] * value:.{ {'m': places, 'rad': 4}.get(unit, 6) }f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 # --------------------------------------------------------------------------------------------------------------- equations
-def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]]:
-    """Equations that stand together, each as its sides in a form of `expression.written`, and the first step of them.
+def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
+    """Yield equations that belong together, each as its sides in a form of `expression.written`, with their first step.
 
-    A formula stands alone: symbol, formula, formula with numbers, value with unit. Given numbers without words join those before.
+    A formula is alone: symbol, formula, formula with numbers, value with unit. Given numbers without words join those
+    before.
     """
-    from .expression import quantity, with_numbers, written  # SymPy, which only explanations need
+    # SymPy is imported here, because only explanations need it.
+    from .expression import quantity, with_numbers, written
 
     texts = {
-        step.name: number(step.value, step.unit, block.places) + " deg" * (step.unit == "rad")
+        step.name: digits(step.value, step.unit, block.places) + " deg" * (step.unit == "rad")
         for step in (*block.before, *block.steps)
     }
     group: list[list[str]] = []
@@ -86,7 +87,8 @@ def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]
         sides = [written(step.symbol, form)]
         if step.formula is not None:
             sides.append(written(step.formula, form))
-            if with_numbers(step.formula, "text", texts) != texts[step.name]:  # which would be the same twice
+            # Otherwise the same text would be shown twice.
+            if with_numbers(step.formula, "text", texts) != texts[step.name]:
                 sides.append(with_numbers(step.formula, form, texts))
         value = quantity(texts[step.name] + " mm" * (step.unit == "m"), form)
         value = f"<mn>{value}</mn>" if form == "mathml" else value
@@ -100,8 +102,8 @@ def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]
 
 
 # -------------------------------------------------------------------------------------------------------------- plain text
-def to_text(blocks: Iterable[Block]) -> str:
-    """Plain text, 80 columns wide."""
+def blocks_to_text(blocks: Iterable[Block]) -> str:
+    """Write parts as plain text, 80 columns wide."""
     lines: list[str] = []
     for block in blocks:
         if isinstance(block, Title):
@@ -122,7 +124,7 @@ def _equation_lines(block: Equations) -> Iterator[str]:
         if step.formula is None:
             yield from _wrapped(", ".join(map(" = ".join, group)) + said, "  ", 6)
             continue
-        if opening:  # the given numbers are over
+        if opening:  # The given numbers end here.
             yield ""
             opening = False
         name, *sides = group[0]
@@ -133,7 +135,7 @@ def _equation_lines(block: Equations) -> Iterator[str]:
 
 
 def _wrapped(line: str, lead: str, indent: int) -> Iterator[str]:
-    """Lines of an equation; no line ends between a number and its unit."""
+    """Yield the lines of an equation; no line ends between a number and its unit."""
     for made in textwrap.wrap(
         re.sub(" (deg|mm)\\b", "\xa0\\1", line),
         WIDTH,
@@ -146,7 +148,7 @@ def _wrapped(line: str, lead: str, indent: int) -> Iterator[str]:
 
 
 def _table_lines(table: Table) -> list[str]:
-    """Columns that do not fit into 80 follow below, next to the first one again."""
+    """Write a table; columns that do not fit into 80 characters follow below, next to the first one again."""
     lines: list[str] = []
     shown = [0]
     for k in range(1, len(table.head)):
@@ -158,7 +160,7 @@ def _table_lines(table: Table) -> list[str]:
 
 
 def _aligned(table: Table, shown: list[int]) -> list[str]:
-    """The first column and words to the left, numbers to the right, marks behind them."""
+    """Align columns: the first one and words to the left, numbers to the right, marks behind them."""
     lines = [""] * (1 + len(table.rows))
     for k in shown:
         cells = [table.head[k], *(row[k] for row in table.rows)]
@@ -173,7 +175,7 @@ def _aligned(table: Table, shown: list[int]) -> list[str]:
 
 # ---------------------------------------------------------------------------------------------------------------- Markdown
 def to_markdown(blocks: Iterable[Block]) -> str:
-    """Markdown with the equations in LaTeX."""
+    """Write parts as Markdown with the equations in LaTeX."""
     return "\n\n".join(part for block in blocks for part in _markdown(block))
 
 
@@ -201,13 +203,13 @@ def _markdown(block: Block) -> Iterator[str]:
 
 
 def _plain(text: str) -> str:
-    """Text escaped for Markdown: names of robots and joints come from the model."""
+    """Escape text for Markdown, because names of robots and joints come from the model."""
     return re.sub(r"([\\`*_{}\[\]()<>#|~$!])", r"\\\1", text)
 
 
 # -------------------------------------------------------------------------------------------------------------------- HTML
 def to_html(blocks: Iterable[Block]) -> str:
-    """HTML with the equations in MathML, which browsers draw without a library. All text is escaped."""
+    """Write parts as HTML with the equations in MathML, which browsers draw without a library. All text is escaped."""
     inner = "".join(map(_html, blocks))
     return f'<div style="padding:2px 12px 8px;font-size:13px;line-height:1.5">{inner}</div>'
 
@@ -225,7 +227,7 @@ def _html(block: Block) -> str:
 
 
 def _html_cell(text: str, column: int) -> str:
-    """A cell: the head and what a joint changes in bold, the latter on yellow, a value outside a limit in red."""
+    """Write a cell: heads and joint variables in bold, the latter on yellow, a value outside a limit in red."""
     style = "padding:1px 7px 1px 0;white-space:nowrap;font-variant-numeric:tabular-nums"
     if isinstance(text, Title):
         return f'<th style="{style};font-weight:600">{html.escape(text)}</th>'
@@ -235,8 +237,8 @@ def _html_cell(text: str, column: int) -> str:
     return f'<td style="{style}">{html.escape(text)}</td>'
 
 
-def _html_lines(step: Step, group: list[list[str]]) -> str:
-    """Given numbers on one line; a formula, the same with numbers, and its value on a line each."""
+def _html_lines(step: WorkedStep, group: list[list[str]]) -> str:
+    """Write given numbers on one line; write a formula, the formula with numbers, and its value on a line each."""
     from .expression import BREAK
 
     def maths(written: str) -> str:

@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 
-class Step(NamedTuple):
+class WorkedStep(NamedTuple):
     """One line of a calculation.
 
-    symbol: the SymPy symbol that gets a value; formula: a SymPy expression in the symbols of earlier steps, or None where the
-    value is given; value [m, rad or 1]; unit: 'm', 'rad' or ''; words: what the symbol is, or ''.
+    `symbol` is the SymPy symbol that gets a value; `formula` a SymPy expression in the symbols of earlier steps, or
+    None if the value is given; the value is in m, rad or 1, as `unit` ('m', 'rad' or '') says; `words` describe the
+    symbol, or are ''.
     """
 
     symbol: Any
@@ -20,29 +21,29 @@ class Step(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The symbol's name."""
+        """The name of the symbol."""
         return str(self.symbol)
 
     def to_dict(self) -> dict[str, Any]:
-        """Texts and numbers; the formula as SymPy prints it, or ''."""
+        """Return the step as texts and numbers; the formula is as SymPy prints it, or ''."""
         formula = "" if self.formula is None else str(self.formula)
         return {"name": self.name, "formula": formula, "value": self.value, "unit": self.unit, "words": self.words}
 
 
 class Branch(NamedTuple):
-    """One solution: label, q (n,) [rad or m], the names of the joints outside their limits, and the steps of this branch alone."""
+    """One solution: label, q (n,) [rad or m], the names of joints outside their limits, and the steps of this branch alone."""
 
     label: str
     q: np.ndarray
     outside: tuple[str, ...] = ()
-    steps: tuple[Step, ...] = ()
+    steps: tuple[WorkedStep, ...] = ()
 
 
 class Free(NamedTuple):
     """A joint that the target leaves free.
 
-    joint: its place in q; parameter: the option of the closed form that sets it; inside: the intervals [rad or m] of values that
-    reach the target within the joint's limits; every: those without regard to its limits.
+    `joint` is its place in q, `parameter` the option of the closed form that sets it, `inside` the intervals [rad or m]
+    of values that reach the target within the joint's limits, `every` those without regard to its limits.
     """
 
     joint: int
@@ -52,27 +53,27 @@ class Free(NamedTuple):
 
 
 class WorkedSolution(NamedTuple):
-    """What `derive` of a closed form returns for one target.
+    """A closed form worked out for one target, as its `derive` returns it.
 
-    steps: what all branches have in common, given numbers first (empty: the closed form shows no formulas); branches; legend: what
-    their labels mean; words: what is wrong with the target, or ''; free: a joint that may be chosen, or None; beside: the name of
-    an iterative solver worth showing for comparison, or ''.
+    `steps` has what all branches share, given numbers first (empty if the closed form shows no formulas); `legend` says
+    what the labels of branches mean; `words` say what is wrong with the target, or are ''; `free` is a joint that may
+    be chosen, or None; `beside` is the name of an iterative solver to compare with, or ''.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[WorkedStep, ...]
     branches: tuple[Branch, ...]
     legend: str = ""
     words: str = ""
     free: Free | None = None
     beside: str = ""
 
-    def steps_of(self, branch: Branch) -> tuple[Step, ...]:
-        """Every step that leads to a branch, from the given numbers to its joint values."""
+    def steps_of(self, branch: Branch) -> tuple[WorkedStep, ...]:
+        """Return every step that leads to a branch, from the given numbers to its joint values."""
         return (*self.steps, *branch.steps)
 
 
 def listed_branches(robot: Any, found: Any) -> WorkedSolution:
-    """The branches (`closed_form.geometry.Branches`) of a closed form that shows no formulas."""
+    """Return the branches (`closed_form.geometry.Branches`) of a closed form that shows no formulas."""
     pairs = zip(found.q, found.broken, strict=True)
     branches = [Branch(f"branch {k}", q, robot.outside(q) if x > 0.0 else ()) for k, (q, x) in enumerate(pairs, 1)]
     return WorkedSolution((), tuple(branches))

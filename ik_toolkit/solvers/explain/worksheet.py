@@ -1,4 +1,4 @@
-"""Writing down a closed form step by step: SymPy formulas with the numbers of the solver."""
+"""Writes a closed form down step by step: SymPy formulas with the numbers of the solver."""
 
 import functools
 import math
@@ -7,32 +7,32 @@ from typing import Any
 
 from sympy import Expr, Matrix, Symbol, lambdify, pi
 
-from .worked_solution import Step
+from .worked_solution import WorkedStep
 
 
 class Worksheet:
-    """Steps in the order in which they are computed. Each call adds one and returns its symbol, for the formulas that follow."""
+    """Steps in the order in which they are computed; each call adds one and returns its symbol for the formulas that follow."""
 
-    def __init__(self, before: Sequence[Step] = ()) -> None:
-        """An empty sheet, whose formulas may use the symbols of the steps `before`."""
+    def __init__(self, before: Sequence[WorkedStep] = ()) -> None:
+        """Start an empty sheet, whose formulas may use the symbols of the steps `before`."""
         self.values: dict[Any, float] = {step.symbol: step.value for step in before}
-        self.steps: list[Step] = []
+        self.steps: list[WorkedStep] = []
 
     def given(self, name: str, value: float, unit: str = "", words: str = "") -> Any:
         """Add a number [m, rad or 1] that no formula gives."""
         return self._add(name, None, float(value), unit, words)
 
     def formula(self, name: str, formula: Any, unit: str = "", words: str = "", value: float | None = None) -> Any:
-        """Add a formula; its value [m, rad or 1] is the solver's where it has one, or else computed from the symbols."""
+        """Add a formula; its value [m, rad or 1] is the solver's if given, otherwise it is computed from the symbols."""
         return self._add(name, formula, self.value(formula) if value is None else float(value), unit, words)
 
     def angle(self, name: str, formula: Any, value: float, words: str = "") -> Any:
-        """Add an angle [rad] from which the solver may have taken full turns: they are written into the formula."""
+        """Add an angle [rad] from which the solver may have taken full turns, which are then written into the formula."""
         turns = round((self.value(formula) - value) / (2.0 * math.pi))
         return self._add(name, formula - 2 * turns * pi, float(value), "rad", words)
 
     def vector(self, name: str, formulas: Any, unit: str = "", words: str = "", values: Any = None) -> Any:
-        """Add components NAME_x, NAME_y (and NAME_z) and return them as a SymPy column; formulas None: values are given."""
+        """Add components NAME_x, NAME_y (and NAME_z) and return them as a SymPy column; without formulas the values are given."""
         axes = "xyz"[: len(values if formulas is None else formulas)]
         made = []
         for i, axis in enumerate(axes):
@@ -42,37 +42,37 @@ class Worksheet:
         return Matrix(made)
 
     def joint(self, name: str, angle: Any, place: int, sign: float, offset: Any, value: float) -> None:
-        """Add the value [rad] of the joint at a place in q where it is not simply the angle = sign q + offset.
+        """Add the value [rad] of the joint at a place in q, unless it is simply the angle = sign q + offset.
 
-        name: the joint's; angle: symbol of the angle; offset: symbol of the angle at q = 0, or 0.
+        `name` is the joint's, `angle` the symbol of the angle, `offset` the symbol of the angle at q = 0, or 0.
         """
         formula = (angle - offset) * (-1 if sign < 0.0 else 1)
         if formula != angle or abs(value - self.values[angle]) > 1.0:
             self.angle(f"q_{place + 1}", formula, value, name)
 
     def value(self, formula: Any) -> float:
-        """Number [m, rad or 1] of a formula with the values so far."""
+        """Compute the number [m, rad or 1] of a formula with the values so far."""
         symbols, function = _compiled(formula)
         return float(function(*(self.values[symbol] for symbol in symbols)))
 
     def _add(self, name: str, formula: Any, value: float, unit: str, words: str) -> Any:
         symbol = Symbol(name, real=True)
         self.values[symbol] = value
-        self.steps.append(Step(symbol, formula, value, unit, words))
+        self.steps.append(WorkedStep(symbol, formula, value, unit, words))
         return symbol
 
 
 def zero_angles(sheet: Worksheet, offsets: dict[str, float]) -> dict[str, Any]:
-    """Give alpha_1 ..., the angles [rad] of theta_1 ... at q = 0, where they are not zero; by name of theta, symbol or 0."""
+    """Add alpha_1 ..., the angles [rad] of theta_1 ... at q = 0 that are not zero; return the symbol, or 0, of each theta."""
     made = {}
     for name, offset in offsets.items():
-        zero = abs(offset) < 1e-12  # rad, what rounding leaves
+        zero = abs(offset) < 1e-12  # Rounding leaves less than this [rad].
         made[name] = 0 if zero else sheet.given(name.replace("theta", "alpha"), offset, "rad", "the angle at q = 0")
     return made
 
 
 @functools.lru_cache(1024)
 def _compiled(formula: Expr) -> tuple[list[Any], Callable[..., float]]:
-    """Symbols of a formula and a function of their values. As in the solvers, a root of less than zero, by rounding, is zero."""
+    """Return the symbols of a formula and a function of their values; as in the solvers, the root of a negative number is zero."""
     symbols = sorted(formula.free_symbols, key=str)
     return symbols, lambdify(symbols, formula, [{"sqrt": lambda x: math.sqrt(max(x, 0.0))}, "math"])

@@ -1,4 +1,4 @@
-"""Cyclic coordinate descent: one joint after the other, tip first, each moved to where the error is least."""
+"""Cyclic coordinate descent: one joint after the other, tip first, moves to where the error is least."""
 
 from typing import Any, NamedTuple
 
@@ -9,9 +9,9 @@ from ..protocol import Asked, rule
 
 @compiled
 class Sweep(NamedTuple):
-    """CCD as it is compiled (numba passes no record without fields)."""
+    """The compiled step of CCD, as a record with a field because numba passes no record without one."""
 
-    least: float  # squared speed of the tip below which a joint does not move it
+    least: float  # A joint does not move the tip if the squared speed of the tip is below this.
 
     JACOBIAN = False
 
@@ -31,7 +31,7 @@ class Sweep(NamedTuple):
             new = p.inside(i, old + p.best_move(e, i, self.least))
             if new == old:
                 continue
-            if not s.affords(2):  # a trial, and one to undo it
+            if not s.affords(2):  # There must be two evaluations left, a trial and one to undo it.
                 cut = True
                 break
             s.q[i] = new
@@ -49,13 +49,13 @@ class Sweep(NamedTuple):
 
 @rule(step=Sweep)
 class CCD(NamedTuple):
-    """Cyclic coordinate descent. Position: each joint turns the tip as near the target as it can, exactly.
+    """Cyclic coordinate descent: each joint in turn, tip first, moves the tip as near the target as it can.
 
-    A pose has no such closed step: there each joint takes the least-squares step on the six errors, kept when the error
-    falls. Several tips as a pose. Source: Wang and Chen, IEEE Trans. Robotics and Automation 7 (1991); Olsen and Petersen
-    (2011) for positions.
+    For a position that step is exact. A pose has no such closed step: there each joint takes the least-squares step on
+    the six errors, which is kept if the error falls. Several tips are treated as a pose. Source: Wang and Chen, IEEE
+    Trans. Robotics and Automation 7 (1991); Olsen and Petersen (2011) for positions.
     """
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Sweep:
-        """Parameters of the compiled step."""
+        """Return the record that has the compiled step."""
         return Sweep(1e-14)

@@ -11,11 +11,11 @@ from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # minimum damping: at the target of a planar arm JJ' has no inverse
+FLOOR = 1e-12  # Least damping, because J J' has no inverse at the target of a planar arm.
 
 
 def negative(name: str, value: Any) -> str:
-    """Why a rule refuses a parameter that must not be negative, or ''. What is no number is refused with the others."""
+    """Return why a rule refuses a parameter that must not be negative, or ''; what is no number is refused elsewhere."""
     return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
 
 
@@ -23,8 +23,10 @@ def negative(name: str, value: Any) -> str:
 class LM(NamedTuple):
     """Levenberg-Marquardt: dq = J'(J J' + damping |e|^2 I)^-1 e; joints pushed past a limit are held and the step redone.
 
-    damping: factor of the squared error (lengths over reach). Source: Sugihara, IEEE Trans. Robotics 27 (2011), eq. (11);
-    held joints as an active set.
+    Source: Sugihara, IEEE Trans. Robotics 27 (2011), eq. (11); held joints as an active set.
+
+    Args:
+        damping: Factor of the squared error, whose lengths are divided by the robot's reach.
     """
 
     damping: float = 0.02
@@ -32,11 +34,11 @@ class LM(NamedTuple):
     wrap = True
 
     def refuses(self, asked: Asked) -> str:
-        """Why it cannot do what is requested, or ''."""
+        """Return why the rule cannot solve what is asked, or ''."""
         return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
-        """These steps for eight targets side by side."""
+        """Return the rule for eight targets side by side, as arguments of `kernel.lanes.lanes`."""
         from ...kernel.simd_search import lanes
 
         return lanes()
@@ -48,18 +50,21 @@ class LM(NamedTuple):
 
 @rule
 class DLS(NamedTuple):
-    """Damped least squares: dq = J'(J J' + damping^2 I)^-1 e, constant damping; joints pushed past a limit are held.
+    """Damped least squares: dq = J'(J J' + damping^2 I)^-1 e with constant damping.
 
-    damping: lambda, in units where lengths are divided by the robot's reach (scale). hold: redo a step without the joints it
-    would push past a limit; False cuts the step off there, as the published method does. Source: Wampler, IEEE Trans. SMC 16
-    (1986); Buss (2004), eq. (11).
+    Source: Wampler, IEEE Trans. SMC 16 (1986); Buss (2004), eq. (11).
+
+    Args:
+        damping: The damping lambda, for errors whose lengths are divided by the robot's reach (scale).
+        hold: Whether a step is redone without the joints that it would push past a limit. False cuts the step off at
+            the limit, as the published method does.
     """
 
     damping: float = 0.03
     hold: bool = True
 
     def refuses(self, asked: Asked) -> str:
-        """Why it cannot do what is requested, or ''."""
+        """Return why the rule cannot solve what is asked, or ''."""
         return negative("damping", self.damping)
 
     def step(self, p, e):
@@ -69,17 +74,21 @@ class DLS(NamedTuple):
 
 @rule
 class Pinv(NamedTuple):
-    """Pseudo-inverse: dq = gain pinv(J) e by singular values; those below rcond times the largest count as zero.
+    """Pseudo-inverse: dq = gain pinv(J) e by singular values.
 
-    Limits only by clamping q. Source: Whitney, IEEE Trans. Man-Machine Systems 10 (1969); Burrell et al. (2016), eqs.
-    (7)-(8).
+    Limits are kept only by clamping q. Source: Whitney, IEEE Trans. Man-Machine Systems 10 (1969); Burrell et al.
+    (2016), eqs. (7)-(8).
+
+    Args:
+        gain: Factor of the step; 1 is the whole step.
+        rcond: Singular values below this fraction of the largest count as zero.
     """
 
     gain: float = 1.0
     rcond: float = 1e-8
 
     def refuses(self, asked: Asked) -> str:
-        """Why it cannot do what is requested, or ''."""
+        """Return why the rule cannot solve what is asked, or ''."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -96,15 +105,19 @@ class Pinv(NamedTuple):
 
 @rule
 class Transpose(NamedTuple):
-    """Jacobian transpose: dq = gain alpha J'e with alpha = <e, JJ'e> / <JJ'e, JJ'e>, the exact step along J'e.
+    """Jacobian transpose: dq = gain alpha J'e with alpha = <e, JJ'e> / <JJ'e, JJ'e>, the best step along J'e to first order.
 
-    Where J'e = 0, alpha is 0/0 and the arm does not move. Source: Buss (2004), eq. (8); Burrell et al. (2016), eqs. (11)-(12).
+    Where J'e = 0, alpha is 0/0 and the arm does not move. Source: Buss (2004), eq. (8); Burrell et al. (2016), eqs.
+    (11)-(12).
+
+    Args:
+        gain: Factor of the step; 1 is the whole step.
     """
 
     gain: float = 1.0
 
     def refuses(self, asked: Asked) -> str:
-        """Why it cannot do what is requested, or ''."""
+        """Return why the rule cannot solve what is asked, or ''."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -132,9 +145,9 @@ class Transpose(NamedTuple):
 
 @compiled
 class Inverse(NamedTuple):
-    """Newton as it is compiled (numba passes no record without fields)."""
+    """The compiled step of Newton, as a record with a field because numba passes no record without one."""
 
-    least: float  # rows of the Jacobian that are nowhere larger do not count
+    least: float  # A row of the Jacobian without a larger entry does not count.
 
     def step(self, p, e):
         s = p.desk
@@ -161,18 +174,18 @@ class Inverse(NamedTuple):
 
 @rule(step=Inverse)
 class Newton(NamedTuple):
-    """Newton-Raphson: dq = J^-1 e, for tasks with as many rows as joints; ends as SINGULAR where J has no inverse.
+    """Newton-Raphson: dq = J^-1 e, for tasks with as many rows as joints; it ends as SINGULAR where J has no inverse.
 
-    Source: Chinyai, eqs. (6)-(9), planar 2R; the error there is f(q) - x with a minus sign, ours is target - actual.
+    Source: Chinyai, eqs. (6)-(9), planar 2R. There the error is f(q) - x with a minus sign, here it is target - actual.
     """
 
     def refuses(self, asked: Asked) -> str:
-        """Why it cannot do what is requested, or ''."""
+        """Return why the rule cannot solve what is asked, or ''."""
         n = asked.robot.n
         if asked.rows == n:
             return ""
         return f"needs as many task rows as joints, and here the task has {asked.rows} and the path {n} joints"
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
-        """Parameters of the compiled step."""
+        """Return the record that has the compiled step."""
         return Inverse(1e-12)

@@ -14,15 +14,19 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, start_parameter
 
-UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
+UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # Each unit of gain is this many rad/m.
 
 
-ROUNDING = 1e-14  # of the length scale: a trial's gain above this is not rounding
+# A trial must improve the error by more than 1e-14 of the length scale, which is above rounding.
+ROUNDING = 1e-14
 
 
 @compiled
 class Gains(NamedTuple):
-    """PID in kernel units, and its step. The memory holds the integral, the last norm and whether there was one."""
+    """The compiled step of PID with its gains in kernel units.
+
+    Its memory holds the integral, the last norm and whether there was one.
+    """
 
     kp: float
     ki: float
@@ -59,9 +63,8 @@ class Gains(NamedTuple):
                 s.q[i] = p.inside(i, old + size if sign == 0 else old - size)
                 f = p.try_out(s.q)
                 value = p.norm(f, self.orientation)
-                if (
-                    value < least - ROUNDING
-                ):  # not moving wins ties, for example for a roll about the tip when only positions count
+                # Not moving wins ties, for example for a roll about the tip when only positions count.
+                if value < least - ROUNDING:
                     least = value
                     kept = s.q[i]
                     done = f.good
@@ -77,14 +80,20 @@ class Gains(NamedTuple):
 class PID(NamedTuple):
     """IK-PID, Algorithm I: for each joint, tip first, try q + d and q - d with d = kp |e| + ki sum|e| + kd (change of |e|).
 
-    Trials are clamped to the limits; the lowest error wins, not moving wins ties; a sweep with no movement ends the attempt.
-    kp, ki, kd: gains K_p, K_i, K_d in rad per m of error (a prismatic joint moves gain times the chain's length scale).
-    Without kp: kp = 0.25 over the length scale, times the median joint range where that is under 1 rad (or scale), and kd = 3 kp
-    unless given: a joint whose lever is no longer than the scale then changes the error by a quarter of it at most, far from
-    the 2 |e| beyond which no trial helps. orientation_scale: metres per radian by which the orientation error is scaled before
-    it joins the norm (default a fifth of the length scale). starts (M, n) [rad, m]: without q0 the one whose tip is nearest the
-    target is taken. units: "si", or "mm-deg" for the paper's gains (error in mm, increments in degrees). tuned: options a
-    preset brings along. Source: Burrell et al. (2016), section 4, eq. (13), Algorithm I; defaults are ours.
+    Trials are clamped to the limits; the lowest error wins, and not moving wins ties. A sweep with no movement ends the
+    attempt. Without kp, kp is 0.25 over the length scale, times the median joint range if that is under 1 rad (or
+    scale), and kd = 3 kp unless given: a joint whose lever is no longer than the scale then changes the error by a
+    quarter of it at most, far from the 2 |e| beyond which no trial helps. Source: Burrell et al. (2016), section 4, eq.
+    (13), Algorithm I; defaults are ours.
+
+    Args:
+        kp, ki, kd: Gains K_p, K_i, K_d in rad per m of error; a prismatic joint moves gain times the chain's length
+            scale.
+        orientation_scale: Metres per radian by which the orientation error is scaled before it joins the norm (default:
+            a fifth of the length scale).
+        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken.
+        units: "si", or "mm-deg" for the paper's gains (error in mm, increments in degrees).
+        tuned: Options of the search that come with a preset.
     """
 
     kp: float | None = None
@@ -97,17 +106,20 @@ class PID(NamedTuple):
 
     @classmethod
     def preset(cls, name: str | Path) -> "PID":
-        """Published or tuned gains, by name or path of a file. Raises InvalidOption listing the presets."""
+        """Make the rule with published or tuned gains, by name or path of a file.
+
+        Raises InvalidOption listing the presets.
+        """
         values, options = load_preset("pid", name, cls._fields)
         return cls(**values)._replace(tuned=options)
 
     def options(self) -> dict[str, Any]:
-        """Tolerance and iteration limit of the preset."""
+        """Return the tolerance and iteration limit of the preset."""
         return dict(self.tuned or {})
 
     @classmethod
     def space(cls, robot: Any, position_only: bool, initial: "PID | None" = None) -> Space:
-        """Tuned parameters: the gains on log scales, and one start."""
+        """Return the parameters to tune: the gains on log scales, and one start."""
         initial = initial or cls()
         packed = np.array(initial.pack(robot)) / robot.chain.scale
         kp, ki, kd = (float(x) for x in packed[:3])
@@ -126,11 +138,14 @@ class PID(NamedTuple):
         return Space(tuple(parameters), initial, lambda values: cls(**values))
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Starts (M, n) [rad, m] to choose from without q0, or None for home. Raises InvalidOption on a wrong shape."""
+        """Return the starts (M, n) [rad, m] to choose from without q0, or None for home.
+
+        Raises InvalidOption on a wrong shape.
+        """
         return None if self.starts is None else check_starts("pid", self.starts, robot)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Gains:
-        """Gains in kernel units and the orientation scale."""
+        """Return the gains in kernel units and the orientation scale."""
         if self.units not in UNITS:
             raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
         n, scale = robot.n, robot.chain.scale

@@ -1,10 +1,10 @@
 """The state-space solver: a static linear system maps the error to joint increments; no Jacobian is evaluated.
 
-Stability. Along one direction of the task let kappa be the loop gain: the error falls by kappa e when the map's increment for
-the error e is taken, an eigenvalue of J(q) C B (of J(q) D). With A = a I and the literal delay of eq. (14) (dq(k) = C x(k),
-x before it absorbs e(k)) the error obeys z^2 - (1 + a) z + (a + kappa) = 0, so by Jury's test it is stable for
-0 < kappa < 1 - a: kappa < 1.5 at the paper's a = -0.5 (1 without the delay), with both poles at 0.25 for kappa = 0.5625. A
-feedthrough D alone gives z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
+Stability: along one direction of the task let kappa be the loop gain, an eigenvalue of J(q) C B (or of J(q) D). The
+error e falls by kappa e when the map's increment for e is taken. With A = a I and the literal delay of eq. (14) (dq(k)
+= C x(k), where x has not absorbed e(k) yet) the error obeys z^2 - (1 + a) z + (a + kappa) = 0. By Jury's test it is
+stable for 0 < kappa < 1 - a: kappa < 1.5 at the paper's a = -0.5 (1 without the delay), with both poles at 0.25 for
+kappa = 0.5625. A feedthrough D alone gives z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
 """
 
 from pathlib import Path
@@ -21,31 +21,44 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
-UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}  # per metre of error, rad per unit of increment
-HEAD = 4  # states, maps, whether there is a D, whether the map is chosen anew in every step
-MAPS = 128  # starts of the designed solver
-TUNED_MAPS = 32  # starts of a tuned one
-C_FIXED = -0.05  # (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver, so C need not be searched
-SAMPLES = 4096  # configurations they are picked from
-SPREAD, RADIUS = (
-    0.15,
-    0.3,
-)  # Jacobians are averaged over +- this share of a joint's range, at most so many rad (or reaches)
-DAMPING = 0.1
-SETTLED = 1e-13  # a state that changes by less in a step has settled
-LOOP_GAIN = {True: 0.9, False: 0.6}  # kappa at a start, for positions and for poses; the bound of stability is 2
+# Each system of units is given per metre of error and in rad per unit of increment.
+UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
+# The table begins with the numbers of states and maps, whether there is a D, and whether each step chooses a map.
+HEAD = 4
+C_FIXED = -0.05  # (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver, so C need not be searched.
+SETTLED = 1e-13  # A state that changes by less in a step has settled.
+
+
+class MapDesign(NamedTuple):
+    """Numbers of the designed solver, which has a map for each of many starts."""
+
+    maps: int = 128  # Number of starts of the designed solver.
+    tuned_maps: int = 32  # Number of starts of a tuned solver.
+    samples: int = 4096  # Number of configurations from which the starts are picked.
+    # Jacobians are averaged over +- spread of a joint's range, but at most radius [rad, or of the reach].
+    spread: float = 0.15
+    radius: float = 0.3
+    damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, in its units of reach and joint range.
+    position_gain: float = 0.9  # Loop gain kappa at a start, for positions; at 2 the step is unstable.
+    pose_gain: float = 0.6  # Loop gain kappa at a start, for poses.
+
+
+DESIGN = MapDesign()
 
 
 @compiled
 class Maps(NamedTuple):
-    """Algorithm II as it is compiled. The memory holds the state and, behind 4 n numbers, the place of the map in use, from 1."""
+    """The compiled step of Algorithm II.
 
-    numbers: Array  # HEAD, for each joint 1 / (2 pi) or 0, A, C, then for each map its start, B, D
+    Its memory holds the state and, behind 4 n numbers, the place of the map in use, counted from 1.
+    """
+
+    numbers: Array  # HEAD, for each joint 1 / (2 pi) or 0, then A and C, and for each map its start, B and D.
 
     JACOBIAN = False
 
     def nearest_map(self, q, first, width):
-        """Place of the map whose start is nearest q (n,)."""
+        """Return the place of the map whose start is nearest q (n,)."""
         numbers = self.numbers
         least, chosen = np.inf, 0
         for k in range(int(numbers[1])):
@@ -95,22 +108,29 @@ class Maps(NamedTuple):
         for i in range(m):
             changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
             s.x[i] = s.x[2 * n + i]
-        # Joints may rest at their limits while the state still builds up: that is not a stall.
+        # Joints may rest at their limits while the state still builds up, which is no stall.
         return WAITING if changed > SETTLED else 0
 
 
 @rule(step=Maps)
 class StateSpace(NamedTuple):
-    """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, with the literal delay (dq before x absorbs e).
+    """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, where dq is taken before x absorbs e.
 
-    A (m, m), B (m, 3) for positions or (m, 6), C (n, m); the published solver has no D (n, 3 or 6). e = target - actual in
-    base axes [m, rad], orientation as a rotation vector. Joints saturate at their limits; the state is not changed. starts
-    (M, n) [rad, m]: without q0 the start whose tip is nearest the target is taken (restarts take the next nearest); B and D may
-    then hold M maps, (M, m, 3) or (M, n, 3), and the start chosen selects its map; from a q0 the map of the nearest start is
-    chosen in every step. Without any of them: 128 starts spread over the workspace, and for each D = kappa pinv(mean Jacobian
-    around it), damped. axes: rotation (3, 3) from base axes to the axes B and D are meant in. units: "si", or "mm-deg" for
-    the paper's (e in mm, increments in degrees; starts stay in rad). tuned: options a preset brings along. Source: Burrell et
-    al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
+    The error e = target - actual is in base axes [m, rad], orientation as a rotation vector. Joints saturate at their
+    limits; the state is not changed. From a q0 the map of the nearest start is chosen in every step. Without any
+    matrix, the solver is designed: 128 starts are spread over the workspace, and each has D = kappa pinv(mean Jacobian
+    around it), damped. Source: Burrell et al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
+
+    Args:
+        A: State matrix (m, m).
+        B: Input matrix (m, 3) for positions or (m, 6) for poses, or one for each of M starts, (M, m, 3 or 6).
+        C: Output matrix (n, m).
+        D: Feedthrough (n, 3 or 6), or one for each start; the published solver has none.
+        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken, and it
+            selects its map; restarts take the next nearest.
+        units: "si", or "mm-deg" for the paper's (e in mm, increments in degrees; starts stay in rad).
+        axes: Rotation (3, 3) from base axes to the axes in which B and D are meant.
+        tuned: Options of the search that come with a preset.
     """
 
     A: Any = None
@@ -124,43 +144,45 @@ class StateSpace(NamedTuple):
 
     @classmethod
     def preset(cls, name: str | Path) -> "StateSpace":
-        """Published or tuned matrices, by name or path of a file. Raises InvalidOption listing the presets."""
+        """Make the rule with published or tuned matrices, by name or path of a file.
+
+        Raises InvalidOption listing the presets.
+        """
         values, options = load_preset("state-space", name, cls._fields)
         return cls(**values)._replace(tuned=options)
 
     def options(self) -> dict[str, Any]:
-        """Tolerance and iteration limit of the preset."""
+        """Return the tolerance and iteration limit of the preset."""
         return dict(self.tuned or {})
 
     def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
-        """Return the rule itself, or the designed one when it has no matrices (kept with the robot)."""
+        """Return the rule itself, or the designed rule, which is kept with the robot, if it has no matrices."""
         if any(part is not None for part in (self.A, self.B, self.C, self.D)):
             return self
         key = ("state-space design", position_only)
         if key not in robot.memo:
-            starts = spread_starts(robot, position_only, MAPS)
-            robot.memo[key] = StateSpace(
-                D=LOOP_GAIN[position_only] * inverse_maps(robot, starts, position_only), starts=starts
-            )
+            starts = spread_starts(robot, position_only, DESIGN.maps)
+            gain = DESIGN.position_gain if position_only else DESIGN.pose_gain
+            robot.memo[key] = StateSpace(D=gain * inverse_maps(robot, starts, position_only), starts=starts)
         return robot.memo[key]
 
     @classmethod
     def space(
         cls, robot: Any, position_only: bool, initial: "StateSpace | None" = None, maps: int | None = None
     ) -> Space:
-        """What is tuned: one start and the published structure (maps=1), or starts whose maps are designed (default 32)."""
-        maps = TUNED_MAPS if maps is None else maps
+        """Return what is tuned: one start and the published structure (maps=1), or starts with designed maps (default 32)."""
+        maps = DESIGN.tuned_maps if maps is None else maps
         if maps == 1:
             return _one_map(robot, position_only, initial)
         return _several_maps(robot, position_only, maps) if initial is None else _split(robot, maps, initial)
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Starts (M, n) [rad, m] to choose from without q0, or None for home."""
+        """Return the starts (M, n) [rad, m] to choose from without q0, or None for home."""
         starts = self.resolve(robot, position_only).starts
         return None if starts is None else check_starts("state-space", starts, robot)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Numbers of the compiled step, in kernel units and axes. Raises InvalidOption on wrong shapes."""
+        """Return the numbers of the compiled step, in kernel units and axes. Raises InvalidOption on wrong shapes."""
         position_only, given = (asked.position_only, asked.given) if asked is not None else (False, True)
         made = self.resolve(robot, position_only)
         if made.units not in UNITS:
@@ -206,7 +228,7 @@ class StateSpace(NamedTuple):
 
 
 def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> np.ndarray:
-    """Maps (count, rows, 3 or 6). Raises InvalidOption."""
+    """Return maps (count, rows, 3 or 6). Raises InvalidOption on a wrong shape."""
     array = np.asarray(maps, dtype=float)
     if array.ndim not in (2, 3) or array.shape[-2] != rows or array.shape[-1] not in (3, 6):
         raise InvalidOption(f"state-space: {name} must have the shape ({rows}, 3) or ({rows}, 6), not {array.shape}")
@@ -221,21 +243,22 @@ def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> n
 
 # ------------------------------------------------------------------------------------------------------------- design
 def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) -> np.ndarray:
-    """Starts (count, n): the workspace is cut into cells (Lloyd's algorithm), each has a start far from limits and singularities.
+    """Choose starts (count, n) [rad or m] all over the workspace, far from limits and singularities; a single one is home.
 
-    With count = 1 it is home. Deterministic for a seed.
+    The workspace is cut into cells by Lloyd's algorithm, each of which gets one start. A seed always gives the same
+    starts.
     """
     if count == 1:
         return robot.home[None].copy()
     rng = np.random.default_rng(seed)
     chain = robot.chain
     low, width = sampling_box(robot)
-    Q = low + width * rng.random((max(SAMPLES, 32 * count), robot.n))
+    Q = low + width * rng.random((max(DESIGN.samples, 32 * count), robot.n))
     T, J = chain.forward(Q, jacobian=True)
     feature = T[:, :3, 3] / chain.scale
     J = J[:, : 3 if position_only else 6] * np.minimum(width, 2.0 * chain.unit)
     J[:, :3] /= chain.scale
-    if not position_only:  # the weight of the kernel's own table of starts
+    if not position_only:  # The orientation has the weight that it has in the kernel's own table of starts.
         feature = np.concatenate([feature, np.sqrt(0.05) * T[:, :3, :3].reshape(len(Q), 9)], axis=1)
     centre = feature[:count].copy()
     cell = np.zeros(len(Q), dtype=int)
@@ -261,24 +284,24 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
 
 
 def _rank(values: np.ndarray) -> int:
-    """Rank of the task: singular values (N, r) that are not zero everywhere."""
+    """Return the rank of the task, which is the number of singular values (N, r) that are not zero everywhere."""
     return max(1, int((values.max(axis=0) > 1e-9 * values.max()).sum()))
 
 
 def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int = 0) -> np.ndarray:
-    """Damped inverses (M, n, 3 or 6) [rad or m per m or rad] of the Jacobian averaged around each start."""
+    """Compute damped inverses (M, n, 3 or 6) [rad or m per m or rad] of the Jacobian averaged around each start (M, n)."""
     rng = np.random.default_rng(seed)
     chain, n = robot.chain, robot.n
     low, width = sampling_box(robot)
     rows = 3 if position_only else 6
-    radius = np.minimum(SPREAD * width, RADIUS * chain.unit)
+    radius = np.minimum(DESIGN.spread * width, DESIGN.radius * chain.unit)
     offsets = rng.uniform(-1.0, 1.0, (64, n)) * radius
     Q = np.clip(starts[:, None] + offsets, np.minimum(low, starts[:, None]), np.maximum(low + width, starts[:, None]))
     J = chain.forward(Q.reshape(-1, n), jacobian=True)[1].reshape(len(starts), 64, 6, n).mean(axis=1)[:, :rows]
     J[:, :3] /= chain.scale
-    weight = np.minimum(width, 2.0 * chain.unit)  # joints move in proportion to their range
+    weight = np.minimum(width, 2.0 * chain.unit)  # These weights make joints move in proportion to their range.
     W = J * weight
-    inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DAMPING**2 * np.eye(rows))
+    inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DESIGN.damping**2 * np.eye(rows))
     maps = inverse * weight[:, None]
     maps[:, :, :3] /= chain.scale
     return maps
@@ -286,10 +309,10 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
 
 # ------------------------------------------------------------------------------------------------------- what is tuned
 def _one_map(robot: Any, position_only: bool, initial: StateSpace | None) -> Space:
-    """The published structure: A = a I, B, C = -0.05 I, literal delay, one start."""
+    """Return the parameters of the published structure: A = a I, B, C = -0.05 I, literal delay, one start."""
     n, scale, unit = robot.n, robot.chain.scale, robot.chain.unit
     start = robot.home[None]
-    if initial is None:  # a = -0.5 puts both poles at 0.25 for a loop gain of 0.5625
+    if initial is None:  # a = -0.5 puts both poles at 0.25 for a loop gain of 0.5625.
         B = 0.5625 / C_FIXED * inverse_maps(robot, start, position_only)[0]
         initial = StateSpace(A=-0.5 * np.eye(n), B=B, C=C_FIXED * np.eye(n), starts=start)
     a, B = _plain(initial, n)
@@ -310,7 +333,10 @@ def _one_map(robot: Any, position_only: bool, initial: StateSpace | None) -> Spa
 
 
 def _plain(rule: StateSpace, n: int) -> tuple[float, np.ndarray]:
-    """(a, B) [SI, base axes] of a rule with A = a I and C = c I, rescaled to C = -0.05 I. Raises InvalidOption."""
+    """Return (a, B) [SI, base axes] of a rule with A = a I and C = c I, rescaled to C = -0.05 I.
+
+    Raises InvalidOption.
+    """
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     if A.shape != (n, n) or C.shape != (n, n) or B.ndim != 2 or rule.D is not None:
         raise InvalidOption("the search can start from a rule with A (n, n), one B, C (n, n) and no D")
@@ -324,20 +350,26 @@ def _plain(rule: StateSpace, n: int) -> tuple[float, np.ndarray]:
 
 
 def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
-    """Starts are searched; the map of each is the damped inverse of the Jacobian averaged around it, times one loop gain."""
+    """Return starts to tune; the map of each is the damped inverse of the Jacobian averaged around it, times one loop gain."""
     starts = spread_starts(robot, position_only, maps)
 
     def make(values: dict[str, Any]) -> StateSpace:
         where = values["starts"]
         return StateSpace(D=values["kappa"] * inverse_maps(robot, where, position_only), starts=where)
 
-    parameters = (start_parameter(robot, starts), Parameter("kappa", 0.2, 1.6, 0.9 if position_only else 0.6))
+    parameters = (
+        start_parameter(robot, starts),
+        Parameter("kappa", 0.2, 1.6, DESIGN.position_gain if position_only else DESIGN.pose_gain),
+    )
     initial = make({"starts": starts, "kappa": parameters[1].initial})
     return Space(parameters, initial, make, spread=0.08)
 
 
 def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
-    """A = a I, C = -0.05 I, literal delay, several starts: each B between the given (share 0) and that start's own (share 1)."""
+    """Return several starts to tune with A = a I, C = -0.05 I and the literal delay.
+
+    Each start's B lies between the given one (share 0) and the one designed for that start (share 1).
+    """
     n, eye = robot.n, np.eye(robot.n)
     a, B = _plain(initial, n)
     position_only = B.shape[1] == 3
@@ -351,7 +383,7 @@ def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
     parameters = (
         start_parameter(robot, starts),
         Parameter("share", 0.0, 1.0, 0.0),
-        Parameter("kappa", 0.1, 1.4, 0.5625),  # both poles at 0.25 for a = -0.5
+        Parameter("kappa", 0.1, 1.4, 0.5625),  # This value puts both poles at 0.25 for a = -0.5.
         Parameter("a", -0.95, 0.6, a),
     )
     return Space(parameters, initial, make)

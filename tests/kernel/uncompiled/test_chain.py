@@ -7,7 +7,7 @@ import pytest
 import random_arms as arms
 
 from ik_toolkit.kernel import chain as chains
-from ik_toolkit.kernel.chain import evaluate, levers, run, segments, without_limits, without_wrap
+from ik_toolkit.kernel.chain import evaluate, joint_levers, poses_at, segments, without_limits, without_wrap
 from ik_toolkit.kernel.records import POINTS, Ends
 from ik_toolkit.kernel.starts import SEEDS
 
@@ -19,14 +19,14 @@ def test_poses_and_jacobians_of_a_chain(kinds):
     rng = np.random.default_rng(len(kinds))
     chain, rows, base, tip = arms.arm(rng, kinds)
     Q = rng.uniform(chain.lower, chain.upper, (4, chain.n))
-    for way in (run, evaluate):
+    for way in (poses_at, evaluate):
         T, J = way(chain.rows, chain.ends, Q, chain.unit, True)
         for q, pose, own in zip(Q, T, J, strict=True):
             np.testing.assert_allclose(pose, arms.fk(rows, base, tip, q)[0], atol=1e-13)
             np.testing.assert_allclose(own, arms.jacobian(rows, base, tip, q), atol=2e-9)
         assert way(chain.rows, chain.ends, Q, chain.unit)[1].shape[0] == 0
     D = np.empty((4, len(rows)))
-    levers(chain.rows, chain.ends, Q, chain.unit, D)
+    joint_levers(chain.rows, chain.ends, Q, chain.unit, D)
     for q, row in zip(Q, D, strict=True):
         pose, frames = arms.fk(rows, base, tip, q)
         want = [np.linalg.norm(np.cross(F[:3, 2], pose[:3, 3] - F[:3, 3])) for F in frames]
@@ -88,7 +88,7 @@ def test_where_starts_are_drawn():
     upper = np.array([3.0, np.inf, 1.0, np.inf, 2e4, np.inf, 0.0, 2e4])
     slides = np.array([False, False, False, False, False, True, False, False])
     turns = np.array([False, True, False, False, True, False, True, False])
-    low, high = chains.box(lower, upper, slides, turns)
+    low, high = chains.start_range(lower, upper, slides, turns)
     p = math.pi
     np.testing.assert_allclose(low, [-1.0, -p, 1.0 - 2 * p, 2.0, -p, -1.0, -2 * p, -2e4])
     np.testing.assert_allclose(high, [3.0, p, 1.0, 2.0 + 2 * p, p, 1.0, 0.0, 2e4])

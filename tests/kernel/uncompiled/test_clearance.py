@@ -20,14 +20,14 @@ def scene(rng, E=4, S=3, n=5):
     by_a = np.array([[1, 1, 1, 1], [1, 1, 0, 0], [0, 0, 1, 1]], bool)[:, :E]
     by_b = np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]], bool)[:, :E]
     by_a[2, 3] = False
-    return V, coordinates, middle, radius, a, b, by_a, by_b
+    return clearance.Bodies(V, coordinates, middle, radius, a, b, by_a, by_b)
 
 
 def test_levers_grow_with_what_later_joints_can_do():
     rng = np.random.default_rng(0)
-    V, coordinates, middle, radius, a, b, by_a, by_b = scene(rng)
+    V, coordinates, middle, radius, a, b, by_a, by_b = parts = scene(rng)
     way, out, spread = rng.uniform(0.0, 1.0, 5), np.full((3, 4), 9.0), np.full(3, 9.0)
-    clearance.levers(V, coordinates, middle, radius, a, b, by_a, by_b, way, out, spread)
+    clearance.levers(parts, way, out, spread)
     want, total = np.zeros((3, 4)), np.zeros(3)
     for p in range(3):
         for s, moved in ((a[p], by_a[p]), (b[p], by_b[p])):
@@ -44,7 +44,7 @@ def test_levers_grow_with_what_later_joints_can_do():
 
 def test_half_planes_let_pairs_brake():
     rng = np.random.default_rng(1)
-    V, coordinates, _, _, _, _, by_a, by_b = scene(rng)
+    V, coordinates, _, _, _, _, by_a, by_b = parts = scene(rng)
     n, slope, step, share, flat = 5, 4.0, 0.05, 0.2, 1e-6
     for gap in ([0.3, 0.02, 1.0], [-0.1, 0.5, 0.001], [0.0, 0.2, 9.0]):
         ks, points = np.array([2, 0, 1]), rng.normal(size=(3, 2, 3))
@@ -53,9 +53,8 @@ def test_half_planes_let_pairs_brake():
             by_a[1], by_b[1] = False, False  # this pair moves with no joint
         A, b, order = np.full((3, n), 9.0), np.full(3, 9.0), np.full(3, -9)
         for h in (step, 0.5):
-            count = clearance.rows(
-                V, coordinates, by_a, by_b, ks, points, gap, rate, deceleration, slope, h, share, flat, A, b, order
-            )
+            facing, rules = clearance.Facing(ks, points, gap), clearance.Approach(slope, h, share, flat)
+            count = clearance.rows(parts, facing, rate, deceleration, rules, clearance.HalfPlanes(A, b, order))
             want = []
             for r, k in enumerate(ks):
                 first, second = points[r]
@@ -76,9 +75,8 @@ def test_half_planes_let_pairs_brake():
             np.testing.assert_array_equal(order[:count], [w[1] for w in want])
             np.testing.assert_allclose(A[:count], [w[2] for w in want], rtol=1e-12, atol=1e-14)
             np.testing.assert_allclose(b[:count], [w[3] for w in want], rtol=1e-12)
-    few = clearance.rows(
-        V, coordinates, by_a, by_b, ks, points, gap, rate, deceleration, slope, step, share, flat, A[:1], b[:1], order
-    )
+    planes = clearance.HalfPlanes(A[:1], b[:1], order)
+    few = clearance.rows(parts, facing, rate, deceleration, rules._replace(step=step), planes)
     assert few == 1 and order[0] == want[0][1]
 
 
@@ -91,8 +89,8 @@ def test_ways_bend_by_the_second_order():
         for e in range(5)
         if moved[e]
     )
-    assert clearance.bend(turn, lever, moved, length) == pytest.approx(want)
-    assert clearance.bend(turn, lever, ~moved, length) < want + 9.0
+    assert clearance.second_order_motion(turn, lever, moved, length) == pytest.approx(want)
+    assert clearance.second_order_motion(turn, lever, ~moved, length) < want + 9.0
 
 
 def straight(speed, pieces, h, n=1):
@@ -108,17 +106,19 @@ def test_a_slide_is_free_until_it_has_used_up_its_distance():
     by_a, by_b = np.array([[True], [False], [False]]), np.array([[False], [True], [True]])
     levers = np.ones((3, 1))
     Q, R, L = straight(1.0, pieces, h)
-    pairs, path = (V, coordinates, middle, radius, a, b, by_a, by_b, ks), (levers, Q, R, L, 1.0, h)
+    parts = clearance.Bodies(V, coordinates, middle, radius, a, b, by_a, by_b)
+    path = clearance.BrakingPath(Q, R, L, 1.0, h)
     flat = np.zeros((3, 3))  # not convex: the length of the way counts, whichever way it leads
     for start in (0.0, 1.5):
         out, near = np.empty(3), start + 1.7
         normals = np.array([[1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
-        clearance.free_until(*pairs, normals, np.full(3, 0.17), *path, start, out)
+        toward = clearance.Separation(ks, normals, np.full(3, 0.17))
+        clearance.free_until(parts, toward, levers, path, start, out)
         assert near - 1 / 32 <= out[0] <= near  # the first towards the second
         assert out[1] == pieces and near - 1 / 32 <= out[2] <= near  # the second along its normal, and against it
-        clearance.free_until(*pairs, flat, np.full(3, 0.17), *path, start, out)
+        clearance.free_until(parts, toward._replace(normals=flat), levers, path, start, out)
         assert np.all((near - 1 / 32 <= out) & (out <= near))
-        clearance.free_until(*pairs, flat, np.full(3, 9.0), *path, start, out)
+        clearance.free_until(parts, clearance.Separation(ks, flat, np.full(3, 9.0)), levers, path, start, out)
         np.testing.assert_array_equal(out, pieces)
 
 
@@ -143,31 +143,13 @@ def test_nothing_comes_closer_than_it_may_where_it_is_called_free(gamma):
         if trial % 3 == 0:
             by_a, by_b = by_b, by_a
         out, spread, until = np.empty((1, n)), np.empty(1), np.empty(1)
-        clearance.levers(V, coordinates, middle, radius, a, b, by_a, by_b, L[-1], out, spread)
+        parts = clearance.Bodies(V, coordinates, middle, radius, a, b, by_a, by_b)
+        clearance.levers(parts, L[-1], out, spread)
         normal = rng.normal(size=3)
         normal /= np.linalg.norm(normal)
         distance = rng.choice([0.02, 0.1, 0.3])
-        clearance.free_until(
-            V,
-            coordinates,
-            middle,
-            radius,
-            a,
-            b,
-            by_a,
-            by_b,
-            ks,
-            normal[None],
-            np.array([distance]),
-            out,
-            Q,
-            R,
-            L,
-            gamma,
-            h,
-            0.0,
-            until,
-        )
+        pairs = clearance.Separation(ks, normal[None], np.array([distance]))
+        clearance.free_until(parts, pairs, out, clearance.BrakingPath(Q, R, L, gamma, h), 0.0, until)
         tight += 0.0 < until[0] < last
         worst = {}
         for u in np.linspace(0.0, last, 4 * last + 1):

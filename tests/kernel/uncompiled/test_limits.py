@@ -280,7 +280,7 @@ def test_random_numbers_are_those_of_xorshift64star():
     rng = np.random.default_rng(0)
     for a, b in rng.integers(0, 2**63, (50, 2)):
         assert (
-            int(starts.product(np.uint64(2 * int(a) + 1), np.uint64(2 * int(b) + 1)))
+            int(starts.product_64(np.uint64(2 * int(a) + 1), np.uint64(2 * int(b) + 1)))
             == (2 * int(a) + 1) * (2 * int(b) + 1) % 2**64
         )
 
@@ -296,7 +296,7 @@ def test_the_nearest_entries_of_a_table():
         goal = np.array([*R[5].ravel(), *rng.normal(size=3)])
         score, val = np.empty(count, np.float32), np.empty(8, np.float32)
         best = np.empty(8, np.int64)
-        starts.nearest(feat, goal, wp, wr, score, val, best)
+        starts.nearest_seeds(feat, goal, wp, wr, score, val, best)
         want = wp * (((T - goal[9:]) ** 2).sum(1) - goal[9:] @ goal[9:]) - wr * 0.1 * (R.reshape(count, 9) @ goal[:9])
         np.testing.assert_allclose(score, want, atol=1e-5)
         groups = {int(g): int(g + 8 * np.argmin(want[g::8])) for g in range(8)}

@@ -94,9 +94,9 @@ def test_starts_of_several_tips():
         arrived=lambda f: False,
     )
     q = np.zeros(4)
-    tree_starts.begin_by_tips(p, table, 0, q)
+    tree_starts.begin_each_tip(p, table, 0, q)
     np.testing.assert_array_equal(q, [seeds[5, 0], -1.0, seeds[5, 2], -1.0])
-    tree_starts.begin_by_tips(p, table, 1, q)
+    tree_starts.begin_each_tip(p, table, 1, q)
     np.testing.assert_array_equal(q, [seeds[3, 0], -1.0, seeds[3, 2], -1.0])
     for k, near, kept in ((1, (), []), (1, (0,), [0, 1, 2]), (4, (0,), []), (3, (1,), [1, 2])):
         p.arrived = lambda f, near=near: f in near

@@ -125,18 +125,18 @@ def test_poses_are_brought_back_onto_their_targets():
     weights = np.ones(chain.n)
     weights[2] = 0.0
     box = box_of(chain.lower / chain.unit, chain.upper / chain.unit)
-    for way in (lambda: smoothing.bring_back(p, weights, box), lambda: null_space.correct(p, weights, box)):
+    for enough in (smoothing.ARRIVED, 0.0):
         p.desk.q[:] = q / chain.unit + 0.05 * rng.normal(size=chain.n)
         kept = p.desk.q[2]
-        e = way()
-        assert e.good and p.desk.q[2] == kept
+        e = null_space.onto_target(p, weights, box, enough)
+        assert e.good and e.ee <= (enough or 1.0) and p.desk.q[2] == kept
         pose = arms.fk(rows, base, tip, p.desk.q * chain.unit)[0]
         np.testing.assert_allclose(pose, T, atol=3e-9)
     p.desk.q[:] = q / chain.unit
-    assert smoothing.bring_back(p, weights, box).ee <= 1e-24
+    assert null_space.onto_target(p, weights, box, 1e-24).ee <= 1e-24
     near = box_of(q / chain.unit - 0.03, q / chain.unit + 0.03)
     p.desk.q[:] = q / chain.unit + np.clip(0.05 * rng.normal(size=chain.n), -0.03, 0.03)
-    smoothing.bring_back(p, np.ones(chain.n), near)
+    null_space.onto_target(p, np.ones(chain.n), near, 0.0)
     assert np.all(np.abs(p.desk.q - q / chain.unit) <= 0.03 + 1e-15)
     out = np.array([0.5, -0.5, 0.0])
     null_space.move(out, np.array([1.0, -1.0, 1.0]), 0.5, box_of([-0.7] * 3, [0.7] * 3))
@@ -268,7 +268,7 @@ def test_a_path_gets_smooth_and_keeps_its_poses():
     noise[[0, 4, -1]] = 0.0
     Q, good = goals + noise, np.zeros(N, bool)
     pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(POSE)), *np.ones(n)])
-    smoothing.settle(chain.rows, chain.ends, T, Q, pack, good)
+    smoothing.settle_rows(chain.rows, chain.ends, T, Q, pack, good)
     assert good.all()
     for k in range(N):
         np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)

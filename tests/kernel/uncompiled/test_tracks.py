@@ -51,7 +51,7 @@ def test_solutions_are_carried_along_poses():
         poses = T.copy()
         if broken is not None:
             poses[broken, :3, 3] += 9.0
-        continuation.extend(
+        continuation.carry_along(
             chain.rows,
             chain.ends,
             poses,
@@ -145,7 +145,7 @@ def test_the_program_over_tracks(seed):
     counts, costs = np.zeros((N, K), int), np.zeros((N, K))
     parents, prior = np.full((N, K), 99), np.full(N, 99)
     args = (Q, span, state, most, endless, price, begin, toll, blocked, 0)
-    shortest_path.link(*args, 0, counts, costs, parents, prior)
+    shortest_path.link_layers(*args, 0, counts, costs, parents, prior)
     wanted, paid = best_path(Q, span, state, most, endless, price, begin, toll, blocked)
     alive = state != shortest_path.DEAD
     np.testing.assert_array_equal(counts[alive], wanted[alive])
@@ -166,7 +166,7 @@ def test_the_program_over_tracks(seed):
         more = [v.copy() for v in (counts, costs, parents, prior)]
         for v in more:
             v[first:] = 77
-        shortest_path.link(*args, first, *more)
+        shortest_path.link_layers(*args, first, *more)
         for one, other in zip(more, (counts, costs, parents, prior), strict=True):
             np.testing.assert_array_equal(
                 one[first:][alive[first:]] if one.ndim > 1 else one,
@@ -178,5 +178,8 @@ def test_where_keys_begin():
     keys = np.array([-1.0, 0.0, 0.0, 2.0, 9.0])
     for low, place in ((-2.0, 0), (-1.0, 0), (-0.5, 1), (0.0, 1), (0.1, 3), (2.0, 3), (3.0, 4), (3.5, 4)):
         assert shortest_path.window(keys, 4, low) == place
-    assert shortest_path.turned(4.0, 1.0) == pytest.approx(4.0 - 2 * math.pi) and shortest_path.turned(4.0, 0.0) == 4.0
-    assert shortest_path.turned(-3.1, 1.0) == -3.1
+    assert (
+        shortest_path.shortest_difference(4.0, 1.0) == pytest.approx(4.0 - 2 * math.pi)
+        and shortest_path.shortest_difference(4.0, 0.0) == 4.0
+    )
+    assert shortest_path.shortest_difference(-3.1, 1.0) == -3.1

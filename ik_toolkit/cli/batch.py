@@ -1,0 +1,270 @@
+"""`ik solve ROBOT --targets FILE`: many targets from a CSV or NPZ file, their solutions to a CSV, NPZ or Parquet file."""
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Any, NoReturn
+
+import numpy as np
+import typer
+
+from ..errors import InvalidOption, MissingExtra
+from ..files import PARTIAL, WholeFile, inert
+from ..robot.pose_files import Convention, read_poses
+from ..solvers.batch.result import BatchCheckFailed, BatchInterrupted, BatchResult
+from ..solvers.batch.solve_batch import solve_batch, solve_parts
+from ..solvers.status import Status
+from .output import facts, notice, progress, show, write_json
+from .streams import uninterrupted
+
+OUTPUTS = (".csv", ".npz", ".parquet")
+FAILED = ".failed"
+
+
+def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Columns of a table of solutions, by name: joints [rad or m], status and errors [m, rad], counts."""
+    words = {int(status): status.name for status in Status}
+    statuses = np.array([words.get(k, "") for k in range(max(words) + 1)])
+    columns = dict(zip(names, part.q.T, strict=True)) | {"status": statuses[part.status]}
+    rest = part.to_dict()
+    return columns | {name: rest[name] for name in rest if name not in ("q", "status", "success")}
+
+
+class Writer:
+    """What writes the parts of a batch to `file`; joints are called `names`."""
+
+    def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
+        """Nothing is written yet."""
+        self.file, self.names = file, names
+        self.table: Any = None  # from the first part on, where a file has one
+
+    def close(self) -> None:
+        """Write what is still missing: nothing."""
+
+
+class CsvWriter(Writer):
+    """Appends parts to a CSV file, numbers written so that they read back the same."""
+
+    def add(self, part: BatchResult) -> None:
+        """Append a part, whole or not at all."""
+        columns = _columns(part, self.names)
+        lines = io.StringIO()
+        writer = csv.writer(lines)
+        if self.table is None:
+            writer.writerow(map(inert, columns))
+        self.table = writer
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+        self.file.write(lines.getvalue())
+
+
+class NpzWriter(Writer):
+    """Writes the one part of a batch that is in memory, and of several tips their names in order."""
+
+    def add(self, part: BatchResult) -> None:
+        """Write the arrays."""
+        robot = part.plan.robot
+        tips: dict[str, Any] = {"tips": np.array(robot.tips)} if robot.by_tip else {}
+        np.savez(self.file.stream, **part.to_dict(), joint_names=np.array(self.names), **tips)
+        self.file.mark()
+
+
+class ParquetWriter(Writer):
+    """Appends parts to a Parquet file as row groups."""
+
+    def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
+        """Write to `file`. Raises InvalidOption without pyarrow."""
+        super().__init__(file, names)
+        try:
+            import pyarrow  # pyright: ignore[reportMissingImports]
+            import pyarrow.parquet  # pyright: ignore[reportMissingImports]
+        except ImportError:
+            raise InvalidOption("a .parquet file needs pyarrow, which is not installed; use .csv or .npz") from None
+        self.arrow = pyarrow
+
+    def add(self, part: BatchResult) -> None:
+        """Append a part."""
+        table = self.arrow.table(_columns(part, self.names))
+        if self.table is None:
+            self.table = self.arrow.parquet.ParquetWriter(self.file.stream, table.schema)
+        self.table.write_table(table)
+
+    def close(self) -> None:
+        """Write the end, without which the file cannot be read."""
+        if self.table is not None:
+            self.table.close()
+            self.table = None
+            self.file.mark()
+
+
+class Solutions:
+    """Output file of a batch. `add` parts; leaving the `with` block without an exception gives the file its name.
+
+    Leaving it by an exception keeps the parts finished as NAME.partial and says so; `fail` keeps them as NAME.failed.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        """Open beside `path`. Raises InvalidOption, OSError."""
+        self.file = WholeFile(path)
+        self.count = 0
+        try:
+            suffix = path.suffix.lower()
+            self.writer = {".csv": CsvWriter, ".npz": NpzWriter, ".parquet": ParquetWriter}[suffix](self.file, names)
+        except BaseException:
+            self.file.drop()
+            raise
+
+    def add(self, part: BatchResult) -> None:
+        """Append a part."""
+        with self.file.named():  # errors of numpy and pyarrow name no file
+            self.writer.add(part)
+        self.count += len(part)
+
+    def fail(self) -> Path | None:
+        """Keep the parts as NAME.failed; returns that name."""
+        self.writer.close()
+        return self.file.keep(FAILED)
+
+    def __enter__(self) -> "Solutions":
+        """From here on parts are added."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
+        """Give the file its final name, by how the block ended."""
+        with uninterrupted():
+            if kind is None:
+                self.writer.close()
+                self.file.finish()
+            elif self.count and not self.file.stream.closed:
+                self._keep()
+            else:
+                self.file.drop()
+
+    def _keep(self) -> None:
+        try:
+            self.writer.close()
+        except OSError:  # the disk was full before; rows written completely are kept
+            pass
+        kept = self.file.keep(PARTIAL)
+        if kept is not None:
+            notice(f"partial: the first {self.count} solutions are in {kept}")
+
+
+# ---------------------------------------------------------------------------------------------------------- the command
+@contextmanager
+def _cluster(address: str | None) -> Iterator[Any]:
+    """Executor of a running Dask scheduler; Dask repeats lost tasks."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise MissingExtra("distributed", "cluster") from None
+    try:
+        client = Client(address, timeout=5)
+    except (OSError, ValueError) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InvalidOption(f"no Dask scheduler answers at '{address}': {said}") from None
+    with client:
+        yield client.get_executor(retries=3)
+
+
+class _Tally:
+    """Totals over the parts of a batch."""
+
+    def __init__(self) -> None:
+        self.done, self.solver = 0, ""
+        self.statuses: dict[str, int] = {}
+
+    def add(self, part: BatchResult) -> None:
+        for status, number in part.counts().items():
+            self.statuses[status] = self.statuses.get(status, 0) + number
+        self.done, self.solver = self.done + len(part), part.solver
+
+
+def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[str, Any], show_done: Any) -> _Tally:
+    """Solve and write all targets; parts as they come where the format takes parts."""
+    tally = _Tally()
+    parts: Iterator[BatchResult] = iter(())
+    many, interrupted = None, None
+    try:
+        if output.suffix.lower() == ".npz":
+            many = solve_batch(arm, targets, method, progress=show_done, **asked)
+        else:
+            parts = solve_parts(arm, targets, method, **asked)
+    except BatchInterrupted as stop:
+        many, interrupted = stop.result, stop
+    except BatchCheckFailed as failure:
+        _refuse(failure, Solutions(output, arm.joint_names))
+    with Solutions(output, arm.joint_names) as file:  # opened only once the options have been accepted
+        try:
+            for part in parts if many is None else iter([many]):
+                with uninterrupted():
+                    file.add(part)
+                    tally.add(part)
+                show_done(tally.done)
+        except BatchCheckFailed as failure:
+            _refuse(failure, file)
+        if interrupted is not None:
+            raise interrupted
+    return tally
+
+
+def _refuse(failure: BatchCheckFailed, file: Solutions) -> NoReturn:
+    """Report why a batch failed and where its answers are; exit code 1."""
+    file.add(failure.result)
+    failed = file.fail()
+    notice(f"ik: {failure}")
+    notice(f"the answers, all of them in doubt, are in {failed}")
+    raise typer.Exit(1)
+
+
+def solve_file(
+    arm: Any,
+    path: Path,
+    output: Path | None,
+    method: Any,
+    start: Any,
+    options: dict[str, Any],
+    *,
+    threads: int | None,
+    cluster: str | None,
+    given: Convention,
+    as_json: bool,
+) -> None:
+    """Solve all targets of a file and write their solutions; exit code 1 when any is not solved.
+
+    What is finished when Ctrl-C or SIGTERM comes is kept as NAME.partial. When Pinocchio does not confirm an answer, what there
+    is goes to NAME.failed, and the exit code is 1.
+    """
+    if output is None or output.suffix.lower() not in OUTPUTS:
+        raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
+    count, blocks = read_poses(path, "targets", given=given, tips=arm.tips if arm.by_tip else ())
+    targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
+    began = perf_counter()
+    with _cluster(cluster) as executor, progress("solving", count) as show_done:
+        asked: dict[str, Any] = {"q0": start, "threads": threads, "executor": executor, **options}
+        tally = _solve_into(output, arm, targets, method, asked, show_done)
+    done = tally.done
+    elapsed = perf_counter() - began
+    notice(f"wrote {output}")
+    solved = tally.statuses.get("CONVERGED", 0)
+    payload = {"robot": arm.name, "solver": tally.solver, "targets": done, "solved": solved, "statuses": tally.statuses}
+    payload |= {"tips": arm.tips} if arm.by_tip else {}
+    payload |= {"joint_names": arm.joint_names, "elapsed": elapsed, "output": output, "seed": options["seed"]}
+    write_json(payload, as_json)
+    if not as_json:
+        others = ", ".join(f"{number} {status}" for status, number in tally.statuses.items() if status != "CONVERGED")
+        rate = f"{elapsed:.3g} s, {done / elapsed:.3g} targets/s with reading and writing"
+        facing = {
+            "solved": f"{solved} of {done}",
+            "not solved": others or None,
+            "solver": tally.solver or None,
+            "time": rate,
+        }
+        show(facts(facing))
+    if solved < done:
+        raise typer.Exit(1)

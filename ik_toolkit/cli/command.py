@@ -1,0 +1,222 @@
+"""How a command of `ik` declares its options: fields of frozen records, each with its type, its default and its help."""
+
+import functools
+import importlib.util
+import inspect
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_type_hints
+
+import typer
+import typer.core
+
+from ..errors import IKError, InvalidOption, MissingExtra
+from ..text import numbers
+from .usage import UsageError, help_text, in_flags
+
+TIP = ("--tip", "--ee")  # two names of one option
+TARGET = ("xyz", "matrix")  # options that give a whole target
+MANY = "for many targets of one tip use ik solve --targets FILE, or ik path --poses FILE for one motion through them"
+PLOTS = (".png", ".pdf", ".svg")
+REQUIRED = MISSING  # default of an option or an argument that has to be given
+Record = TypeVar("Record")
+
+
+# ------------------------------------------------------------------------------------------------------------- records
+def option(
+    metavar: str,
+    meaning: str,
+    *names: str,
+    default: Any = None,
+    panel: str | None = None,
+    writes: Sequence[str] | None = None,
+) -> Any:
+    """Field of a record that is an option with a value; its name is the field's where none is given.
+
+    A metavar of several words or numbers, as X Y Z, makes it take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and
+    `--q "0.1 -0.2"` mean the same. panel: the group of the help, if not its record's. writes: it names a file to write, which
+    ends in one of these suffixes (none: in anything).
+    """
+    check = None if writes is None else writable(*writes)
+    return _field(default, typer.Option(*names, metavar=metavar, help=meaning, rich_help_panel=panel, callback=check))
+
+
+def flag(name: str, meaning: str, default: bool = False, panel: str | None = None, hidden: bool = False) -> Any:
+    """Field of a record that is an option without a value: --name, or --name/--no-name where it can be taken back."""
+    return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden))
+
+
+def argument(metavar: str, meaning: str, default: Any = REQUIRED) -> Any:
+    """Field of a record that is an argument."""
+    return _field(default, typer.Argument(metavar=metavar, help=meaning))
+
+
+def same(record: Any, name: str, default: Any = REQUIRED) -> Any:
+    """Field of a record that is the option of this name of another record, with its default or another one."""
+    (one,) = (one for one in fields(record) if one.name == name)
+    return field(default=one.default if default is REQUIRED else default, metadata=one.metadata)
+
+
+def _field(default: Any, info: Any) -> Any:
+    return field(default=default, metadata={"info": info})
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
+    """Make a class a frozen record of options, shown in this group of the help where a field does not name another.
+
+    A record that inherits from another leaves out an option of it by a field of that name that is plain None.
+    """
+
+    def make(cls: Any) -> Any:
+        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # what is not made here costs no time
+        for one in _declared(made):
+            info = one.metadata["info"]
+            info.rich_help_panel = info.rich_help_panel or panel or "Options"
+        return made
+
+    return make
+
+
+def _declared(record: Any) -> list[Any]:
+    """Fields of a record that are on the command line."""
+    return [one for one in fields(record) if "info" in one.metadata]
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """Make a function that takes records a command of `ik`: it is called with those that a command line comes to.
+
+    The help shows the options in the order of the records and their fields, then the function's docstring's examples.
+    """
+    records = get_type_hints(function)
+    records.pop("return", None)
+
+    @functools.wraps(function)
+    def run(**values: Any) -> None:
+        function(
+            **{name: cls(**{one.name: values[one.name] for one in _declared(cls)}) for name, cls in records.items()}
+        )
+
+    parameters = []
+    for record in records.values():
+        types = get_type_hints(record)
+        for one in _declared(record):
+            kind, info = inspect.Parameter.KEYWORD_ONLY, one.metadata["info"]
+            default = inspect.Parameter.empty if one.default is MISSING else one.default
+            annotation = Annotated[types[one.name], info]
+            parameters.append(inspect.Parameter(one.name, kind, default=default, annotation=annotation))
+    run.__annotations__ = {one.name: one.annotation for one in parameters}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.is_command = True  # type: ignore[attr-defined]
+    return run
+
+
+def add_commands(app: typer.Typer, module: Any) -> None:
+    """Add the commands of a module to a program."""
+    for one in vars(module).values():
+        if getattr(one, "is_command", False) and one.__module__ == module.__name__:
+            said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")  # -OO leaves out docstrings
+            app.command(cls=Command, help=said, epilog=inspect.cleandoc(examples))(one)
+
+
+# --------------------------------------------------------------------------------------------------------------- files
+def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
+    """A function that returns a file to write, or None, unchanged, and reports foreseeable mistakes before the work starts."""
+
+    def check(file: Path | None) -> Path | None:
+        if file is None:
+            return None
+        if suffixes and file.suffix.lower() not in suffixes:
+            raise InvalidOption(f"'{file}' must end in {' or '.join(suffixes)}")
+        if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
+            raise MissingExtra("matplotlib", "plots")
+        if file.is_dir():
+            raise InvalidOption(f"'{file}' is a folder, not a file")
+        if not file.parent.is_dir():
+            raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
+        for place in (file, Path(os.path.realpath(file)).parent):  # it is written next to its place and renamed
+            if place.exists() and not os.access(place, os.W_OK):
+                raise InvalidOption(f"cannot write '{file}': no permission")
+        return file
+
+    return check
+
+
+def _same_file(one: str | Path, other: str | Path) -> bool:
+    """Whether two names mean one file, existing or not: also through links, or by case where case is ignored."""
+    if os.path.exists(one) and os.path.exists(other):
+        return os.path.samefile(one, other)
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+# ------------------------------------------------------------------------------------------------------------- parsing
+class Command(typer.core.TyperCommand):
+    """A command that refuses several tips where it takes one, an output that it also reads, and two outputs to one file."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments. Raises InvalidOption."""
+        several = {name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts}
+        args = _joined(args, several)
+        given = {word.partition("=")[0] for word in args}
+        if "--group" in given and given.intersection(TIP):
+            raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
+        tips = sum(word.partition("=")[0] in TIP for word in args)
+        if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):  # the last would count
+            raise InvalidOption(
+                f"{ctx.command_path} takes one tip and {' or '.join(TIP)} names {tips}; choose one of them"
+            )
+        for one in self.params:
+            if one.name in TARGET and sum(word.partition("=")[0] in one.opts for word in args) > 1:
+                raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
+        try:
+            return super().parse_args(ctx, args)
+        except UsageError as error:
+            error.ctx = ctx  # type: ignore[attr-defined]  # a missing value comes without: whose help to see
+            raise
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help."""
+        formatter.write(help_text(self, ctx))
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command. Raises InvalidOption."""
+        written = [ctx.params[one.name] for one in self.params if one.callback and ctx.params.get(one.name)]
+        for k, output in enumerate(written):
+            if any(_same_file(output, other) for other in written[:k]):
+                raise InvalidOption(f"two results cannot be written to one file, '{output}'")
+        for value in ctx.params.values():
+            for word in value if isinstance(value, list | tuple) else [value]:
+                if not isinstance(word, str | Path) or any(word is output for output in written):
+                    continue
+                read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # SOLVER=PRESET
+                for output in written:
+                    if os.path.isfile(read) and _same_file(output, read):
+                        raise InvalidOption(
+                            f"'{output}' would overwrite '{read}', which is an input; choose another name"
+                        )
+        try:
+            return super().invoke(ctx)
+        except IKError as error:
+            error.args = (in_flags(str(error), self), *error.args[1:])
+            raise
+
+
+def _joined(words: Sequence[str], several: set[str]) -> list[str]:
+    """Join the numbers that follow one of these options into one argument (the parser takes one, and reads -1 as an option)."""
+    joined: list[str] = []
+    collecting = False
+    for position, word in enumerate(words):
+        if word == "--":
+            return [*joined, *words[position:]]
+        if collecting and joined[-1].endswith("="):  # the first of them, which may begin with TIP:
+            joined[-1] += word
+            continue
+        if collecting and numbers(word):
+            joined[-1] += f",{word}"
+            continue
+        after = words[position + 1] if position + 1 < len(words) else ""
+        collecting = word in several and numbers(after.rpartition(":")[2]) is not None
+        joined.append(f"{word}=" if collecting else word)
+    return joined

@@ -1,0 +1,306 @@
+"""The options that several commands share: the robot, what counts of a target, collisions, tolerances, output."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption
+from ..text import numbers, vector
+from .command import TIP, argument, flag, option, options
+from .output import turns
+
+OBSTACLES = {  # numbers of an obstacle, and how many of them are its size
+    "box": ("x,y,z,sx,sy,sz[,roll,pitch,yaw]", 3),
+    "sphere": ("x,y,z,radius", 1),
+    "cylinder": ("x,y,z,radius,length[,roll,pitch,yaw]", 2),
+}
+
+
+# -------------------------------------------------------------------------------------------------------------- output
+@options("Output")
+class JsonOutput:
+    """What is printed."""
+
+    as_json: bool = flag("--json", "Print one JSON object, always in metres and radians.")
+
+
+@options("Output")
+class TableOutput(JsonOutput):
+    """What is printed, and a table that is written."""
+
+    csv_file: Path | None = option("FILE", "Write the table to a .csv.", "--csv", writes=[".csv"])
+
+
+@options("Output")
+class ObjectOutput(JsonOutput):
+    """What is printed and written."""
+
+    output: Path | None = option("FILE", "Also write the JSON object to a file.", "-o", "--output", writes=[])
+
+
+@options("Output")
+class SceneOutput(JsonOutput):
+    """What is printed and shown in 3-D."""
+
+    html: Path | None = option(
+        "FILE", "Write the scene as one HTML file that needs no network.", "--html", writes=[".html", ".htm"]
+    )
+    live: bool = flag("--view", "Show the robot in 3-D in the browser, until Ctrl-C.")
+
+
+# --------------------------------------------------------------------------------------------------------------- robot
+@options("Robot")
+class RobotOptions:
+    """Which robot, which tips, how it stands and how its description is read."""
+
+    robot: str = argument("ROBOT", "Robot name (see ik robots), or path of a URDF, xacro or MJCF file.")
+    tip: list[str] | None = option(
+        "FRAME", "Tip: a frame, link or joint; repeat to solve for several tips together.", *TIP
+    )
+    base: str | None = option("FRAME", "Base frame of targets and poses; default: the root link.")
+    base_xyz: str | None = option(
+        "X Y Z", "Where the robot's root stands in the world [m]; targets and poses are then given in the world."
+    )
+    base_rpy: str | None = option("R P Y", "How it stands there: roll, pitch, yaw [rad].")
+    lock: list[str] | None = option("JOINT=VALUE", "Hold a joint at a value; may be repeated.")
+    limit: list[str] | None = option(
+        "JOINT:LOWER:UPPER",
+        "Narrow the limits of a joint [rad, m; degrees with --deg]; an end left empty stays; may be repeated.",
+    )
+    package_dir: list[str] | None = option("DIR", "Folder to search for package:// names.")
+    xacro_arg: list[str] | None = option("NAME:=VALUE", "Value of a xacro file's argument; may be repeated.")
+    srdf: str | None = option("FILE", "SRDF of the robot; default: the one next to its file (see ik info).")
+    group: str | None = option("NAME", "Group of the SRDF, which sets base and tips.")
+    deg: bool = flag("--deg", "Angles in degrees; lengths stay in metres.", panel="Output")
+
+    @property
+    def tips(self) -> str | list[str] | None:
+        """The tip of a Robot, or the tips of a Tree, where several are given."""
+        return self.tip[0] if self.tip and len(self.tip) == 1 else self.tip or None
+
+    def load(self, tips: str | list[str] | None, limits: bool = True) -> Any:
+        """Load the Robot (for a list of tips, or a group with several: the Tree) that the options describe."""
+        robot = self._read(tips)
+        if self.lock:
+            values = {}
+            for joint, text in assignments(self.lock, "--lock").items():
+                value = numbers(text)
+                if value is None or len(value) != 1:
+                    raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
+                values[joint] = self._value(robot, joint, value[0])
+            robot = robot.locked(values)
+        if not self.limit:
+            return robot
+        if not limits:
+            raise InvalidOption("--limit narrows limits that --no-limits leaves out; give one of them")
+        ranges = {}
+        for text in self.limit:
+            joint, *ends = text.rsplit(":", 2)
+            read: list[Any] = [numbers(end) or [] if end.strip() else [None] for end in ends]
+            if len(ends) != 2 or any(len(value) != 1 for value in read):
+                raise InvalidOption(f"--limit takes JOINT:LOWER:UPPER, two numbers or one of them, not '{text}'")
+            if joint in ranges:
+                raise InvalidOption(f"--limit names joint '{joint}' twice")
+            ranges[joint] = [x if x is None else self._value(robot, joint, x) for x, *_ in read]
+        return robot.narrowed(ranges)
+
+    def _value(self, robot: Any, joint: str, x: float) -> float:
+        """A joint's value as it is typed, in [rad, m]."""
+        return math.radians(x) if self.deg and not slides(robot, joint) else x
+
+    def _read(self, tip: str | list[str] | None) -> Any:
+        """The Robot or the Tree as its description has it."""
+        from ..robot.library import find
+        from ..robot.robot import Robot
+        from ..robot.tree import Tree
+
+        source, more = self.robot, {"base": self.base, "package_dirs": self.package_dir or (), "srdf": self.srdf}
+        more["xacro_args"] = assignments(self.xacro_arg, "--xacro-arg", ":=") or None
+        if self.base_xyz is not None or self.base_rpy is not None:
+            from ..robot.pose import pose
+
+            angles = vector(self.base_rpy or "0 0 0", "--base-rpy", 3)
+            place = vector(self.base_xyz or "0 0 0", "--base-xyz", 3)
+            more["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if self.deg else angles)
+        tips = find(source).tips
+        if self.group is None and tip is None and len(tips) > 1:
+            raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
+        if self.group is not None:
+            whole = Tree.load(source, group=self.group, **more)
+            return whole if isinstance(tip, list) or len(whole.tips) > 1 else whole.arms[0]
+        if isinstance(tip, list):
+            return Tree.load(source, tips=tip, **more)
+        try:
+            return Robot.load(source, tip=tip, **more)
+        except FrameNotFound as several:
+            if not several.tips:
+                raise
+            ends = FrameNotFound(str(several).partition(", or solve")[0] + "; ik info --list-tips shows all")
+            ends.tips = several.tips
+            raise ends from None
+
+    def choose_tips(
+        self, given: Any = None, relative: dict[str, str] | None = None, one: bool = False
+    ) -> str | list[str] | None:
+        """Tip of a Robot, or the tips of a Tree: those of --tip, else the robot's own, else those with a target.
+
+        given: targets by tip, None where there is no --target; relative: --relative; one: whether one target without a tip is
+        given. With --group, whose tips `load` takes, of a Robot where None is returned and there is one. Raises InvalidOption.
+        """
+        if self.group is not None:
+            return None if given is None else []
+        from ..robot.library import find
+
+        known, named = find(self.robot).tips, list(self.tip or ())
+        for k, tip in enumerate(named):
+            if tip in named[:k]:
+                raise InvalidOption(f"--tip gives '{tip}' twice")
+        if one and len(named) > 1:
+            raise InvalidOption(f"--xyz is for one tip; give {', '.join(named)} a --target TIP:X,Y,Z each")
+        if one and not named and len(known) > 1:
+            raise InvalidOption(
+                f"robot '{self.robot}' has {len(known)} tips; choose one with --tip: {', '.join(known)}; or leave out --xyz "
+                "and give a --target TIP:X,Y,Z for each (a tip without one is free)"
+            )
+        if given is None:
+            return named[0] if len(named) == 1 else named or (list(known) if len(known) > 1 else None)
+        if named:
+            return named
+        others = relative or {}
+        asked = list(dict.fromkeys([*given, *others, *others.values()]))
+        if len(known) > 1 and all(tip in known for tip in asked):
+            return list(known)
+        return [*(tip for tip in known if tip in asked), *(tip for tip in asked if tip not in known)]
+
+
+@options()
+class WholeRobot(RobotOptions):
+    """The robot with the limits that it has."""
+
+    limit: None = None
+
+
+@options("Robot")
+class OneTip(WholeRobot):
+    """The robot up to one tip."""
+
+    tip: str | None = option("FRAME", "Tip: a frame, link or joint; default: guessed from its name and reported.", *TIP)
+
+
+def slides(robot: Any, joint: str) -> bool:
+    """Whether a joint of the model (on the path or not) is prismatic."""
+    model = robot.model
+    return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")
+
+
+def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
+    """Joint values (n,) [rad or m] of an option, or of the configuration it names; None where it is not given.
+
+    Values of revolute joints are in degrees when `deg`.
+    """
+    if text is None:
+        return None
+    word = text.strip()
+    if word in robot.named or (
+        word[:1].isalpha() and len(word.replace(",", " ").split()) == 1 and numbers(word) is None
+    ):
+        return robot.named[word]
+    values = vector(text, name)
+    if len(values) != robot.n:
+        raise InvalidConfiguration(
+            f"{name} takes {robot.n} values, one per joint ({', '.join(robot.joint_names)}); got {len(values)}"
+        )
+    pairs = zip(values, robot.joint_kinds, strict=True)
+    return robot.check_q([math.radians(x) if deg and turns(kind) else x for x, kind in pairs], name)
+
+
+def solver_named(text: str) -> Any:
+    """A solver's name unchanged, or the class of FILE.py:CLASS. Raises InvalidOption."""
+    from ..solvers.registry import is_solver_file, solver_from_file
+
+    return solver_from_file(text) if is_solver_file(text) else text
+
+
+def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict[str, str]:
+    """Split NAME=VALUE arguments of an option. Raises InvalidOption when one has no '=' (or `mark`)."""
+    split = {}
+    for pair in pairs or ():
+        key, equals, value = pair.partition(mark)
+        if not (key and equals and (value or mark == ":=")):  # xacro's prefixes and suffixes are often empty
+            raise InvalidOption(f"{name} takes NAME{mark}VALUE, not '{pair}'")
+        split[key.strip()] = value.strip()
+    return split
+
+
+# ------------------------------------------------------------------------------------------------ tolerances, obstacles
+def given(record: Any) -> dict[str, Any]:
+    """Options of a record by name, only those given."""
+    return {name: value for name, value in vars(record).items() if value is not None}
+
+
+@options("Tolerances")
+class ToleranceOptions:
+    """How near is near enough."""
+
+    tolerance: float | None = option("TOL", "Position [m] and orientation [rad] tolerance; default 1e-6.")
+    position_tolerance: float | None = option("M", "Position tolerance [m].")
+    orientation_tolerance: float | None = option("RAD", "Orientation tolerance [rad].")
+
+
+@options("Files of poses")
+class FileOptions:
+    """In what a file gives its poses."""
+
+    length_unit: str | None = option("UNIT", "Unit of the positions in the file: m (default), cm, mm or in.")
+    euler: str | None = option(
+        "AXES",
+        "Axes about which three angles in the file turn one after another, such as zyx or zyz. Columns roll,pitch,yaw or "
+        "rx,ry,rz are about x, y and z; a,b,c are in order. Default: URDF's roll, pitch, yaw.",
+    )
+
+    def convention(self, deg: bool) -> Any:
+        """The convention for the reader of a file."""
+        from ..robot.pose_files import Convention
+
+        return Convention(self.length_unit or "m", deg, self.euler)
+
+
+@options("Collisions")
+class CollisionOptions:
+    """What must not be touched."""
+
+    avoid_collisions: bool = flag("--avoid-collisions", "Accept only solutions without self-collision.")
+    obstacle: list[str] | None = option(
+        "KIND:...",
+        "Obstacle to avoid, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
+        "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
+    )
+    margin: float | None = option("M", "Distance [m] below which parts count as touching. Implies --avoid-collisions.")
+
+    def read(self, arm: Any) -> dict[str, Any]:
+        """The option `avoid_collisions` of a call, or none; obstacles [m, rad] are placed in the base frame."""
+        if not self.obstacle and self.margin is None:
+            return {"avoid_collisions": True} if self.avoid_collisions else {}
+        from ..robot.geometry.collision import CollisionModel
+        from ..robot.pose import pose
+
+        model = CollisionModel(arm, margin=self.margin or 0.0)
+        for text in self.obstacle or ():
+            kind, _, rest = text.partition(":")
+            if kind not in OBSTACLES:
+                forms = " or ".join(f"{kind}:{form}" for kind, (form, _) in OBSTACLES.items())
+                raise InvalidOption(f"--obstacle takes {forms}; not '{text}'")
+            form, sizes = OBSTACLES[kind]
+            values = numbers(rest) or []
+            turned = len(values) == 6 + sizes and kind != "sphere"
+            if len(values) != 3 + sizes and not turned:
+                raise InvalidOption(f"--obstacle {kind}: takes {form}; got {len(values)} numbers in '{text}'")
+            place, size = pose(values[:3], rpy=values[-3:] if turned else None), values[3 : 3 + sizes]
+            if kind == "box":
+                model.add_box(size, place)
+            elif kind == "sphere":
+                model.add_sphere(size[0], place)
+            else:
+                model.add_cylinder(size[0], size[1], place)
+        return {"avoid_collisions": model}

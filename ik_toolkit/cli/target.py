@@ -1,0 +1,228 @@
+"""The options that give a target, of one tip or of several, and those that say what counts of it."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ..errors import InvalidOption, InvalidTarget
+from ..text import numbers, vector
+from .command import MANY, option, options
+from .options import joint_vector
+
+FORMS = (
+    "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
+)
+MATRIX = (12, 16)  # numbers of a pose's matrix (3, 4) or (4, 4)
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+@options("Target")
+class TargetOptions:
+    """Where the tip, or each tip, is to go."""
+
+    xyz: str | None = option("X Y Z", "Target tip position in the base frame [m].")
+    rpy: str | None = option("R P Y", "Target roll, pitch, yaw [rad] (Rz Ry Rx).")
+    quat_xyzw: str | None = option("X Y Z W", "Target orientation as a quaternion, real part last.")
+    quat_wxyz: str | None = option("W X Y Z", "Target orientation as a quaternion, real part first.")
+    matrix: str | None = option(
+        "M11 M12 ...", "Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz."
+    )
+    from_q: str | None = option(
+        "Q1 Q2 ...", "Target where the tip, or every tip, stands at these joint values; replaces --xyz."
+    )
+    targets: list[str] | None = option(
+        "TIP:X,Y,Z[,...]",
+        "Target of one of several tips solved together; repeat for each; replaces --xyz. A position, or a pose when "
+        "roll, pitch, yaw or a quaternion x y z w follow, or 12 or 16 numbers of a matrix. A tip without a target is free.",
+        "--target",
+    )
+    relative: list[str] | None = option(
+        "TIP:OTHER", "Read the target of TIP in the moving frame of the tip OTHER; may be repeated."
+    )
+    direction: list[str] | None = option(
+        "[TIP:]X Y Z", "Point --tip-axis in this direction; rotation about it is free."
+    )
+    tip_axis: list[str] | None = option("[TIP:]X Y Z", "Axis of the tip for --direction; default z.")
+
+    @property
+    def oriented(self) -> bool:
+        """Whether any of the options is given that turn the tip of --xyz."""
+        return any(one is not None for one in (self.rpy, self.quat_xyzw, self.quat_wxyz))
+
+    @property
+    def posed(self) -> bool:
+        """Whether any of the options that describe a single target is given."""
+        return self.xyz is not None or self.matrix is not None or self.oriented
+
+    def check(self) -> None:
+        """Raise InvalidOption for options that do not go together."""
+        if self.targets and self.posed:
+            raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
+        if self.relative and not self.targets:
+            raise InvalidOption("--relative is for several tips, with a --target for each")
+
+    def read(self, deg: bool) -> Any:
+        """Targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
+        return self._several(self.targets, deg) if self.targets else self._single(deg)
+
+    def _directions(self) -> tuple[Any, Any]:
+        """Directions and tip axes (3,) of --direction and --tip-axis, for all tips or by tip, or None."""
+        ways, axes = _vectors(self.direction, "--direction", 3), _vectors(self.tip_axis, "--tip-axis", 3)
+        if axes is not None and ways is None:
+            raise InvalidOption("--tip-axis says which axis --direction turns; give --direction too")
+        return ways, axes
+
+    def _single(self, deg: bool) -> Any:
+        """One target: (3,) when the orientation is free, (4, 4), or an AxisTarget."""
+        from ..robot.pose import pose
+
+        if self.matrix is not None:
+            if self.xyz is not None or self.oriented or self.direction is not None or self.tip_axis is not None:
+                raise InvalidOption("--matrix gives the whole pose; omit --xyz, the rotation options and --direction")
+            x = vector(self.matrix, "--matrix")
+            if len(x) not in MATRIX:
+                raise InvalidTarget(f"--matrix takes 12 or 16 numbers, row by row; got {len(x)}")
+            return _pose_of(x)
+        rpy, xyzw, wxyz = (
+            None if text is None else vector(text, name, size)
+            for text, name, size in (
+                (self.rpy, "--rpy", 3), (self.quat_xyzw, "--quat-xyzw", 4), (self.quat_wxyz, "--quat-wxyz", 4)
+            )
+        )  # fmt: skip
+        angles = [math.radians(x) for x in rpy] if rpy and deg else rpy
+        ways, axes = self._directions()
+        for name, one in (("--direction", ways), ("--tip-axis", axes)):
+            if isinstance(one, dict):
+                raise InvalidOption(f"{name} TIP:... goes with --target; for --xyz leave out the tip")
+        at = vector(self.xyz or "", "--xyz", 3)
+        return pose(at, rpy=angles, quat_xyzw=xyzw, quat_wxyz=wxyz, axis=axes or AXES["z"], direction=ways)
+
+    def _several(self, texts: Sequence[str], deg: bool) -> dict[str, Any]:
+        """Targets by tip of --target (see FORMS), --direction and --tip-axis."""
+        from ..robot.pose import pose
+
+        ways, axes = self._directions()
+        made: dict[str, Any] = {}
+        for text in texts:
+            tip, _, rest = text.rpartition(":")
+            x = numbers(rest) or []
+            if not tip or len(x) not in (3, 6, 7, *MATRIX):
+                raise InvalidTarget(f"--target takes {FORMS}, not '{text}'")
+            if tip in made:
+                raise InvalidTarget(f"--target gives '{tip}' twice; {MANY}")
+            rpy = [math.radians(a) if deg else a for a in x[3:]] if len(x) == 6 else None
+            way, axis = (one.get(tip) if isinstance(one, dict) else one for one in (ways, axes))
+            if len(x) not in MATRIX:
+                quat = x[3:] if len(x) == 7 else None
+                made[tip] = pose(x[:3], rpy=rpy, quat_xyzw=quat, axis=axis or AXES["z"], direction=way)
+            elif way:
+                raise InvalidTarget(
+                    f"--target {tip} is a whole pose, and --direction would turn it; give its x,y,z alone"
+                )
+            else:
+                made[tip] = _pose_of(x)
+        for name, one, others in (("--direction", ways, made), ("--tip-axis", axes, ways)):
+            for tip in one if isinstance(one, dict) else ():
+                if tip not in made or (isinstance(others, dict) and tip not in others):
+                    raise InvalidOption(
+                        f"{name} {tip}:... needs a {'--target' if tip not in made else '--direction'} of {tip}"
+                    )
+        return made
+
+    def reached(self, arm: Any, deg: bool) -> Any:
+        """Target of --from-q: the pose (4, 4) of the tip there, of several tips a dict by tip."""
+        at = arm.fk(joint_vector(arm, self.from_q, "--from-q", deg))
+        return {tip: T.homogeneous for tip, T in at.items()} if isinstance(at, dict) else at.homogeneous
+
+
+@options("What counts")
+class CountOptions:
+    """Which part of a target counts, for all tips or by tip."""
+
+    mask: list[str] | None = option(
+        "[TIP:]X Y Z RX RY RZ",
+        "Six error weights; 0 frees a coordinate. For all tips, or as TIP:... for one; may be repeated.",
+    )
+    slack: list[str] | None = option(
+        "[TIP:]X Y Z RX RY RZ",
+        "Six half widths within which the error is zero [m, rad; degrees with --deg]; inf frees a coordinate.",
+    )
+    free_turn: list[str] | None = option(
+        "[TIP:]X Y Z", "Axis of the tip about which it may rotate freely: x, y, z or a vector."
+    )
+    frame: list[str] | None = option("[TIP:]base|tip|target", "Axes of --mask and --slack.")
+
+    def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
+        """Options of a call, only those given; relative: --relative. Raises InvalidOption."""
+        turn = math.radians(1.0) if deg else 1.0
+        slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
+        axis = _by_tip(self.free_turn, "--free-turn", _axis)
+        options = {"mask": _vectors(self.mask, "--mask", 6), "slack": slack, "free_turn": axis}
+        options |= {"frame": _by_tip(self.frame, "--frame", str), "relative_to": relations(relative)}
+        return {name: value for name, value in options.items() if value is not None}
+
+
+def _by_tip(texts: Sequence[str] | None, name: str, read: Callable[[str], Any]) -> Any:
+    """Value of an option for all tips, or a dict by tip where it is given as TIP:VALUE; None where it is not given.
+
+    Raises InvalidOption when it is given twice for a tip, or both for all tips and for one.
+    """
+    found: dict[str, Any] = {}
+    for text in texts or ():
+        tip, _, value = text.rpartition(":")
+        if tip in found:
+            raise InvalidOption(f"{name} is given twice{f' for {tip}' if tip else ''}")
+        found[tip] = read(value)
+    if "" in found and len(found) > 1:
+        raise InvalidOption(f"{name} is given once for all tips, or as TIP:... for each of them")
+    return found.get("", found) if found else None
+
+
+def _vectors(texts: Sequence[str] | None, name: str, size: int, factors: Sequence[float] | None = None) -> Any:
+    """The same for an option that takes this many numbers, as tuples, each number times its factor."""
+    each = factors or (1.0,) * size
+    return _by_tip(
+        texts, name, lambda text: tuple(x * factor for x, factor in zip(vector(text, name, size), each, strict=True))
+    )
+
+
+def _axis(text: str) -> tuple[float, ...]:
+    """An axis of the tip: x, y, z or three numbers."""
+    return AXES.get(text.strip().lower()) or tuple(vector(text, "--free-turn", 3))
+
+
+def relations(texts: Sequence[str] | None) -> dict[str, str] | None:
+    """Tips by the tip whose target is given relative to them, of TIP:OTHER. Raises InvalidOption."""
+    found: dict[str, str] = {}
+    for text in texts or ():
+        tip, _, other = text.rpartition(":")
+        if not (tip and other):
+            raise InvalidOption(f"--relative takes TIP:OTHER (the target of TIP is a pose in OTHER), not '{text}'")
+        if tip in found:
+            raise InvalidOption(f"--relative is given twice for {tip}")
+        found[tip] = other
+    return found or None
+
+
+def _pose_of(x: Sequence[float]) -> Any:
+    """Pose (4, 4) of the numbers of its matrix (see MATRIX), row by row. Raises InvalidTarget."""
+    import numpy as np
+
+    from ..robot.pose import LAST, checked
+
+    return checked(np.reshape([*x, *(LAST if len(x) == MATRIX[0] else ())], (4, 4)))
+
+
+def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
+    """Targets as poses or positions in the base frame, where the tips stand at `poses` (dict by tip of pin.SE3)."""
+    import numpy as np
+
+    plain = getattr(target, "T_base_tip", target)
+    if not isinstance(plain, dict):
+        return plain
+    made = {tip: np.asarray(getattr(one, "T_base_tip", one)) for tip, one in plain.items()}
+    for tip, other in (relative or {}).items():
+        if tip in made:
+            T = poses[other]
+            made[tip] = T.act(made[tip]) if made[tip].ndim == 1 else T.homogeneous @ made[tip]
+    return made

@@ -1,0 +1,250 @@
+"""A smooth joint curve through the rows of a path, verified between them, and where it has to stop instead.
+
+The poses of a path are samples of a motion. Between them the tip may leave the straight chord, by the path tolerance or by
+the chords' own sagitta, which is how far an arc through the poses leaves them. So a cubic spline goes through the rows at the
+poses; where it leaves the chord by more, solved rows on an arc through the poses are inserted. Where that does not help, the
+motion stops at corners.
+"""
+
+import itertools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import MissingExtra
+from ..kernel.counted_error import FREE, POSITION
+from ..robot.joints import Joints
+from ..solvers.plan import Plan
+from ..solvers.task import counted_errors, relatives
+from .contact import find_contacts
+from .continuity import bounds, settle_between
+from .interpolate import interpolate_poses
+
+ROUNDS = 12  # rounds of inserting rows: each halves the amount by which corners are cut
+LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are merged
+FINE = 0.0125  # [rad, or reaches] by which a joint moves at most between two places at which a spline is looked at ...
+FEWEST, MOST = 4, 64  # ... with at least and at most so many of them from row to row
+CORNER = math.radians(
+    60.0
+)  # turn of the chords at a pose from which it is a corner, and not a sample of a smooth curve
+ARC = 1.25  # times the sagitta of an arc: how far a spline through the poses may leave their chords
+
+
+class Curve(NamedTuple):
+    """A spline, and what is proven of it.
+
+    knots (M,), cubics (4, M-1, n) between them, at (M,) the place of each knot among the poses; deviation [m], turn [rad]: bounds
+    on how far a tip leaves the chords; clearance [m].
+    """
+
+    knots: np.ndarray
+    cubics: np.ndarray
+    at: np.ndarray
+    deviation: float
+    turn: float
+    clearance: float
+
+
+def smooth_curve(plan: Plan, result: Any, allowed: np.ndarray, run: slice) -> Curve | None:
+    """A verified spline along a continuous piece of a path; None where none was found.
+
+    allowed (2, N-1): how far [m] and [rad] a tip may leave each chord. run: rows of the path's curve. Rows between the poses are
+    left out at first, and taken where that fails.
+    """
+    curve, at = result.curve[run], result.at[run]
+    ends = np.zeros(len(at), dtype=bool)
+    ends[[0, -1]] = True
+    for kept in ((at == np.round(at)) | ends, np.ones(len(at), dtype=bool)):
+        found = _fitted(plan, result, allowed, curve[kept], at[kept])
+        if found is not None or kept.all():
+            return found
+    return None
+
+
+def _fitted(plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at: np.ndarray) -> Curve | None:
+    """The spline through rows of a curve (M, n) at places (M,), with rows inserted where it is not yet near enough or free."""
+    curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
+    if len(curve) < 2:
+        return None
+    between = Arcs(result.targets, result.kinds)
+    for _ in range(ROUNDS):
+        made, broken = _judged(plan, result, allowed, curve, at)
+        if not broken.any():
+            return made
+        near = np.flatnonzero(broken | np.append(broken[1:], False) | np.append(False, broken[:-1]))
+        middle = 0.5 * (since[near + 1] + at[near + 1])
+        rows, good = settle_between(plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), between(middle))
+        if not good.all():
+            return None
+        since = np.insert(since, near + 1, since[near + 1])
+        since[near + 1 + np.arange(1, len(near) + 1)] = middle
+        curve, at, since = _distinct(np.insert(curve, near + 1, rows, axis=0), np.insert(at, near + 1, middle), since)
+    return None
+
+
+def _judged(
+    plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at: np.ndarray
+) -> tuple[Curve, np.ndarray]:
+    """The spline through rows (M, n), and between which of them (M-1,) it leaves the chords too far or touches."""
+    robot = plan.robot
+    knots = coordinate(curve, robot.chain.unit)
+    parts, knots, cubics = _subdivided(curve / robot.chain.unit, knots, _cubics(robot, curve, knots))
+    rows = np.vstack([cubics[3], curve[-1:]])
+    places = _places(plan, result, rows, at, parts)
+    sag = _sag(knots, cubics)
+    off, turned = bounds(plan, result.kinds, rows, places, result.targets, sag, _left(plan, result, rows, places))
+    chord = np.minimum(places[:-1], places[1:]).astype(int).clip(0, allowed.shape[1] - 1)
+    broken = (off > allowed[0][chord]) | (turned > allowed[1][chord])
+    clearance = math.inf
+    if result.collision is not None and not broken.any():
+        clearance, contacts, unproven = find_contacts(
+            result.collision, rows, np.arange(float(len(rows))), np.ones(len(rows) - 1, dtype=bool), sag
+        )
+        places_of = np.array([*(contact.place for contact in contacts), *unproven])
+        broken[np.minimum(places_of.astype(int), len(broken) - 1)] = True
+    made = Curve(knots, cubics, places, float(off.max()), float(turned.max()), clearance)
+    return made, np.add.reduceat(broken, np.append(0, np.cumsum(parts)[:-1])) > 0
+
+
+def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How many parts (M-1,) each interval of a spline is divided into; knots and cubics of the same spline with these parts."""
+    steps = np.abs(np.diff(curve, axis=0)).max(axis=1) / FINE
+    parts = np.clip(np.ceil(steps), FEWEST, MOST).astype(int)
+    k = np.repeat(np.arange(len(parts)), parts)
+    share = (np.arange(len(k)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[k]
+    x = (share * np.diff(knots)[k])[:, None]
+    a, b, c, d = cubics[:, k]
+    moved = np.array([a, 3.0 * a * x + b, (3.0 * a * x + 2.0 * b) * x + c, ((a * x + b) * x + c) * x + d])
+    return parts, np.append(knots[k] + x[:, 0], knots[-1]), moved
+
+
+def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """The place among the poses of each row (M,): the foot of the tips' positions on the chord between two rows of the curve."""
+    share = np.concatenate([np.arange(k) / k for k in parts] + [[1.0]])
+    k = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
+    ends = interpolate_poses(result.targets, at, result.kinds)[..., :3, 3]
+    chords, counted = np.diff(ends, axis=0), [kind != FREE for kind in result.kinds]
+    arms = list(zip(plan.robot.arms, plan.robot.places, strict=True))
+    poses = [arm.chain.forward(np.ascontiguousarray(rows[:, place]))[0] for arm, place in arms]
+    away = []
+    for pose, other in zip(poses, relatives(plan.robot, plan.options), strict=True):
+        own = pose if other < 0 else np.linalg.inv(poses[other]) @ pose
+        away.append(own[:, :3, 3])
+    gone = (np.stack(away, axis=1) - ends[k])[:, counted]
+    chords = chords[:, counted]
+    square = (chords**2).sum(axis=(1, 2))[k]
+    foot = np.divide((gone * chords[k]).sum(axis=(1, 2)), square, out=share.copy(), where=square > LEAST**2)
+    made = at[k] + foot.clip(0.0, 1.0) * np.diff(at)[k]
+    made[np.append(0, np.cumsum(parts))] = at
+    return np.maximum.accumulate(made)
+
+
+def _left(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """By how much [m] and [rad] (2, M-1) rows leave the tolerances of the poses at their places: the larger of both ends."""
+    goals, o = interpolate_poses(result.targets, at, result.kinds), plan.options
+    left = np.zeros((2, len(rows)))
+    for k, (q, goal) in enumerate(zip(rows, goals, strict=True)):
+        errors = counted_errors(plan.robot, q, goal, result.kinds, o)
+        left[:, k] = np.max([(position, angle or 0.0) for position, angle in errors], axis=0)
+    left = np.maximum(left - [[o.position_tolerance], [o.orientation_tolerance]], 0.0)
+    return np.maximum(left[:, 1:], left[:, :-1])
+
+
+def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
+    """At which poses (N,) of T (N, F, 4, 4) the chords of a tip turn by more than CORNER; ends are none."""
+    found = np.zeros(len(T), dtype=bool)
+    for f, kind in enumerate(kinds):
+        chords = np.diff(T[:, f, :3, 3], axis=0)
+        if kind != FREE and len(chords) > 1:
+            across = np.linalg.norm(np.cross(chords[:-1], chords[1:]), axis=1)
+            angle = np.arctan2(across, (chords[:-1] * chords[1:]).sum(axis=1))
+            found[1:-1] |= angle > CORNER
+    return found
+
+
+def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
+    """How far [m] and [rad] (2, N-1) an arc through the poses T (N, F, 4, 4) leaves each chord; corners are no part of an arc."""
+    found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)
+    for f, kind in enumerate(kinds):
+        if kind == FREE or len(T) < 3:
+            continue
+        turns = np.zeros((len(T) - 1, 3))
+        if kind != POSITION:
+            turns = np.array([pin.log3(a.T @ b) for a, b in zip(T[:-1, f, :3, :3], T[1:, f, :3, :3], strict=True)])
+        for row, moves in zip(found, (np.diff(T[:, f, :3, 3], axis=0), turns), strict=True):
+            bend = np.append(np.append(0.0, np.linalg.norm(np.diff(moves, axis=0), axis=1)), 0.0)
+            bend[corner] = 0.0
+            np.maximum(row, ARC * 0.125 * np.maximum(bend[:-1], bend[1:]), out=row)
+    return found
+
+
+class Arcs:
+    """Poses on smooth curves through poses T (N, F, 4, 4): cubic splines from corner to corner, straight between two corners."""
+
+    def __init__(self, T: np.ndarray, kinds: tuple) -> None:
+        """Find the corners."""
+        self.T, self.kinds = T, kinds
+        self.ends = np.unique([0, *np.flatnonzero(corners(T, kinds)), len(T) - 1])
+
+    def __call__(self, at: np.ndarray) -> np.ndarray:
+        """Poses (M, F, 4, 4) at places (M,)."""
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        made = interpolate_poses(self.T, at, self.kinds)
+        for a, b in itertools.pairwise(self.ends.tolist()):
+            some = np.flatnonzero((at >= a) & (at <= b))
+            for f, kind in enumerate(self.kinds) if b - a > 1 and len(some) else ():
+                if kind == FREE:
+                    continue
+                part = self.T[a : b + 1, f]
+                way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(part[:, :3, 3], axis=0), axis=1) + LEAST))
+                u = np.interp(at[some], np.arange(a, b + 1), way)
+                made[some, f, :3, 3] = CubicSpline(
+                    way, part[:, :3, 3], bc_type="not-a-knot" if b - a > 2 else "natural"
+                )(u)
+                if kind != POSITION:
+                    made[some, f, :3, :3] = RotationSpline(way, Rotation.from_matrix(part[:, :3, :3]))(u).as_matrix()
+        return made
+
+
+def _distinct(curve: np.ndarray, at: np.ndarray, since: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, their places, and the places where the motion to them begins, without rows equal to the one before."""
+    moved = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
+    return curve[moved], at[moved], since[moved]
+
+
+def coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Path length in joint space up to each row."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)))
+
+
+def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Coefficients (4, M-1, n) of the cubic spline through the rows of a curve (M, n), bent at its ends as it is beside them.
+
+    A joint that would overshoot its limits gets the monotone spline, which stays between neighbouring rows.
+    """
+    try:
+        from scipy.interpolate import CubicSpline, PchipInterpolator
+    except ImportError:
+        raise MissingExtra("scipy", "paths") from None
+    cubics = CubicSpline(knots, curve, bc_type="not-a-knot" if len(curve) > 3 else "natural").c
+    a, b, c, d = cubics
+    with np.errstate(divide="ignore", invalid="ignore"):  # turning points: the roots of 3 a x^2 + 2 b x + c
+        root = np.sqrt(b * b - 3.0 * a * c)
+        turning = np.nan_to_num([(-b - root) / (3.0 * a), (-b + root) / (3.0 * a), -0.5 * c / b])
+    x = np.where((turning > 0.0) & (turning < np.diff(knots)[:, None]), turning, 0.0)
+    swing = ((a * x + b) * x + c) * x + d
+    beyond = ((swing > robot.upper) | (swing < robot.lower)).any(axis=(0, 1))
+    if beyond.any():
+        cubics = np.where(beyond, PchipInterpolator(knots, curve).c, cubics)
+    return cubics
+
+
+def _sag(knots: np.ndarray, cubics: np.ndarray) -> np.ndarray:
+    """Upper bound (M-1, n) on each joint's deviation of a spline from the straight line between two knots."""
+    h = np.diff(knots)[:, None]
+    bend = np.maximum(np.abs(2.0 * cubics[1]), np.abs(2.0 * cubics[1] + 6.0 * cubics[0] * h))
+    return 0.125 * h * h * bend

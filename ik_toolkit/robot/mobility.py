@@ -1,0 +1,131 @@
+"""What an arm can never do, however its joints stand: turns and moves that none of its configurations allows."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+SAMPLES = 24  # random configurations that are looked at: what never happens in them is taken as what cannot happen
+ROUNDING = 1e-5  # of the largest singular value, below which one is 0: axes in files have five or six digits
+DOUBTLESS = 1e-3  # [rad, or reaches] by which a target must be off before it is called impossible
+NAMES = "xyz"
+
+
+@dataclass(frozen=True, eq=False)
+class Mobility:
+    """Freedoms of a tip, from the Jacobians and poses of random configurations.
+
+    Attributes:
+        joints: moving joints on the way to the tip.
+        directions: of the six of a twist, how many the tip can move in at once (the generic rank of the Jacobian).
+        turns: dimension of its rotations: 3 any, 1 about one fixed axis, 0 none.
+        moves: dimension of its positions: 3 any, 2 a plane, 1 a line, 0 a point.
+        axis: the base axis (3,) about which all turns are, and tip_axis: the tip's axis (3,) that always points along it; None
+            unless turns is 1.
+        normals: base axes (3 - moves, 3) along which the tip's position never changes, and heights (3 - moves,) [m]: where on
+            them it stays.
+        rotation: the tip's rotation (3, 3) where it never changes, else None.
+        reach: [m] of the arm.
+    """
+
+    joints: int
+    directions: int
+    turns: int
+    moves: int
+    axis: np.ndarray | None
+    tip_axis: np.ndarray | None
+    normals: np.ndarray
+    heights: np.ndarray
+    rotation: np.ndarray | None
+    reach: float
+
+    def never(self, T: np.ndarray, tolerances: tuple[float, float]) -> list[str]:
+        """What of a pose T (4, 4), or a position (3,), the tip never has, beyond tolerances [m], [rad]: sentences."""
+        position, angle = (
+            max(given, DOUBTLESS * size) for given, size in zip(tolerances, (self.reach, 1.0), strict=True)
+        )
+        found = []
+        point = T if T.ndim == 1 else T[:3, 3]
+        for normal, height in zip(self.normals, self.heights, strict=True):
+            off = float(normal @ point) - height
+            if abs(off) > position:
+                found.append(
+                    f"the tip never moves along {named(normal)} of the base, and the target is {_length(off)} off"
+                )
+        if T.ndim == 1:
+            return found
+        if self.rotation is not None:
+            off = np.arccos(np.clip((np.trace(self.rotation.T @ T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
+            if off > angle:
+                found.append(f"the tip never turns, and the target is turned by {np.degrees(off):.3g} deg")
+        elif self.axis is not None and self.tip_axis is not None:
+            off = np.arccos(np.clip(self.axis @ T[:3, :3] @ self.tip_axis, -1.0, 1.0))
+            if off > angle:
+                opposite = "the opposite way, " if np.degrees(off) > 179.0 else ""
+                found.append(
+                    f"the tip's {named(self.tip_axis)} axis always points along {named(self.axis)} of the base, and the target's "
+                    f"points {opposite}{np.degrees(off):.3g} deg from it"
+                )
+        return found
+
+    def __str__(self) -> str:
+        """One sentence."""
+        text = f"{self.joints} joint{'s' * (self.joints != 1)}, {self.directions} of 6 directions at once"
+        if self.axis is not None and self.tip_axis is not None:
+            text += f"; the tip's {named(self.tip_axis)} axis always points along {named(self.axis)} of the base"
+        elif self.rotation is not None:
+            text += "; the tip never turns"
+        if len(self.normals):
+            text += f"; it never moves along {' and '.join(named(normal) for normal in self.normals)} of the base"
+        return text
+
+
+def named(axis: np.ndarray) -> str:
+    """An axis (3,) in words: 'z', '-z' or its numbers."""
+    k = int(np.abs(axis).argmax())
+    if abs(abs(axis[k]) - 1.0) < 1e-6:
+        return ("-" if axis[k] < 0.0 else "") + NAMES[k]
+    return "(" + ", ".join(f"{x:.3g}" for x in axis + 0.0) + ")"
+
+
+def _length(metres: float) -> str:
+    return f"{abs(metres):.3g} m" if abs(metres) >= 1.0 else f"{1e3 * abs(metres):.3g} mm"
+
+
+def mobility_of(arm: Any) -> Mobility:
+    """The freedoms of a robot's tip."""
+    rng = np.random.default_rng(0)
+    jacobians, poses = [], []
+    for q in arm.random_q(rng, SAMPLES):
+        J = arm.jacobian(q)
+        jacobians.append(J)
+        poses.append(arm.fk(q).homogeneous)
+    every, T = np.hstack(jacobians), np.array(poses)
+    scale = np.array([arm.reach] * 3 + [1.0] * 3)[:, None]
+    directions = max(_rank(J / scale) for J in jacobians)
+    axes, sizes, _ = np.linalg.svd(every[3:])
+    turns = int((sizes > ROUNDING * np.sqrt(every.shape[1])).sum())
+    middle = T[:, :3, 3].mean(axis=0)
+    ways, spread, _ = np.linalg.svd((T[:, :3, 3] - middle).T)
+    moves = int((spread > ROUNDING * arm.reach).sum())
+    axis = axes[:, 0] * np.sign(axes[np.abs(axes[:, 0]).argmax(), 0]) if turns == 1 else None
+    tip_axis = None
+    if axis is not None:
+        tip_axis = T[0, :3, :3].T @ axis
+        if tip_axis[np.abs(tip_axis).argmax()] < 0.0:  # said of the positive axis of the tip
+            axis, tip_axis = -axis, -tip_axis
+    normals = ways[:, moves:].T
+    normals = (
+        normals * np.sign(normals[np.arange(len(normals)), np.abs(normals).argmax(axis=1)])[:, None]
+        if len(normals)
+        else normals
+    )
+    return Mobility(
+        joints=arm.n, directions=directions, turns=turns, moves=moves, axis=axis, tip_axis=tip_axis, normals=normals,
+        heights=normals @ middle, rotation=T[0, :3, :3] if turns == 0 else None, reach=arm.reach,
+    )  # fmt: skip
+
+
+def _rank(J: np.ndarray) -> int:
+    sizes = np.linalg.svd(J, compute_uv=False)
+    return int((sizes > ROUNDING * sizes[0]).sum()) if sizes.size and sizes[0] > 0.0 else 0

@@ -1,0 +1,112 @@
+"""Rotations: matrices from angles and quaternions, and back."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from ..errors import InvalidTarget, floats
+
+
+def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return a rotation (3, 3) that takes one unit vector onto another."""
+    cos = float(axis @ direction)
+    if cos < 0.0:  # 1 + cos loses its digits near 180 degrees: use two reflections through a third vector instead
+        between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
+        u, v = axis - between, direction - between
+        return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
+    K = np.outer(direction, axis) - np.outer(axis, direction)  # cross product matrix of axis x direction
+    return np.eye(3) + K + K @ K / (1.0 + cos)
+
+
+def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the rotation (3, 3) nearest to R and the largest deviation of R's singular values from 1."""
+    U, S, Vt = np.linalg.svd(R)
+    D = np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(U @ Vt)))])
+    return U @ D @ Vt, float(np.abs(S * np.diag(D) - 1.0).max())
+
+
+def numbers(value: Any, size: int, name: str) -> np.ndarray:
+    """Finite numbers (size,). Raises InvalidTarget."""
+    array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
+    if array.shape != (size,):
+        raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise InvalidTarget(f"{name} must be finite numbers: {array.tolist()}")
+    return array
+
+
+def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Return the angles (N,) [rad] between rotations A and B (N, 3, 3)."""
+    chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
+    return 2.0 * np.arcsin(np.minimum(chord, 1.0))
+
+
+def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
+    """Rotations (N, 3, 3) of angles (N, 3) [rad] about the axes of `order`, one after another and each about the axes then.
+
+    "zyx" with (yaw, pitch, roll) is URDF's roll, pitch, yaw.
+    """
+    made = np.tile(np.eye(3), (len(angles), 1, 1))
+    for axis, angle in zip(order, angles.T, strict=True):
+        i, j = ("xyz".index(axis) + 1) % 3, ("xyz".index(axis) + 2) % 3
+        R = np.tile(np.eye(3), (len(angles), 1, 1))
+        R[:, i, i], R[:, j, j], R[:, j, i], R[:, i, j] = np.cos(angle), np.cos(angle), np.sin(angle), -np.sin(angle)
+        made = made @ R
+    return made
+
+
+def matrix_rpy(R: np.ndarray) -> np.ndarray:
+    """Return roll, pitch, yaw [rad] of a rotation (3, 3), with yaw = 0 if pitch is +-90 degrees.
+
+    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90
+    degrees.
+    """
+    cos_pitch = math.hypot(R[0, 0], R[1, 0])
+    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding error
+    s, c = math.sin(yaw), math.cos(yaw)
+    roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
+
+
+def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
+    """Return the rotation (3, 3) of a quaternion (4,) in this order, which is normalised here."""
+    q = numbers(quat, 4, f"quat_{order}")
+    length = math.sqrt(float(q @ q))
+    if not length > 1e-6:
+        raise InvalidTarget(f"quat_{order} has length {length:.3g}: not a rotation")
+    x, y, z, w = np.roll(q / length, -1 if order == "wxyz" else 0).tolist()
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def matrix_quat(R: np.ndarray) -> np.ndarray:
+    """Return the quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
+    K = np.array(
+        [
+            [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
+            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0, 0],
+            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0],
+            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
+        ]
+    )
+    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle
+    return q if q[3] >= 0 else -q

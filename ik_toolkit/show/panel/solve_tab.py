@@ -1,0 +1,220 @@
+"""The panel's Solve tab: typed or dragged targets, the list of solutions with a ghost of one, and the error per evaluation."""
+
+import html
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...style import COLOURS
+from ..plots import FLOOR
+from .session import KINDS, NONE, Session
+from .tables import note_html
+from .viser_scene import Handle
+
+
+class Goal:
+    """The target of one tip, typed or dragged; `kind` is one of KINDS, or NONE if the tip has no target."""
+
+    def __init__(self, gui: Any, session: Session, tip: str, kind: str, listen: Callable[..., None]) -> None:
+        """Build the controls; listen(handle, name, job) runs a job when the visitor changes one."""
+        self.session, self.tip, self.kind = session, tip, kind
+        T = session.goals()[tip]
+        xyz, rotation = session.words(T, kind)
+        self.xyz = gui.add_text("x y z [m]", xyz, visible=self._placed)
+        kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
+        orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
+        listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
+        self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
+        self.written = xyz, rotation  # texts that stand for the handle's target, which has more digits
+        self.handle: Handle  # from `join` on
+
+    @property
+    def posed(self) -> bool:
+        """Whether the target has an orientation."""
+        return self.kind not in ("free", NONE)
+
+    def join(self, handle: Handle) -> None:
+        """Attach the arrows and rings of this target."""
+        self.handle = handle
+        handle.turns(self.posed, self.kind != NONE)
+
+    def give(self, kind: str) -> None:
+        """Change how the orientation is given."""
+        self.kind = kind
+        self.xyz.visible, self.rotation.visible = self._placed, self.posed
+        self.rotation.multiline = kind == "matrix"
+        if self.posed:
+            self.rotation.label = self._label()
+            self._write(self.handle.target)
+        self.handle.turns(self.posed, kind != NONE)
+
+    @property
+    def _placed(self) -> bool:
+        """Whether the position has a field of its own."""
+        return self.kind not in ("matrix", NONE)
+
+    def _label(self) -> str:
+        names = {"quaternion": "quaternion x y z w", "matrix": "matrix, row by row"}
+        return names.get(self.kind, f"r p y [{'deg' if self.session.degrees else 'rad'}]")
+
+    def typed(self) -> np.ndarray | None:
+        """Read the target from the fields and move the arrows there; return None without a target.
+
+        Raises InvalidTarget.
+        """
+        if self.kind == NONE:
+            return None
+        if self.written == (self.xyz.value, self.rotation.value if self.posed else ""):
+            target = self.handle.target if self.posed else self.handle.target[:3, 3].copy()
+        else:
+            target = self.session.typed(self.xyz.value, self.kind, self.rotation.value)
+        self.handle.put(target)
+        return target
+
+    def dragged(self) -> np.ndarray | None:
+        """Return the target to which the arrows were dragged, after writing it into the fields."""
+        if self.kind == NONE:
+            return None
+        T = self.handle.read()
+        self._write(T)
+        return T if self.posed else T[:3, 3]
+
+    def put(self, T: np.ndarray) -> None:
+        """Set arrows and fields to a pose (4, 4) [m]."""
+        self.handle.put(T)
+        self._write(T)
+
+    def _write(self, T: np.ndarray) -> None:
+        self.written = self.session.words(T, self.kind)
+        self.xyz.value, rotation = self.written
+        if self.posed:
+            self.rotation.value = rotation
+
+
+GO = "Go to this solution"
+TALL = 230  # height [pixels] of the list; the rest scrolls
+SIGNS = {1: "+", -1: "\N{MINUS SIGN}", 0: "0"}
+CELL = "padding:2px 10px 2px 0;white-space:nowrap;font-variant-numeric:tabular-nums;text-align:right"
+STAY = "position:sticky;top:0;background:#fff"  # header stays visible while rows scroll
+# Pointing at a row enters its number into the field below, as typing would; a click also presses the button.
+POINT = (
+    "const e=document.getElementById('{field}');"
+    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(e,'{k}');"
+    "e.dispatchEvent(new Event('input',{{bubbles:true}}))"
+)
+CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()==='{GO}').click()"
+
+
+class SolutionsTab:
+    """The solutions found, with their controls."""
+
+    def __init__(
+        self,
+        gui: Any,
+        session: Session,
+        listen: Callable[..., None],
+        ghost: Callable[[np.ndarray | None], None],
+        go: Callable[[int], None],
+    ) -> None:
+        """Build the controls, hidden until there are solutions.
+
+        ghost(q or None) shows a solution, go(k) moves there, and listen(handle, name, job) runs a job on a change.
+        """
+        self.session, self.ghost = session, ghost
+        self.folder = gui.add_folder("Solutions", visible=False)
+        with self.folder:
+            self.table = gui.add_html("")
+            self.number = gui.add_number(
+                "Solution", 1, min=1, step=1, hint="Shown as a ghost, like a row you point at."
+            )
+            button = gui.add_button(GO)
+        listen(self.number, "ghost", self.point)
+        listen(button, "joints", lambda: go(self.chosen))
+
+    @property
+    def chosen(self) -> int:
+        """Index of the chosen solution, counted from 0."""
+        value = self.number.value if np.isfinite(self.number.value) else 1
+        return int(np.clip(value, 1, max(len(self.session.solutions), 1))) - 1
+
+    def point(self) -> None:
+        """Show the chosen solution as a ghost."""
+        if self.folder.visible:
+            self.ghost(self.session.solutions[self.chosen])
+
+    def hide(self) -> None:
+        """Hide the list."""
+        self.folder.visible = False
+        self.ghost(None)
+
+    def show(self, details: str) -> None:
+        """List the session's solutions below a line of details."""
+        self.table.content = note_html(details) + self.rows()
+        self.number.value = 1
+        self.folder.visible = bool(self.session.solutions)
+        self.ghost(None)
+
+    def rows(self) -> str:
+        """Write the table of solutions: number, branch, distance, joint values under their names and units."""
+        s = self.session
+        signs = s.branches if s.branches is not None and np.any(s.branches) else None
+        branch = ["branch"] if signs is not None else []
+        joints = [f"{name} [{s.unit(i)}]" for i, name in enumerate(s.robot.joint_names)]
+        head = "".join(f'<th style="{CELL};{STAY}">{html.escape(x)}</th>' for x in ["", *branch, "distance", *joints])
+        lines = []
+        for k, (q, distance) in enumerate(zip(s.solutions, s.distances, strict=True)):
+            label = [] if signs is None else [" ".join(f"{a}{SIGNS[x]}" for a, x in zip("SEW", signs[k], strict=True))]
+            values = [f"{s.scale(i) * x:.{s.digits(i)}f}" for i, x in enumerate(q)]
+            cells = "".join(f'<td style="{CELL}">{x}</td>' for x in [f"{k + 1}", *label, f"{distance:.3f}", *values])
+            point = POINT.format(field=self.number._impl.uuid, k=k + 1)
+            lines.append(f'<tr style="cursor:pointer" onmouseenter="{point}" onclick="{CLICK}">{cells}</tr>')
+        note = "<div>S, E, W: signs of shoulder, elbow and wrist.</div>" if branch else ""
+        return (
+            f'<div style="padding:2px 12px;font-size:12px;overflow:auto;max-height:{TALL}px">'
+            f"{note}<table><tr>{head}</tr>{''.join(lines)}</table></div>"
+        )
+
+
+CURVES: Any = (  # the abscissa, then errors
+    {"label": "evaluation"},
+    {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
+    {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
+)
+
+
+class Chart:
+    """A chart of a solve's errors over its evaluations, in the page of a viser client."""
+
+    def __init__(self, client: Any) -> None:
+        """Build the chart, empty and hidden."""
+        self.client = client
+        self.plot = client.gui.add_uplot(
+            (np.array([0.0, 1.0]), np.zeros(2)),
+            CURVES[:2],
+            title="error per iteration (log scale)",
+            scales={"x": {"time": False}},
+            height=200,
+            visible=False,
+        )
+
+    def hide(self) -> None:
+        """Hide the chart while the robot is moved by something other than a solve."""
+        self.plot.visible = False
+
+    def show(self, result: Any) -> None:
+        """Draw the history of a Result; for several attempts, the best so far."""
+        history = result.history
+        if history is None or len(history["position_error"]) < 2:
+            self.hide()
+            return
+        position, angle = (np.asarray(history[f"{kind}_error"], dtype=float) for kind in ("position", "orientation"))
+        rows = np.arange(len(position))
+        if result.restarts:
+            rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
+        known = [position, angle] if np.isfinite(angle).all() else [position]  # a position has no angle
+        curves = [np.log10(np.maximum(values[rows], FLOOR)) for values in known]
+        with self.client.atomic():
+            self.plot.series = CURVES[: 1 + len(curves)]
+            self.plot.data = (np.arange(len(rows), dtype=float), *curves)
+            self.plot.visible = True

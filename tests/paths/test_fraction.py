@@ -1,0 +1,50 @@
+"""How far a path goes that cannot be followed whole, against geometry and against single solves."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.paths.result import PathStatus
+
+EXACT = 5e-3
+
+
+@pytest.mark.parametrize("end", [1.2, 1.7, 4.0])
+def test_a_line_out_of_reach_of_a_planar_arm(end):
+    arm = robots.load("planar_2r")
+    line = np.array([[0.5 * arm.reach, 0.0, 0.0], [end * arm.reach, 0.0, 0.0]])
+    for q0 in (None, ik.solve(arm, line[0]).q):
+        path = ik.solve_path(arm, line, q0=q0)
+        assert path.status == PathStatus.INCOMPLETE
+        assert abs(path.fraction - 0.5 / (end - 0.5)) < EXACT
+        assert f"from the start {100 * path.fraction:.3g} % of its length can be followed" in path.message
+        assert path.to_dict()["fraction"] == path.fraction
+
+
+def test_a_path_that_is_followed_is_followed_whole():
+    arm = robots.load("planar_2r")
+    assert ik.solve_path(arm, [arm.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])]).fraction == 1.0
+
+
+def test_nothing_of_a_path_whose_first_pose_is_out_of_reach():
+    arm = robots.load("planar_2r")
+    assert ik.solve_path(arm, [(2.0 * arm.reach, 0.0, 0.0), (0.5 * arm.reach, 0.0, 0.0)]).fraction == 0.0
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof"])
+@pytest.mark.parametrize("count", [2, 7])
+def test_poses_of_an_arm_against_single_solves(name, count):
+    """Where the reach ends at all, the motion ends as well; how many poses describe the line does not matter."""
+    arm, rng = robots.load(name), np.random.default_rng(4)
+    for _ in range(2):
+        start, way = arm.fk(arm.random_q(rng)).homogeneous, rng.normal(size=3)
+        line = np.repeat(start[None], 401, axis=0)
+        line[:, :3, 3] += np.linspace(0.0, 1.2 * arm.reach, 401)[:, None] * (way / np.linalg.norm(way))
+        reached = np.flatnonzero(~ik.solve_batch(arm, line).success)[0] / 400
+        path = ik.solve_path(
+            arm,
+            line[:: 400 // (count - 1)][:count] if count == 2 else line[np.linspace(0, 400, count).round().astype(int)],
+        )
+        assert path.fraction < reached + EXACT
+        assert path.fraction > 0.5 * reached - EXACT

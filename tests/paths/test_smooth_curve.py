@@ -1,0 +1,108 @@
+"""Poses are samples of a motion: how many of them describe it changes neither its time nor its smoothness much."""
+
+import motions
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.paths.smooth_curve import corners, sagittas
+
+pytest.importorskip("toppra")
+
+
+def circle(u):
+    return 0.08 * np.stack([np.cos(2 * np.pi * u) - 1.0, np.sin(2 * np.pi * u)], axis=1)
+
+
+def wave(u):
+    return np.stack([0.12 * u, 0.06 * np.sin(2 * np.pi * u)], axis=1)
+
+
+def rounded(u, width=0.1, height=0.06, radius=0.02):
+    """A rectangle with rounded corners, at shares u of its length."""
+    points = []
+    for x, y, first in ((1, 1, 0), (-1, 1, 90), (-1, -1, 180), (1, -1, 270)):
+        angle = np.radians(np.linspace(first, first + 90, 200))
+        centre = np.array([x * (width / 2 - radius), y * (height / 2 - radius)])
+        points.append(centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    way = np.vstack([*points, points[0][:1]])
+    length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+    return np.stack([np.interp(u * length[-1], length, way[:, k]) for k in (0, 1)], axis=1) - way[0]
+
+
+def poses(robot, shape, count):
+    T = np.tile(robot.fk(robot.home).homogeneous, (count, 1, 1))
+    T[:, 1:3, 3] += shape(np.linspace(0.0, 1.0, count))
+    return T
+
+
+def shaken(trajectory):
+    """Total change of the joint accelerations: grows where a motion shakes."""
+    return np.abs(np.diff(trajectory.at(np.linspace(0.0, trajectory.duration, 4000))[2], axis=0)).sum()
+
+
+@pytest.mark.parametrize(("shape", "counts"), [(circle, (12, 20, 40)), (wave, (24, 40)), (rounded, (48,))])
+def test_few_poses_take_as_long_as_many_and_shake_no_more(shape, counts):
+    robot = motions.load("hydrolek_7w")
+    many = ik.solve_path(robot, poses(robot, shape, 120), q0=robot.home).retime(acceleration=1.0)
+    for count in counts:
+        path = ik.solve_path(robot, poses(robot, shape, count), q0=robot.home)
+        made = path.retime(acceleration=1.0)
+        assert made.success and not made.stops and len(made.pieces) == 1
+        assert made.duration < 1.1 * many.duration and shaken(made) < 1.5 * shaken(many)
+        assert (made.deviation <= np.maximum(path.path_tolerance, sagittas(path.targets, path.kinds).max(axis=1))).all()
+        told = ik.solve_path(robot, poses(robot, shape, count), q0=robot.home, path_tolerance=(2e-4, 0.01))
+        kept = told.retime(acceleration=1.0)
+        assert kept.success and kept.deviation[0] <= 2e-4 and kept.deviation[1] <= 0.01
+
+
+def test_an_arc_leaves_its_chords_by_their_sagitta_and_a_corner_by_nothing():
+    T = np.tile(np.eye(4), (13, 1, 1, 1))
+    T[:, 0, :2, 3] = circle(np.linspace(0.0, 1.0, 13))
+    exact = 0.08 * (1.0 - np.cos(np.pi / 12))
+    found = sagittas(T, (0,))
+    assert not corners(T, (0,)).any() and ((found[0] > exact) & (found[0] < 1.3 * exact)).all() and not found[1].any()
+    T[:, 0, :2, 3] = np.vstack([np.linspace([0, 0], [1, 0], 7), np.linspace([1, 0.1], [1, 1], 6)])
+    assert np.flatnonzero(corners(T, (0,))).tolist() == [6] and np.abs(sagittas(T, (0,))[0][5:7]).max() < 0.01
+
+
+def test_a_corner_too_sharp_for_the_tolerance_is_a_stop_that_is_told():
+    robot = motions.load("hydrolek_7w")
+    T = poses(robot, lambda u: np.stack([np.minimum(0.2 * u, 0.1), np.maximum(0.2 * u - 0.1, 0.0)], axis=1), 5)
+    path = ik.solve_path(robot, T, q0=robot.home)
+    assert path.retime(acceleration=1.0).stops == ()
+    made = path.retime(acceleration=1.0, path_tolerance=(2e-6, 1e-5))
+    if made.stops:
+        assert 2.0 in made.stops and "it stops at pose" in made.message
+    ends = np.cumsum([piece.duration for piece in made.pieces])
+    assert np.abs(made.at(ends)[1]).max() < 1e-6
+
+
+@pytest.mark.parametrize("count", [12, 24])
+def test_the_tip_keeps_its_speed_where_limits_allow(count):
+    robot, asked = motions.load("hydrolek_7w"), 0.05
+    path = ik.solve_path(robot, poses(robot, circle, count), q0=robot.home)
+    made = path.retime(acceleration=1.0, tip_speed=asked)
+    t = np.linspace(0.0, made.duration, 2000)
+    points = np.array([robot.fk(q).translation for q in made.at(t)[0]])
+    speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(t)
+    assert speed.max() < 1.01 * asked and f"the tip keeps {asked:g} m/s but from pose 0 to" in made.message
+    place = np.interp(0.5 * (t[1:] + t[:-1]), made.t, made.place)
+    for a, b in made.slower:
+        place[(place >= a) & (place <= b)] = np.nan
+    assert (speed[np.isfinite(place)] > 0.98 * asked).all() and np.isfinite(place).mean() > 0.9
+    fast = path.retime(acceleration=1.0, tip_speed=10.0)
+    assert abs(fast.duration / path.retime(acceleration=1.0).duration - 1.0) < 1e-3 and len(fast.slower) == 1
+
+
+def test_mistakes_are_named():
+    robot = motions.load("planar_2r")
+    path = ik.solve_path(robot, [robot.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])])
+    for options, said in (
+        (dict(tip_speed=0.0), "tip_speed"),
+        (dict(path_tolerance=1.0), "path_tolerance"),
+        (dict(path_tolerance=(1.0, -1.0)), "path_tolerance"),
+    ):
+        with pytest.raises(InvalidOption, match=said):
+            path.retime(1.0, 1.0, **options)

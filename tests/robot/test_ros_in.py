@@ -1,0 +1,168 @@
+"""ROS messages, configurations by name and dicts of joints: every call takes them, or says why not."""
+
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidTarget
+from ik_toolkit.servo.step import StepStatus
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return robots.load("hydrolek_7w")
+
+
+def fields(names, values):
+    return Message(**dict(zip(names, (float(x) for x in values), strict=True)))
+
+
+def message(M, first="position", second="orientation"):
+    turn = pin.Quaternion(M.rotation).coeffs()
+    return Message(**{first: fields("xyz", M.translation), second: fields("xyzw", turn)})
+
+
+def test_poses_in_every_form_are_the_same_target(arm):
+    M = arm.fk(arm.random_q(np.random.default_rng(1)))
+    pose, transform = message(M), message(M, "translation", "rotation")
+    header = Message(frame_id=arm.base)
+    forms = (
+        pose,
+        transform,
+        Message(header=header, pose=pose),
+        Message(header=Message(frame_id="/" + arm.base), transform=transform, child_frame_id="tool"),
+        Message(header=Message(frame_id=""), pose=pose),
+    )
+    expected = ik.solve(arm, M)
+    for form in forms:
+        assert np.abs(ik.solve(arm, form).q - expected.q).max() < 1e-6
+        assert np.abs(np.subtract(arm.errors(arm.home, form), arm.errors(arm.home, M))).max() < 1e-9
+    batch = ik.solve_batch(arm, list(forms))
+    assert batch.success.all() and ik.solve_path(arm, [pose, pose]).success
+    for point in (pose.position, Message(header=header, point=pose.position)):
+        assert ik.solve(arm, point).position_only
+
+
+def test_another_frame_is_refused_by_name(arm):
+    stamped = Message(header=Message(frame_id="map"), pose=message(arm.fk(arm.home)))
+    for call in (
+        lambda: ik.solve(arm, stamped),
+        lambda: ik.solve_batch(arm, [stamped]),
+        lambda: ik.solve_path(arm, [stamped]),
+        lambda: ik.Tracker(arm).update(stamped, 0.01),
+        lambda: arm.errors(arm.home, stamped),
+    ):
+        with pytest.raises(InvalidTarget, match=rf"frame 'map', and the robot's base is '{arm.base}'"):
+            call()
+
+
+def test_messages_that_hold_no_pose_are_refused(arm):
+    good = message(arm.fk(arm.home))
+    for wrong in (
+        Message(position=good.position, orientation=fields("xyzw", (0, 0, 0, 0))),
+        Message(position=Message(x="a", y=0.0, z=0.0), orientation=good.orientation),
+        Message(position=good.position),
+        good.orientation,
+    ):
+        with pytest.raises(InvalidTarget):
+            ik.solve(arm, wrong)
+
+
+def test_a_tracker_goes_on_after_a_message_with_nan(arm):
+    tracker, good = ik.Tracker(arm, q0="home"), message(arm.fk(arm.home))
+    nothing = Message(position=fields("xyz", (np.nan, 0, 0)), orientation=good.orientation)
+    assert tracker.update(good, 0.01).status == StepStatus.OK
+    step = tracker.update(nothing, 0.01)
+    assert step.status != StepStatus.OK and np.abs(step.q - arm.home).max() < 1e-9
+    assert tracker.update(good, 0.01).status == StepStatus.OK
+
+
+def test_a_start_by_joint_or_by_name(arm):
+    q = arm.random_q(np.random.default_rng(2))
+    M, values = arm.fk(q), dict(zip(arm.joint_names, q, strict=True))
+    expected = ik.solve(arm, M, q0=q)
+    backwards = dict(reversed(values.items()))
+    more = backwards | {"gripper": 0.04}
+    state = Message(name=list(more), position=list(more.values()), velocity=[], effort=[])
+    for start in (values, backwards, more, state):
+        result = ik.solve(arm, M, q0=start)
+        assert np.array_equal(result.q, expected.q) and ("gripper ignored" in result.notice) == (
+            len(start.__dict__) > 0 if start is state else "gripper" in start
+        )
+        assert np.array_equal(
+            ik.solve_batch(arm, M.homogeneous[None], q0=start).q[0], ik.solve_batch(arm, M.homogeneous[None], q0=q).q[0]
+        )
+        assert np.array_equal(ik.Tracker(arm, q0=start).q, q) and np.array_equal(
+            arm.fk(start).homogeneous, M.homogeneous
+        )
+    assert np.array_equal(ik.solve(arm, M, q0="home").q, ik.solve(arm, M, q0=arm.home).q)
+    with pytest.raises(ConfigurationNotFound, match=r"'hom'\. Did you mean 'home'"):
+        ik.solve(arm, M, q0="hom")
+
+
+def test_a_start_that_lacks_a_joint_is_refused(arm):
+    M, values = arm.fk(arm.home), dict(zip(arm.joint_names, arm.home, strict=True))
+    last = arm.joint_names[-1]
+    renamed = {(joint + "s" if joint == last else joint): x for joint, x in values.items()}
+    with pytest.raises(InvalidConfiguration, match=rf"q0 has no value for joint {last}\. Did you mean '{last}s'"):
+        ik.solve(arm, M, q0=renamed)
+    with pytest.raises(InvalidConfiguration, match="2 names and 1 positions"):
+        ik.solve(arm, M, q0=Message(name=["a", "b"], position=[0.0]))
+    with pytest.raises(InvalidConfiguration, match="names joint a more than once"):
+        ik.solve(arm, M, q0=Message(name=["a", "a"], position=[0.0, 0.0]))
+
+
+def test_axes_by_name(arm):
+    T = arm.fk(arm.home).homogeneous
+    for name, axis in (("x", (1, 0, 0)), ("-z", (0, 0, -1)), (" Y ", (0, 1, 0))):
+        assert np.array_equal(ik.solve(arm, T, free_turn=name).q, ik.solve(arm, T, free_turn=axis).q)
+        assert ik.pose(T[:3, 3], direction=name, axis=name).axis == axis
+    with pytest.raises(ik.IKError, match="free_turn must be x, y, z, -x, -y, -z or three numbers, not 'w'"):
+        ik.solve(arm, T, free_turn="w")
+
+
+def test_lists_of_axis_targets(arm):
+    poses = [arm.fk(q) for q in arm.random_q(np.random.default_rng(3), 4)]
+    targets = [ik.pose(M.translation, direction=M.rotation[:, 2]) for M in poses]
+    batch = ik.solve_batch(arm, targets)
+    assert batch.success.all()
+    for q, M in zip(batch.q, poses, strict=True):
+        assert np.abs(arm.fk(q).translation - M.translation).max() < 1e-5
+        assert np.abs(arm.fk(q).rotation[:, 2] - M.rotation[:, 2]).max() < 1e-5
+    line = [ik.pose(poses[0].translation + np.array([0, 0, z]), direction=poses[0].rotation[:, 2]) for z in (0.0, 0.01)]
+    assert ik.solve_path(arm, line).success
+    for mixed in ([targets[0], poses[1]], [targets[0], ik.pose((1, 0, 0), direction="x", axis="y")]):
+        with pytest.raises(InvalidTarget, match="the targets of one call share the tip axis"):
+            ik.solve_batch(arm, mixed)
+    with pytest.raises(ik.IKError, match="leave free_turn out"):
+        ik.solve_batch(arm, targets, free_turn="z")
+
+
+def test_axis_targets_of_several_tips():
+    tree = robots.load("two_arms")
+    P = [tree.fk(q) for q in tree.random_q(np.random.default_rng(4), 3)]
+    first, second = tree.tips
+    pointed = [ik.pose(M[first].translation, direction=M[first].rotation[:, 2]) for M in P]
+    for targets in (
+        [[one, M[second]] for one, M in zip(pointed, P, strict=True)],
+        {first: pointed, second: [M[second] for M in P]},
+        {first: pointed},
+    ):
+        assert ik.solve_batch(tree, targets).success.all()
+
+
+def test_approach_backs_off_along_the_axis(arm):
+    M = arm.fk(arm.home)
+    for axis, column in ((None, 2), ("x", 0), ((0, 2, 0), 1)):
+        T = ik.approach(M, 0.1, axis)
+        assert np.allclose(T[:3, 3], M.translation - 0.1 * M.rotation[:, column]) and np.allclose(T[:3, :3], M.rotation)
+    pointed = ik.pose((1.0, 0.0, 0.2), direction="-z", axis="y")
+    before = ik.approach(pointed, 0.25)
+    assert before.axis == pointed.axis and np.allclose(before.T_base_tip[:3, 3], (1.0, 0.0, 0.45))
+    for wrong in (((1.0, 0.0, 0.0), 0.1), (M, np.nan), (M, 0.1, (0, 0, 0))):
+        with pytest.raises(InvalidTarget):
+            ik.approach(*wrong)

@@ -1,0 +1,145 @@
+"""What a failure blames was tested, and what it says of the arm, the target and the errors is so."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.errors import FAR_AWAY
+from ik_toolkit.solvers.status import Status
+
+SCARA = robots.urdf(
+    dict(kind="revolute", xyz="0 0 0.39", limits=(-2.6, 2.6)),
+    dict(kind="revolute", xyz="0.32 0 0", limits=(-2.5, 2.5)),
+    dict(kind="prismatic", xyz="0.27 0 0", axis="0 0 -1", limits=(0.0, 0.2)),
+    dict(kind="continuous", xyz="0 0 0", rpy="3.141592653589793 0 0", axis="0 0 1"),
+    dict(kind="fixed", xyz="0 0 0"),
+)
+GANTRY = robots.urdf(
+    dict(kind="prismatic", xyz="0 0 0", axis="1 0 0", limits=(-1.0, 1.0)),
+    dict(kind="prismatic", xyz="0 0 0.5", axis="0 1 0", limits=(-1.0, 1.0)),
+    dict(kind="fixed", xyz="0 0 0.1"),
+)
+
+
+def skewed(arm, rng, angle):
+    """A pose that the arm reaches, turned by an angle about a random axis."""
+    M, axis = arm.fk(arm.random_q(rng)), rng.normal(size=3)
+    return pin.SE3(M.rotation @ pin.exp3(angle * axis / np.linalg.norm(axis)), M.translation)
+
+
+@pytest.mark.parametrize("solver", ["lm", "dls"])
+@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof"])
+def test_limits_are_blamed_only_for_what_is_solved_without_them(name, solver):
+    arm, rng = robots.load(name), np.random.default_rng(3)
+    targets = np.array([skewed(arm, rng, 0.5).homogeneous for _ in range(40)])
+    batch = ik.solve_batch(arm, targets, solver)
+    blamed = 0
+    for k, T in enumerate(targets):
+        result = ik.solve(arm, T, solver)
+        for status in (result.status, Status(int(batch.status[k]))):
+            if status == Status.LIMIT_BLOCKED:
+                blamed += 1
+                assert ik.solve(arm, T, "lm", limits=False, restarts=300).success
+        assert (result.status == Status.LIMIT_BLOCKED) == ("reached without them" in result.message)
+    assert blamed if solver == "lm" else True
+
+
+def five_joints():
+    return robots.load(
+        robots.urdf(
+            *(dict(kind="revolute", xyz="0.2 0.05 0.1", axis=a) for a in ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0")),
+            dict(kind="fixed", xyz="0.1 0 0"),
+        )
+    )
+
+
+def test_an_arm_with_too_few_joints_is_told_so():
+    arm, rng = five_joints(), np.random.default_rng(5)
+    assert (arm.mobility.joints, arm.mobility.directions, arm.mobility.turns, arm.mobility.moves) == (5, 5, 3, 3)
+    for _ in range(5):
+        T = skewed(arm, rng, 0.25)
+        result = ik.solve(arm, T)
+        assert not result.success and "the arm has 5 joints, and the target fixes 6" in result.message
+        assert "free_turn" in result.message and "more restarts" not in result.message
+        alone = ik.solve(arm, T.translation).success
+        assert alone == ("the position alone can be reached" in result.message)
+        row = ik.solve_batch(arm, T.homogeneous[None])[0]
+        assert "the arm has 5 joints, and the target fixes 6" in row.message
+    assert "joints, and the target" not in ik.solve(arm, (3.0, 0.0, 0.0)).message
+
+
+def test_an_axis_that_cannot_tilt_is_named():
+    arm = robots.load(SCARA)
+    m = arm.mobility
+    assert (
+        (m.directions, m.turns, m.moves) == (4, 1, 3)
+        and np.allclose(m.tip_axis, [0, 0, 1])
+        and np.allclose(m.axis, [0, 0, -1])
+    )
+    T = arm.fk(arm.random_q(np.random.default_rng(1)))
+    told = "the tip's z axis always points along -z of the base, and the target's points"
+    for turn, how in (
+        (pin.exp3(np.array([np.pi, 0.0, 0.0])), "the opposite way, 180 deg"),
+        (pin.exp3(np.array([0.0, 0.5, 0.0])), "28.6 deg"),
+    ):
+        assert f"{told} {how} from it" in ik.solve(arm, pin.SE3(T.rotation @ turn, T.translation)).message
+    assert ik.solve(arm, T).success and told not in ik.solve(arm, T, limits={arm.joint_names[0]: (2.0, 2.1)}).message
+
+
+def test_a_plane_that_is_never_left_and_a_turn_that_never_happens_are_named():
+    flat = robots.load("planar_3r")
+    T = flat.fk([0.3, 0.4, 0.5])
+    T.translation = T.translation + np.array([0.0, 0.0, 0.05])
+    assert "the tip never moves along z of the base, and the target is 50 mm off" in ik.solve(flat, T).message
+    gantry = robots.load(GANTRY)
+    assert (gantry.mobility.turns, gantry.mobility.moves) == (0, 2)
+    assert (
+        "the tip never turns, and the target is turned by 57.3 deg"
+        in ik.solve(gantry, ik.pose((0.2, 0.1, 0.6), rpy=(0, 0, 1))).message
+    )
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "panda"])
+def test_an_arm_that_can_do_everything_is_not_accused(name):
+    if name == "panda" and not robots.have_data():
+        pytest.skip("needs example-robot-data")
+    arm = robots.load(name)
+    assert (arm.mobility.directions, arm.mobility.turns, arm.mobility.moves) == (6, 3, 3)
+    assert str(arm.mobility) == f"{arm.n} joints, 6 of 6 directions at once"
+
+
+def test_a_tree_tells_its_mobility_by_tip():
+    tree = robots.load("two_arms")
+    assert set(tree.mobility) == set(tree.tips)
+
+
+@pytest.mark.parametrize("weight", [0.01, 0.5, 20.0])
+def test_errors_in_a_sentence_are_those_of_the_tip_whatever_their_weight(weight):
+    arm, rng = five_joints(), np.random.default_rng(2)
+    T = skewed(arm, rng, 0.5)
+    result = ik.solve(arm, T, mask=(1, 1, 1, weight, weight, weight))
+    true = np.degrees(np.linalg.norm(pin.log3(arm.fk(result.q).rotation.T @ T.rotation)))
+    assert not result.success and f"{true:.3g} deg" in result.message
+    weighted = f"{np.degrees(result.orientation_error):.3g} deg"
+    assert weighted not in result.message
+    row = ik.solve_batch(arm, T.homogeneous[None], mask=(1, 1, 1, weight, weight, weight))[0]
+    assert (
+        " deg" not in row.message
+        and f"a weighted error of {row.position_error:.3g}, {row.orientation_error:.3g}" in row.message
+    )
+
+
+def test_millimetres_are_doubted_at_every_entrance(caplog):
+    arm = robots.load("hydrolek_7w")
+    near, far = (factor * FAR_AWAY * arm.reach for factor in (0.9, 1.1))
+    for x, doubted in ((near, False), (far, True)):
+        for call in (
+            lambda x=x: ik.solve(arm, (x, 0.0, 0.0)).message,
+            lambda x=x: ik.solve(arm, ik.pose((x, 0.0, 0.0), rpy=(0, 0, 0))).message,
+        ):
+            assert ("were millimetres meant?" in call()) == doubted
+        ik.solve_batch(arm, [(x, 0.0, 0.0)])
+        ik.solve_path(arm, [(x, 0.0, 0.0)])
+        assert ("were millimetres meant?" in caplog.text) == doubted
