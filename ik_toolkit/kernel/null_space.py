@@ -23,7 +23,7 @@ DAMPING = 1e-10  # damping of projections and corrections: below the square of a
 class Steps(NamedTuple):
     """Numbers of the motion through the null space."""
 
-    counted: float = 1e-18  # squared norm of a row of the Jacobian above which the joints can reduce its error
+    influence: float = 1e-18  # squared norm of a row of the Jacobian above which the joints can reduce its error
     volume: float = 1e-30  # smallest squared pivot, which keeps the logarithm finite at a singular pose
     corrections: int = 6  # highest number of steps back onto the target; two or three do, as convergence is quadratic
     difference: float = 1e-6  # step of the one-sided derivative of the manipulability [rad or kernel units]
@@ -75,7 +75,7 @@ def log_manipulability(p, ends):
         size = 0.0
         for i in range(J.shape[0]):
             size += J[i, r] * J[i, r]
-        if size > NULL.counted:
+        if size > NULL.influence:
             for i in range(J.shape[0]):
                 J[i, m] = J[i, r] / ends.unit(i)
             m += 1

@@ -11,7 +11,6 @@ import pinocchio as pin
 
 from ..errors import (
     FEW_TURNS,
-    ConfigurationNotFound,
     FrameNotFound,
     InvalidConfiguration,
     InvalidOption,
@@ -23,32 +22,15 @@ from ..errors import (
 from ..kernel.records import POINTS
 from ..readonly import ReadOnly
 from .base import Given
+from .configuration import Named, read_configuration, values_by_joint
 from .formats.srdf import Srdf
 from .mobility import mobility_of
 from .narrow import narrowed
 from .probe import JointPath
-from .ros import read_joint_state
 
 LOG = logging.getLogger("ik_toolkit")
 # Maps a word to rows of a tip's Jacobian.
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}
-
-
-class Named(dict[str, np.ndarray]):
-    """Configurations q (n,) [rad or m] by name; an unknown name raises ConfigurationNotFound."""
-
-    def __missing__(self, name: str) -> np.ndarray:
-        """Raise ConfigurationNotFound, because there is no configuration of this name."""
-        raise ConfigurationNotFound(
-            f"the robot has no configuration named '{str(name)[:200]}'.{near_match(name, self)}"
-        )
-
-
-def values_by_joint(locked: Mapping[str, float] | None) -> dict[str, float]:
-    """Return `locked` as a dict from joint names to values; None is an empty one. Raises InvalidConfiguration."""
-    if not isinstance(locked, Mapping | None):
-        raise InvalidConfiguration(f"locked takes a dict from joint names to values [rad or m], not {locked!r:.60}")
-    return dict(locked or {})
 
 
 class Joints(ReadOnly):
@@ -206,40 +188,8 @@ class Joints(ReadOnly):
         return array
 
     def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
-        """Joint values in any form as an array (n,), which is not checked, and a notice ('' or what was ignored).
-
-        Args:
-            q: numbers (n,); the name of a configuration (see `named`); or values by joint, as a dict or a ROS JointState, of
-                which other joints are ignored.
-            name: of the argument, for messages.
-
-        Raises:
-            InvalidConfiguration: a joint is missing, or these are no numbers.
-            ConfigurationNotFound: no configuration has this name.
-        """
-        notice = ""
-        if isinstance(q, str):
-            q = self.named[q]
-        elif not isinstance(q, np.ndarray | list | tuple):
-            by_joint = q if isinstance(q, Mapping) else read_joint_state(q, name)
-            if by_joint is not None:
-                missing = [joint for joint in self.joint_names if joint not in by_joint]
-                others = [str(joint) for joint in by_joint if joint not in self.joint_names]
-                if missing:
-                    meant = near_match(missing[0], others) if others else ""
-                    raise InvalidConfiguration(f"{name} has no value for joint {', '.join(missing)}.{meant}")
-                if others:
-                    notice = (
-                        f"{name}: joint{'s' * (len(others) > 1)} {', '.join(others)} ignored, not of this robot's q"
-                    )
-                q = [by_joint[joint] for joint in self.joint_names]
-
-        array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
-        if array.shape != (self.n,):
-            raise InvalidConfiguration(
-                f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
-            )
-        return array, notice
+        """Joint values in any form as an array (n,), which is not checked, and a notice, see `read_configuration`."""
+        return read_configuration(self, q, name)
 
     def _values(self, q: Any, name: str = "q") -> np.ndarray:
         """Return joint values in any form as `check_q` does, finite or not."""

@@ -384,4 +384,5 @@ def own_up(p, h, ratio, wanted, x, prev):
     ahead = 0.5 * ratio
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
-            prev[i] += (x[i] - wanted[i]) / (1.0 if p.code == CV else h) / (1.0 + ahead)
+            change = x[i] - wanted[i]
+            prev[i] += (change if p.code == CV else change / h) / (1.0 + ahead)

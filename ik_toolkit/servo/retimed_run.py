@@ -6,7 +6,7 @@ where that leaves the reference, with more distance from limits or another postu
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,7 +103,7 @@ class Run:
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
-        self.own = samples_along(references, self.full)
+        self.own = self.fine = samples_along(references, self.full, checked)  # fine: where the joints' path is known
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
         self.made: list[Taken] = []
@@ -202,8 +202,8 @@ class Run:
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
         parts = max(-(-FEWEST // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / FOLLOWED))))
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
-        slower = np.full(len(s), 1.0 / parts)
-        samples = samples_along(self.references, Clock(s, slower, 0.0 * s, s))
+        self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
+        samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
         plain = here.avoid == AVOID and not here.posture[1].any()  # nothing else was asked for beside the task
         found: list[tuple[int, int, Way]] = []  # samples off it, steps that its law needs
         for way in (here, *(self._besides(here) if plain and self._redundant() else ())):
@@ -289,8 +289,7 @@ class Run:
         more = JOINTS**over if self._redundant() else 1.0
         speed, most = more * SPEED * limits[2], more * share * limits[3]
         if self.tracker.engine.waits:  # a step misses by half of the tip's acceleration times dt^2
-            _, V, A = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))[1:4]
-            slope, bend = np.hstack([slope, V]), np.hstack([bend, A])
+            slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
             allowed = np.tile(
                 np.repeat(2.0 * TOLERANCE * TIP**over * self.tolerances / self.dt**2, 3), len(self.references)
             )
@@ -387,9 +386,9 @@ class Run:
         return np.where(late, (errors / self.tolerances).max(axis=(1, 2)), 0.0)
 
 
-def samples_along(references: list[Reference], clock: Clock) -> Samples:
-    """Poses, twists and accelerations of the references where a clock is, as it runs. Raises InvalidTarget, see `checked`."""
-    made = [checked(one, clock.s) for one in references]
+def samples_along(references: list[Reference], clock: Clock, read: Callable = Reference.at) -> Samples:
+    """Poses, twists and accelerations of the references where a clock is, as it runs. read: `checked` where they are new."""
+    made = [read(one, clock.s) for one in references]
     V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     rate, gain = clock.rate[:, None], clock.gain[:, None]
     return samples_from(np.stack([one[0] for one in made], axis=1), V * rate, A * rate**2 + V * gain)

@@ -74,9 +74,9 @@ def track(
     gamma, null_damping, damping), and those of `Tracker`. q0 (n,): default home if the reference starts there, else a solution
     for the reference's start. rate0, limits and acceleration_limits as in `Tracker`.
 
-    on_limit: "slow": where limits bind, or the error is above a tolerance, the reference's clock runs slower than time, so
-    that the tip stays on its path; the run ends when the clock does, or after max_stretch times the reference's duration.
-    (A solver always lags a moving target: with one the clock waits for limits only.) "leave": keep time, with the least error
+    on_limit: "slow": the reference is followed in its own time; if a sample is off, along the fastest clock ds/dt <= 1 with which
+    the joints keep their limits and a step its tolerance, or after max_stretch times the reference's duration no further.
+    (A solver always lags a moving target: with one the clock is slow for limits only.) "leave": keep time, with the least error
     possible; "clip": the published form, each joint clipped on its own, as it is without limits.
 
     COMPLETED or SLOWED when no sample from settle [s] on has an error above position_tolerance [m] and orientation_tolerance
@@ -176,9 +176,9 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
     targets, tips = np.stack([one.at(clock)[0] for one in references], axis=1), _forward(robot, Q)
     errors = best.E.reshape(done + 1, -1, 6)
     posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
-    by_tip = robot.by_tip
+    tip = slice(None) if robot.by_tip else 0
     between = (
-        _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and not by_tip else (None, None)
+        _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and tip == 0 else (None, None)
     )
     return TrackResult(
         robot=robot.name,
@@ -189,8 +189,8 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
         t=np.arange(done + 1) * run.dt,
         q=Q,
         rate=R,
-        xyz=tips if by_tip else tips[:, 0],
-        target_xyz=targets[:, :, :3, 3] if by_tip else targets[:, 0, :3, 3],
+        xyz=tips[:, tip],
+        target_xyz=targets[:, tip, :3, 3],
         position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
         orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
         limited=best.C,

@@ -21,7 +21,7 @@ from .task import POSES, read_target
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count = whole(starts, "starts"), whole(count, "count")
-    places = len(solver._pose) - 2  # axes of an array of targets before those of one
+    places = int(solver.robot.by_tip)  # axes of an array of targets before those of one
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):

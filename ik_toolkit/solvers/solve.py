@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.checks import BAD_TARGET
+from ..kernel.checks import BAD_TARGET, LIMIT_BLOCKED
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
 from ..readonly import ReadOnly
@@ -22,6 +22,7 @@ from .closed_form import fits
 from .options import NAMES, Options, SolveOptions, make_options
 from .outcome import make_outcome
 from .plan import Plan
+from .postprocess import acquit
 from .registry import GENERAL, find_row, make_rule
 from .result import Result
 from .task import POSES, read_target
@@ -70,8 +71,8 @@ class Solver(ReadOnly):
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)  # of an array that needs no reading
-        self._stacked = (1, *robot.pose_shape)
+        # Shape of an array that needs no reading: a tree of one tip takes a list of it.
+        self._pose = () if robot.by_tip and len(robot.tips) == 1 else robot.pose_shape
         self._kinds = POSES * len(robot.tips)
         self._seal()
 
@@ -106,7 +107,7 @@ class Solver(ReadOnly):
         started = perf_counter()
         notice = ""
         if type(target) is np.ndarray and target.dtype is FLOAT and target.shape == self._pose and target.flags.carray:
-            T, kinds = target.reshape(self._stacked), self._kinds
+            T, kinds = target[None], self._kinds
         else:
             T, kinds, notice = read_target(self.robot, target)
         plan = self._plans.get(kinds, self.plan) if self._plans else self.plan
@@ -132,6 +133,8 @@ class Solver(ReadOnly):
             for step in plan.steps:
                 outcome = step(outcome)
             outcome = outcome._replace(elapsed=perf_counter() - started)
+        elif row[AT.status] == LIMIT_BLOCKED:
+            outcome = acquit(outcome)
         return Result(outcome)
 
     def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64) -> Any:

@@ -54,9 +54,9 @@ def edit(path, old, new):
 # The smallest kernel with forward kinematics in it: how far the tip is from the first joint of the stretched arm.
 REACH = """
 import numpy as np, ik_toolkit as ik
-from ik_toolkit.kernel.chain import levers
+from ik_toolkit.kernel.chain import joint_levers
 chain, distances = ik.Robot.load("planar_2r").chain, np.empty((1, 2))
-levers(chain.rows, chain.ends, np.zeros((1, 2)), chain.unit, distances)
+joint_levers(chain.rows, chain.ends, np.zeros((1, 2)), chain.unit, distances)
 print(distances[0, 0])
 """
 
@@ -205,7 +205,7 @@ def test_with_a_numba_that_was_not_tried_parts_compile_as_it_likes(monkeypatch, 
 
 def test_a_full_disk_at_the_first_use(copy):
     """The real thing: a process that may write no file computes all the same, and says once what it cannot keep."""
-    for path in copy.rglob("ik-chain.levers*.nbc"):
+    for path in copy.rglob("ik-chain.joint_levers*.nbc"):
         path.unlink()
     code = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + REACH
     done = run(copy, code)

@@ -182,7 +182,7 @@ def test_what_cannot_be_loaded_says_so(source, error):
 def test_wrong_configurations_are_refused():
     robot = robots.load("hydrolek_7w")
     for bad in ([0.0], np.full(6, np.nan), "abc", np.zeros((2, 6)), None):
-        with pytest.raises(errors.InvalidConfiguration):
+        with pytest.raises((errors.InvalidConfiguration, errors.ConfigurationNotFound)):
             robot.errors(bad, (1.0, 0.1, 0.2))
     for bad in ([0.0], "abc", np.zeros((2, 6)), None, {}, 10**400):
         for call in (robot.outside, robot.at_limits):

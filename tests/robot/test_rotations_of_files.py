@@ -90,7 +90,8 @@ def test_lengths_of_arrays(tmp_path):
         assert np.allclose(poses_of(tmp_path / name, length_unit="in"), 0.0254 * T[:, :3, 3])
 
 
-def test_angles_that_look_like_degrees_are_doubted(tmp_path, caplog):
+def test_angles_that_look_like_degrees_are_doubted(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr("ik_toolkit.errors.DOUBTED", set())
     file = tmp_path / "doubted.csv"
     file.write_text("x,y,z,roll,pitch,yaw\n1,2,3,180,0,90\n")
     poses_of(file, deg=True)

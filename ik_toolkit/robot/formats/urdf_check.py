@@ -255,12 +255,12 @@ def _twice(joint: Item) -> Iterator[Finding]:
         several = joint.own(tag)
         if len(several) > 1:
             lines = " and ".join(str(part.line) for part in several[:2])
-            told = f"it has {len(several)} <{tag}> (lines {lines}): the first counts"
+            told = f"it has {len(several)} <{tag}> (lines {lines}): only the first is read"
             yield odd(joint, told, "remove the others", several[1].line, at_load=True)
 
 
 def _unknown(element: object, name: str, near: str, line: int) -> Finding:
-    told = f"{name} is not known and is ignored" + (f"; {near} is meant?" if near else "")
+    told = f"{name} is not known and is ignored" + (f"; did you mean {near}?" if near else "")
     return odd(element, told, ADVICE, line, at_load=True)
 
 

@@ -29,7 +29,7 @@ def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
         return tuple(one.kind for one in every)
 
     def factorial(n: int) -> int:
-        values.whole(n * n if n > 0 else 0)  # The square of n bounds the bits of its factorial from above.
+        values.check_bits(n * n if n > 0 else 0)  # The square of n bounds the bits of its factorial from above.
         return math.factorial(n)
 
     def rounded(value: float, digits: int | None = None, ndigits: int | None = None) -> float:

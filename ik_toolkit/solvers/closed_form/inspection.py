@@ -166,8 +166,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
             elif gap > 0.0:
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                # The target would be in reach with more stroke, so the lift's limit stops the arm.
-                if stroke > 0.0:
+                if stroke > 0.0:  # The target is in reach with more stroke: the lift's limit stops the arm.
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
         slack = opt[ORDER.tol_r] * lever  # A pose turned by the tolerance moves the wrist no further than this.

@@ -1,0 +1,56 @@
+"""Runs that may be slower than their reference: only where they have to be, and no slower than that."""
+
+import numpy as np
+import pytest
+from robots import have_data
+
+import ik_toolkit as ik
+
+DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+
+
+def keeps_speeds(robot, run):
+    speed = np.abs(np.diff(run.q, axis=0)) / run.dt
+    return (speed <= np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf) * (1.0 + 1e-9)).all()
+
+
+@DATA
+def test_a_reference_that_can_be_followed_in_its_own_time_is_not_slowed():
+    """Joints are at their limits in 9 of 10 steps, but others do their part."""
+    robot = ik.Tree.load("pr2")
+    reference = {tip: ik.circle(T.homogeneous, 0.1, duration=3.8) for tip, T in robot.fk(robot.home).items()}
+    run = ik.track(robot, reference, q0=robot.home)
+    assert run.status.name == "COMPLETED" and run.limited.any() and keeps_speeds(robot, run)
+
+
+def test_joints_beside_the_slow_one_do_its_part():
+    """The fastest law of one joint path takes 3.55 times as long as the reference, that of all it can do 2.35 times."""
+    robot = ik.Robot.load("hydrolek_7w")
+    middle = 0.5 * (robot.lower + robot.upper)
+    q0 = robot.home + 0.2 * (middle - robot.home)
+    start = robot.fk(q0).translation
+    reference = ik.line(start, start + np.array([0.15, 0.0, 0.0]), duration=0.2, law="minimum-jerk")
+    run = ik.track(robot, reference, q0=q0)
+    assert run.status.name == "SLOWED" and keeps_speeds(robot, run)
+    assert run.t[-1] < 2.6 * run.end
+
+
+@DATA
+def test_before_a_contact_the_reference_slows_down_and_the_tip_stays_on_it():
+    robot = ik.Robot.load("panda")
+    T = robot.fk(robot.home).homogeneous
+    ball = T[:3, 3] + (-0.1, 0.22, 0.0)  # 1 cm beside the hand
+    model = ik.CollisionModel(robot).add_sphere(0.05, ball, "ball")
+    reference = ik.circle(T, 0.1, duration=1.0)
+    run = ik.track(robot, reference, avoid_collisions=model)
+    assert run.status.name == "SLOWED" and run.t[-1] < 1.5 and not any(model.collides(q) for q in run.q)
+    assert ik.track(robot, reference, avoid_collisions=model, on_limit="leave").position_error.max() > 5e-3
+
+
+def test_a_fast_line_in_few_samples_takes_hardly_longer():
+    """A clock without corners: steps err where the target begins to brake, and half as fast is not needed for that."""
+    robot = ik.Robot.load("planar_2r")
+    q0 = np.array([0.3, 0.9])
+    start = robot.fk(q0).translation
+    run = ik.track(robot, ik.line(start, start + np.array([-0.9, 0.5, 0.0]), duration=0.3, law="minimum-jerk"), q0=q0)
+    assert run.status.name == "SLOWED" and run.t[-1] < 0.35 and keeps_speeds(robot, run)
