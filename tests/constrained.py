@@ -15,16 +15,16 @@ def many(count):
 
 
 @cached
-def kernel(J, weight, ask, timed, want, size, low, high, A, b, count, mode, step, mu, x, active, kept, push):
+def kernel(J, weight, ask, want, size, low, high, A, b, count, mode, step, mu, x, active, kept):
     (n, m), rows = J.shape, A.shape[0]
     block, none = np.zeros(rooms.room_space(n, m, rows)), np.zeros(n)
-    asked = TaskRate(view(J), view(weight), view(ask), view(timed), view(want), view(none), view(size), mode, step, mu)
+    asked = TaskRate(view(J), view(weight), view(ask), view(want), view(none), view(size), mode, step, mu)
     allowed = Allowed(view(low), view(high), view(A), view(b), count)
-    taken = StepTaken(view(x), view(active), view(kept), view(push))
-    status, rate = constrain(asked, allowed, rooms.room_on(view(block), n, m, rows), taken)
+    taken = StepTaken(view(x), view(active), view(kept))
+    status = constrain(asked, allowed, rooms.room_on(view(block), n, m, rows), taken)
     keep(block)
     keep(none)
-    return status, rate
+    return status
 
 
 class Step:
@@ -41,12 +41,12 @@ class Step:
         self.weight = np.ones(m) if weight is None else weight
         self.scale = np.ones(n) if scale is None else scale
         self.active, self.kept = np.zeros(n, np.int8), np.zeros(len(self.b), np.int8)
-        self.x, self.push = np.empty(n), np.empty(n)
+        self.x = np.empty(n)
 
-    def __call__(self, feedback, forward, want):
-        self.status, self.rate = kernel(
-            self.J, self.weight, feedback, forward, want, self.scale, self.low, self.high, self.A, self.b, self.count,
-            self.mode, self.step, self.mu, self.x, self.active, self.kept, self.push,
+    def __call__(self, ask, want):
+        self.status = kernel(
+            self.J, self.weight, ask, want, self.scale, self.low, self.high, self.A, self.b, self.count,
+            self.mode, self.step, self.mu, self.x, self.active, self.kept,
         )  # fmt: skip
         return self.x.copy()
 

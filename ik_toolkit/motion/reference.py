@@ -12,8 +12,7 @@ import numpy as np
 
 from ..copying import Holds
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..robot.pose import PROJECT_WITHIN
-from ..robot.pose import corrected
+from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # poses, twists and accelerations at several times

@@ -46,6 +46,13 @@ LITTLE = 0.004  # [rad or reaches per s] wish that is taken up half as fast: it 
 FAST, BRISK = 1.0, 0.5
 
 
+class Moment(NamedTuple):
+    """One step: how many half-planes there are, and how long it is [s]."""
+
+    rows: int
+    h: float
+
+
 class Published(NamedTuple):
     """Stands in for a rule: the laws of laws.py, all in one loop."""
 
@@ -113,12 +120,12 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 
 @inline
-def add_wishes(law, s, limits, wish, ratio, h, memory):
+def add_wishes(law, s, given, ratio, h, memory):
     """Add the secondary motion to s.x: it must be part of what is extrapolated, or the tip would leave its path.
 
     Where accelerations are wanted, one by which the joints' own motion in the null space comes to it: weak where little is wished.
     """
-    if find_wishes(law, s, limits, wish, s.x):
+    if find_wishes(law, s, given.limits, given.wish, s.x):
         kept, share = 0.0, 1.0
         if law.code >= CA:
             size = 0.0
@@ -137,11 +144,11 @@ def add_wishes(law, s, limits, wish, ratio, h, memory):
 
 
 @inline
-def feed_back(law, s, limits, count, h, heavy, beyond):
+def feed_back(law, s, limits, now, heavy, beyond):
     """Shrink the error fed back, see `hold_back` and `ease`; returns whether limits or half-planes are in its way."""
     n, m = s.J.shape
     if beyond:
-        hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.pace, s.y)
+        hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.y)
     limited = law.mode != CLIP and law.code >= CA
     for i in range(n):
         limited = limited or limits[3, i] < np.inf
@@ -154,34 +161,42 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
             gone += mode_part(s.U, k, s.e) ** 2
     curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
     fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
-    allowed = Allowed(s.floor, s.roof, s.planes, s.edges, count if law.mode != CLIP else -1)
-    return ease(law, inverse_of(s), target_of(s), h, s.at, limits, allowed, Briskness(fast, quick, curved), s.x)
+    allowed = Allowed(s.floor, s.roof, s.planes, s.edges, now.rows if law.mode != CLIP else -1)
+    return ease(law, inverse_of(s), target_of(s), now.h, s.at, limits, allowed, Briskness(fast, quick, curved), s.x)
 
 
 @inline
-def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
+def by_law(law, rule, task, look, weights, s, given, own, now):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     n, m = s.J.shape
+    limits, rate, state, h = given.limits, own.motion[1], own.state, now.h
     border = REGION * law.damping
-    damped, weak, beyond, heavy = 0.0, False, False, 0.0 if law.mode == CLIP else 1.0
+    damped, weak, weighed, beyond, heavy = 0.0, False, False, False, 0.0 if law.mode == CLIP else 1.0
     if law.mode == CLIP:
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
+        weighed = (
+            n < m
+        )  # not every error can be closed: what is closest, and what is lost of a task, is by their weights
+        if weighed:
+            heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         gram(s.J, m, n >= m, 0.0, s.G)
         low = invert(s.G, min(n, m), s.y)
         weak = law.damping > 0.0 and not low >= border * border
-    if weak:  # what is lost of a task, and what is closest, is by the weights of the errors
-        heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
-        begin_anew(slack, basis)
-        modes(s.J, basis, s.W, s.U, s.sv)
-    for k in range(m):
-        s.lost[k], s.pull[k], s.pace[k] = 0.0, 0.0, s.f[k]
     if weak:
-        beyond = judge_modes(law, task, look, s, limits, h, rate, away, heavy, state)
+        if not weighed:
+            heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
+        weighed = True
+        begin_anew(given.counts[1], own.basis)
+        modes(s.J, own.basis, s.W, s.U, s.sv)
+    for k in range(m):
+        s.lost[k], s.pull[k] = 0.0, 0.0
+    if weak:
+        beyond = judge_modes(law, task, look, s, limits, h, own, heavy)
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
     else:
         remember(state, False, False, h)
-    blocked = feed_back(law, s, limits, count, h, heavy, beyond)
+    blocked = feed_back(law, s, limits, now, heavy, beyond)
     joints = JointMotion(s.move, s.null, s.x1, s.x2, s.x)
     prepare(law, inverse_of(s), target_of(s), rate, h, joints)
     if law.code >= CA:
@@ -189,23 +204,23 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, h, rat
             for i in range(n):
                 s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
                 s.x2[i] = 0.0
-        bend(task, look, s, weak)
-    if weak:  # all is weighed by now
+        bend(task, look, s, weighed)
+    if weighed:  # all is weighed by now
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-    command(law, inverse_of(s), target_of(s), rate, memory, h, ratio, joints)
+    command(law, inverse_of(s), target_of(s), rate, own.memory, h, ratio, joints)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
         if law.code == CV:  # what the next step extrapolates from
-            along_lost(s.V, s.lost, s.xk, memory, 1.0)
-    add_wishes(law, s, limits, wish, ratio, h, memory)
+            along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
+    add_wishes(law, s, given, ratio, h, own.memory)
     return damped
 
 
 @inline
-def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
+def by_rule(law, rule, task, look, weights, s, given, own, now):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
     leaned = False
@@ -215,12 +230,12 @@ def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, h, ra
         task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)
-    copy(memory, d.x)
+    copy(own.memory, d.x)
     d.spent[0], d.spent[1] = 0.0, np.inf
     code = rule.step(task, look)
-    copy(d.x, memory)
+    copy(d.x, own.memory)
     for i in range(s.x.shape[0]):
-        s.x[i] = s.g[i] + (d.dq[i] / h if code != SINGULAR_STEP else 0.0)
+        s.x[i] = s.g[i] + (d.dq[i] / now.h if code != SINGULAR_STEP else 0.0)
     return 0.0
 
 
@@ -231,18 +246,18 @@ def copy_rows(source, target):
         copy(source[i], target[i])
 
 
-def wanted(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
+def wanted(law, rule, task, look, weights, s, given, own, now):
     """Rates that the law or the rule wants."""
     how = by_law if isinstance(rule, Published) else by_rule
-    return how(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state)
+    return how(law, rule, task, look, weights, s, given, own, now)
 
 
 @overload(wanted, jit_options=INLINE)
-def _wanted(law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state):
+def _wanted(law, rule, task, look, weights, s, given, own, now):
     how = by_law if rule.instance_class is Published else by_rule
-    return lambda law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state: how(
-        law, rule, task, look, weights, s, slack, limits, wish, count, h, rate, memory, away, basis, state
-    )  # fmt: skip
+    return lambda law, rule, task, look, weights, s, given, own, now: how(
+        law, rule, task, look, weights, s, given, own, now
+    )
 
 
 def lean(law, rule, s, limits, wish, rate, h):

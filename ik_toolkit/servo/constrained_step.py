@@ -5,8 +5,7 @@ Pure linear algebra; what the box and the half-planes come from is the caller's.
 left (`damp`); where half-planes contradict each other or the box, with half-planes loosened by the least slack.
 
 Each row of the task has a weight of its own. LEAVE: all that is missed counts alike. DIRECT: what leaves the direction asked for
-counts more than falling behind along it (`keep_straight`). SLOW lets the reference's clock slow down: the task's rate is
-ask + rate * timed with 0 <= rate <= 1, the task first, then the clock as fast as it can be.
+counts more than falling behind along it (`keep_straight`).
 """
 
 import math
@@ -19,10 +18,8 @@ from ..kernel.records import Array, copy
 from .equality_qp import dot, problem_on, problem_space, resized, square
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
-LEAVE, SLOW, DIRECT = range(3)
+LEAVE, DIRECT = range(2)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-FULL_CLOCK = 1e-6  # below full, from which on a clock counts as full
-CLOCK_UNIT = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
 CAUTIOUS = 1.5  # times the bound of the curvature left out, see `damping`
 STRAIGHT = 100.0  # weight of leaving the direction asked for against falling behind along it, where nothing is blocked
@@ -35,11 +32,10 @@ class TaskRate(NamedTuple):
     J: Array  # (n, m) Jacobian, one joint a row
     weight: Array  # (m,) of what counts, 0 where it does not
     ask: Array  # (m,) rate of the task
-    timed: Array  # (m,) ... and what of it is added at full clock (SLOW)
     want: Array  # (n,) joint rates wanted
     aside: Array  # (n,) the part of them along singular directions, which are out of the task
     size: Array  # (n,) a speed for each joint, in which its motion is measured
-    mode: int  # LEAVE, SLOW, DIRECT
+    mode: int  # LEAVE, DIRECT
     h: float  # [s] time in which motion is damped by what is left of the task, 0: it is not
     mu: float  # above 0: the task is damped by this from the first
 
@@ -62,7 +58,6 @@ class StepTaken(NamedTuple):
     x: Array  # (n,) joint rates
     active: Array  # (n,) int8: -1 at the floor, 1 at the roof, 2 in a half-plane that holds
     kept: Array  # (rows,) int8: 1 where a half-plane holds
-    multiplier: Array  # (n,) of the bounds that hold, positive at the roof
 
 
 @inline
@@ -95,17 +90,16 @@ def fitting(asked, allowed):
             return False
     miss, size = 0.0, 0.0
     for k in range(J.shape[1]):
-        v = asked.ask[k] + asked.timed[k]
-        s = -v
+        s = -asked.ask[k]
         for i in range(J.shape[0]):
             s += J[i, k] * want[i]
         miss += (asked.weight[k] * s) ** 2
-        size += (asked.weight[k] * v) ** 2
+        size += (asked.weight[k] * asked.ask[k]) ** 2
     return miss <= SAME_TASK * SAME_TASK * size
 
 
 @inline
-def lay_out(asked, allowed, rate, loose, fastest, room):
+def lay_out(asked, allowed, loose, fastest, room):
     """Write the problem in unknowns that are shares of each joint's speed, or, above 0, all of the fastest one's."""
     u, r, J, count, n = room.u, room.r, asked.J, allowed.rows, asked.J.shape[0]
     for i in range(n):
@@ -122,7 +116,7 @@ def lay_out(asked, allowed, rate, loose, fastest, room):
     for c in range(J.shape[1]):
         for i in range(n):
             r.P[k, i] = asked.weight[c] * J[i, c] * (fastest if fastest > 0.0 else asked.size[i])
-        r.rhs[k] = asked.weight[c] * (asked.ask[c] + rate * asked.timed[c])
+        r.rhs[k] = asked.weight[c] * asked.ask[c]
         if square(r.P, k, n) > 0.0:  # what no joint moves is not asked for
             k += 1
     return k - count
@@ -199,39 +193,12 @@ def least_slack(p):
     return u.y[n] * (1.0 + LOOSE) + LOOSE
 
 
-@inner
-def slower_clock(asked, p):
-    """Highest clock rate at which the task is missed least: what it is below 1 is unknown n; the answer is that rate's."""
-    u, r, n, J = p.u, p.r, p.size, asked.J
-    size, top, k = 0.0, 0.0, p.planes
-    for c in range(J.shape[1]):
-        ahead, moves = asked.weight[c] * asked.timed[c], False
-        for i in range(n):
-            moves = moves or asked.weight[c] * J[i, c] * asked.size[i] != 0.0
-        if moves:
-            top = max(top, square(r.P, k, n))
-            r.P[k, n] = ahead
-            size += ahead * ahead
-            k += 1
-    if not size > 0.0:
-        return 1.0
-    unit = CLOCK_UNIT * math.sqrt(top / size)
-    for k in range(p.planes):
-        r.P[k, n] = 0.0
-    for k in range(p.planes, p.planes + p.task):
-        r.P[k, n] *= unit
-    u.want[n], u.floor[n], u.roof[n], u.held[n] = 0.0, 0.0, 1.0 / unit, 0
-    solve_levels(resized(p, n + 1, p.planes, p.task))
-    rate = max(1.0 - unit * u.y[n], 0.0)
-    return rate if rate < 1.0 - FULL_CLOCK else 1.0
-
-
 @inline
 def as_wanted(asked, taken):
     """The rate wanted, bit for bit; no constraint is active."""
     copy(asked.want, taken.x)
     for i in range(taken.x.shape[0]):
-        taken.active[i], taken.multiplier[i] = 0, 0.0
+        taken.active[i] = 0
     for k in range(taken.kept.shape[0]):
         taken.kept[k] = 0
 
@@ -256,8 +223,6 @@ def answer(p, asked, allowed, fastest, taken):
             taken.x[i] = min(max(u.y[i] * size, allowed.floor[i]), allowed.roof[i])
         else:
             taken.x[i] = allowed.roof[i] if u.held[i] > 0 else allowed.floor[i]
-        price = u.new.first[i] if u.new.first[i] != 0.0 else u.new.second[i]
-        taken.multiplier[i] = price / size if u.held[i] != 0 else 0.0
     for k in range(taken.kept.shape[0]):
         taken.kept[k] = r.holds[k] if k < p.planes else 0
         for i in range(taken.x.shape[0]):
@@ -270,7 +235,7 @@ def damping(p, asked):
     """How much what the task misses damps the motion, and the speed of the fastest joint.
 
     The curvature of the tip's way that C leaves out is at most that of a circle of one kernel unit, the same for all joints,
-    however slow they are. Two thirds of the way (CAUTION in singular_step.py) are taken, as whole ways zigzag.
+    however slow they are. Two thirds of the way (`Weak.caution`) are taken, as whole ways zigzag.
     """
     miss, heavy, fastest = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):
@@ -284,22 +249,22 @@ def damping(p, asked):
 
 @inner
 def constrain(asked, allowed, room, taken):
-    """Take the rate that does the task as well as possible, then is nearest to the one wanted; return status and clock rate.
+    """Take the rate that does the task as well as possible, then is nearest to the one wanted; return how it ended.
 
-    Status WANTED: it is the one wanted, bit for bit, which lies inside and does the task. MET: the task is done at the rate
-    returned. SHORT: not all of it can be; then what is missed damps the motion, as in `damp`: undamped, joints go to and fro at
+    Status WANTED: it is the one wanted, bit for bit, which lies inside and does the task. MET: the task is done.
+    SHORT: not all of it can be; then what is missed damps the motion, as in `damp`: undamped, joints go to and fro at
     full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration). RELAXED: the half-planes
     contradict each other or the box and were loosened (tests/servo/test_obstacles.py). INEXACT: no optimum was found in the
     iterations allowed, the rate is only inside the box.
     """
     if fitting(asked, allowed):
         as_wanted(asked, taken)
-        return WANTED, 1.0
-    n, mu, loose, fastest, rate, short = asked.J.shape[0], asked.mu, 0.0, 0.0, 1.0, asked.mu > 0.0
+        return WANTED
+    n, mu, loose, fastest, short = asked.J.shape[0], asked.mu, 0.0, 0.0, asked.mu > 0.0
     share = share_allowed(asked, allowed) if asked.mode == DIRECT and mu == 0.0 else 0.0
     recall(room, allowed.rows, taken)
     while True:
-        p = resized(room, n, allowed.rows, lay_out(asked, allowed, rate, loose, fastest, room))
+        p = resized(room, n, allowed.rows, lay_out(asked, allowed, loose, fastest, room))
         if share > 0.0:
             keep_straight(p, share)
         if mu > 0.0:
@@ -311,11 +276,8 @@ def constrain(asked, allowed, room, taken):
         if end != DONE or mu > 0.0:
             break
         short = unmet(p)
-        if short and asked.mode == SLOW:
-            rate = slower_clock(asked, p)
-            short = rate == 1.0 or unmet(p)
         if not short or asked.h == 0.0:
             break
         mu, fastest = damping(p, asked)
     answer(p, asked, allowed, fastest, taken)
-    return INEXACT if end != DONE else RELAXED if loose > 0.0 else SHORT if short else MET, rate
+    return INEXACT if end != DONE else RELAXED if loose > 0.0 else SHORT if short else MET

@@ -123,7 +123,7 @@ def descend(law, s, limits, h, state):
     heavy, size, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), 0.0, feedback(law, h), False
     for k in range(m):
         size += s.e[k] * s.e[k]
-        s.ask[k], s.f[k] = gain * s.e[k], 0.0
+        s.ask[k] = gain * s.e[k]
         s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0  # all is weighed by now
     mu = state[STATE.share] * heavy * math.sqrt(size)
     for i in range(n):

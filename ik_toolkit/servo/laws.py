@@ -19,7 +19,7 @@ from ..kernel.records import Array
 from .viability import approach
 
 CV, AV, CA, AA = range(4)
-CLIP = 3  # beside LEAVE and DIRECT of constrained_step.py: each joint clipped on its own
+CLIP = 2  # beside LEAVE and DIRECT of constrained_step.py: each joint clipped on its own
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
 MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, with the rate given; go on; all is known
 FINE, NOT_FINITE, RUNAWAY = range(3)

@@ -8,24 +8,58 @@ error nearby (damped_descent.py). CLIP is the published form whole: damped as a 
 poses, each joint clipped on its own.
 """
 
+# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numba.extending import overload
 
 from ..compile.array_view import keep, space, view
-from ..compile.jit import cached, inline, inner
+from ..compile.jit import INLINE, cached, inline, inner
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import problem_on, step_class
-from .command import Published, copy_rows, lean, wanted
-from .constrained_step import room_on, room_space
+from .command import Moment, Published, copy_rows, lean, wanted
+from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck
-from .laws import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
-from .limited_step import judge, obey
-from .null_space_motion import lay_aside, reflect, slack_rows
-from .viability import CALMED, HELD, LASTING, UNLIMITED, approach, box_of, boxes, calm, clip, move, watch, way_to
+from .laws import (
+    CLIP,
+    GIVEN,
+    MOVING,
+    NOT_FINITE,
+    READY,
+    RUNAWAY,
+    RUNNING,
+    STATE,
+    Law,
+    apply,
+    factor,
+    own_up,
+    settle,
+)
+from .null_space_motion import PRESSED, lay_aside, reflect, slack_rows
+from .singular_step import along_lost, by_modes
+from .viability import (
+    CALMED,
+    HELD,
+    LASTING,
+    RECOVERING,
+    ROW,
+    UNLIMITED,
+    approach,
+    box_of,
+    boxes,
+    calm,
+    clip,
+    move,
+    watch,
+    way_to,
+)
 from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
+
+LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
 
 
 @inner
@@ -108,6 +142,83 @@ def clip_rates(law, s, still, h, memory, code):
         memory[k] = 0.0
 
 
+# ---------------------------------------------------------------------------------------------------- inside the limits
+@inline
+def judge(wanted, h, p, state):
+    """Set the joint speeds `wanted` to zero where they cannot be followed or the arm brakes; returns whether to stop, to hold."""
+    largest = 0.0
+    for k in range(wanted.shape[0]):
+        largest += abs(wanted[k])
+    bad = not largest < LARGEST
+    still = p.brake > 0.0 or (bad and p.runaway == np.inf)
+    if still:
+        for k in range(wanted.shape[0]):
+            wanted[k] = 0.0
+    elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):  # otherwise the box decides
+        state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
+        return True, still
+    return False, still
+
+
+@inline
+def by_constraints(law, s, count, mu, h, own, work, code):
+    """Rates that the limits allow, to s.x; returns whether anything prevented those wanted.
+
+    mu above 0: those of a step down, which `descend` has asked for.
+    """
+    n, m = s.J.shape
+    mode, size = int(law.mode), s.size
+    if mu > 0.0:
+        mode, size = LEAVE, s.even
+    else:
+        for k in range(m):
+            s.ask[k] = 0.0
+            for i in range(n):
+                s.ask[k] += s.J[i, k] * s.x[i]
+        for i in range(n):
+            s.v[i] = 0.0
+        along_lost(s.V, s.lost, s.xk, s.v, 1.0)
+        by_modes(s.J, s.W, s.U, s.lost, s.ask, s.y)
+    copy(s.x, s.w)
+    allowed, taken = Allowed(s.floor, s.roof, s.planes, s.edges, count), StepTaken(s.x, own.active, own.kept)
+    status = constrain(TaskRate(s.J, s.weight, s.ask, s.w, s.v, size, mode, h, mu), allowed, work, taken)
+    if status >= SHORT:
+        own.state[STATE.pressed] = PRESSED
+    for i in range(n):
+        code[i] = (s.why_low[i] | s.why_top[i]) & RECOVERING
+        if status != WANTED and own.active[i] == 1:
+            code[i] = s.why_top[i]
+        elif status != WANTED and own.active[i] == -1:
+            code[i] = s.why_low[i]
+    for k in range(int(law.rows)):
+        if status != WANTED and own.kept[k] != 0:
+            most = 0
+            for i in range(n):
+                if abs(s.planes[k, i]) > abs(s.planes[k, most]):
+                    most = i
+            code[most] = code[most] | ROW
+    return status != WANTED
+
+
+@inline
+def by_clipping(law, s, count, mu, h, own, work, code):
+    """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
+    clip(s.x, box_of(s), code)
+    return False
+
+
+def obey(rule, law, s, count, mu, h, own, work, code):
+    """Rates that the limits allow, see `by_constraints`."""
+    how = by_constraints if isinstance(rule, Published) else by_clipping
+    return how(law, s, count, mu, h, own, work, code)
+
+
+@overload(obey, jit_options=INLINE)
+def _obey(rule, law, s, count, mu, h, own, work, code):
+    how = by_constraints if rule.instance_class is Published else by_clipping
+    return lambda rule, law, s, count, mu, h, own, work, code: how(law, s, count, mu, h, own, work, code)
+
+
 # --------------------------------------------------------------------------------------------------------------------- the loop
 @inner
 def error_squared(weight, e):
@@ -119,13 +230,12 @@ def error_squared(weight, e):
 
 
 @inline
-def run(step, rows, ends, orders, given, own, samples, out, h, block):
+def run(step, arm, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
-    _, p, counts, limits, wish, lines, level, measured = given
-    _, motion, memory, swings, away, basis, state, active, kept = own
+    (rows, ends, orders), (_, p, counts, limits, wish, lines, level, measured) = arm, given
     (_, T, V, A), (_, Q, R, E, S, C) = samples, out
-    q, rate = motion[0], motion[1]
-    n, m, room = q.shape[0], V.shape[1], kept.shape[0]
+    q, rate, memory, swings, state = own.motion[0], own.motion[1], own.memory, own.swings, own.state
+    n, m, room = q.shape[0], V.shape[1], own.kept.shape[0]
     law, o = read(Law, p), read(Orders, orders)
     first = HEAD + TASK * (m // 6)
     task = problem_on(block, rows, ends, orders[HEAD:first], n, o)
@@ -168,9 +278,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         S[i] = min(max(state[STATE.near], 0.0), 1.0)
         quieten(law, s, rate, swings, h, state)
         if mu == 0.0:
-            S[i] = wanted(
-                law, rule, task, look, weights, s, counts[1], limits, wish, count, h, rate, memory, away, basis, state
-            )  # fmt: skip
+            S[i] = wanted(law, rule, task, look, weights, s, given, own, Moment(count, h))
         copy(rate, s.before)
         stop, still = judge(s.x, h, law, state)
         if stop:
@@ -178,7 +286,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            held = obey(rule, law, s, count, mu, h, state, work, active, kept, C[i])
+            held = obey(rule, law, s, count, mu, h, own, work, C[i])
             look_on(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, memory)
@@ -208,7 +316,7 @@ def servo(cls: type | None = None) -> Callable:
         size = space(n, m, rows.shape[0], 0) + bench_space(n, m, room) + room_space(n, m, room)
         block = np.zeros(size)
         taken = run(
-            step, view(rows), view(ends), view(orders), given, own, samples_of(view(samples)), record_of(view(out)), h,
+            step, (view(rows), view(ends), view(orders)), given, own, samples_of(view(samples)), record_of(view(out)), h,
             view(block),
         )  # fmt: skip
         keep(block)

@@ -9,21 +9,14 @@ import numpy as np
 
 from ..compile.jit import compiled, inline, inner
 from ..kernel.records import copy
-from .constrained_step import SLOW
 from .laws import CV, REGION, STATE, natural
 from .null_space_motion import STEP, reflect
 from .singular_step import (
     ALONG,
-    BENT,
     BESIDE,
     BOTH,
-    CAUTION,
-    CLEAR,
-    KNOWN,
-    LEAST,
-    LOST,
-    MINOR,
     SIDE,
+    WEAK,
     begin_bent,
     bent_direction,
     bring_along,
@@ -164,11 +157,11 @@ def fastest_along(V, r, limits):
 
 
 @inner
-def mode_speed(s, mode, gain, h, slow, limits, near, away):
+def mode_speed(s, mode, gain, h, limits, near, away):
     """Judge a mode: its speed to s.xk, and 1 to s.lost where it is taken out of the task.
 
-    s.t: the curvature of each `mode_probe`, along u_r; slow: whether a clock gives way where joints are too slow; near: above 0
-    when the last step was a singular one, above 1 for some time after the target was out of reach. Returns whether it is now.
+    s.t: the curvature of each `mode_probe`, along u_r; near: above 0 when the last step was a singular one, above 1 for some time
+    after the target was out of reach. Returns whether it is now.
 
     away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came. Where it says nothing
     about this one, they came from where they are.
@@ -177,13 +170,13 @@ def mode_speed(s, mode, gain, h, slow, limits, near, away):
     b, beside = s.t[ALONG], s.t[BESIDE]
     cap, a = fastest_along(V, r, limits)
     grows = np.sign(b)  # the way along V_r in which sigma does: the side on which the joints are
-    clear = mode.full > CLEAR and mode.sigma > KNOWN * mode.full
+    clear = mode.full > WEAK.clear and mode.sigma > WEAK.known * mode.full
     back = part_along(V, r, away)
-    if abs(back) < KNOWN and clear:
+    if abs(back) < WEAK.known and clear:
         bring_along(V, r, away, grows, 1.0)
         back = grows
     sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
-    if abs(left) < MINOR * mode.rest:  # see `hold_back`
+    if abs(left) < WEAK.minor * mode.rest:  # see `hold_back`
         left *= sigma * sigma / (sigma * sigma + mode.rest)
         moved *= sigma * sigma / (sigma * sigma + mode.rest)
     for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
@@ -193,45 +186,46 @@ def mode_speed(s, mode, gain, h, slow, limits, near, away):
         if last == 0 and gain * abs(y) > most:
             left *= most / (gain * abs(y))
     edge = D < 0.0
-    x = (CAUTION if edge else 1.0) * y / h
-    if edge and mode.sigma > LOST and grows * back < 0.0:  # carried far to the other side: back across
-        x = -grows * (mode.sigma / abs(b) + LOST) * gain
+    x = (WEAK.caution if edge else 1.0) * y / h
+    if edge and mode.sigma > WEAK.lost and grows * back < 0.0:  # carried far to the other side: back across
+        x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
     if edge and a < np.inf:
         x = min(max(x, -most), most)
     x = min(max(x, -cap), cap)
     if clear and not edge:
         bring_along(V, r, away, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
     E = moved + h * gain * left
-    bent = abs(b * E) > BENT * mode.sigma * mode.sigma
-    if mode.sigma < LOST or bent or (abs(E) > h * cap * mode.sigma and not slow):
+    bent = abs(b * E) > WEAK.bent * mode.sigma * mode.sigma
+    if mode.sigma < WEAK.lost or bent or abs(E) > h * cap * mode.sigma:
         s.lost[r], s.xk[r] = 1.0, x
-    return D < -LEAST * LEAST
+    return D < -WEAK.least * WEAK.least
 
 
 @inline
-def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
+def judge_modes(law, task, look, s, limits, h, own, heavy):
     """Judge directions in which the tip can hardly move (singular_step.py); returns whether the target is out of reach in one."""
     n, m = s.J.shape
+    rate, away, state = own.motion[1], own.away, own.state
     near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
     for r in range(m):
         if s.sv[r] >= REGION * law.damping:
             continue
-        if not near and s.sv[r] > CLEAR:
+        if not near and s.sv[r] > WEAK.clear:
             forget_default(state, away)
         near = True
         left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
-        free, thin, own = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r], 0.0
+        free, thin, speed = s.sv[r] < WEAK.lost and state[STATE.near] > 1.0, s.sv[r], 0.0
         if not begin_mode(s, r, free, moved + h * gain * left, away):
             continue
         for part in range(-n if free else 0, 3):
             if part == ALONG and free:
                 thin = bent_direction(s.W, s.V, s.sv, r, s.null)
-            own = probe_mode(s, r, part, rate, h)
+            speed = probe_mode(s, r, part, rate, h)
             bend(task, look, s, True)
             note_curve(s, r, part)
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
-        mode = WeakMode(r, s.sv[r], thin, rest, own, left, moved)
-        out = mode_speed(s, mode, gain, h, law.mode == SLOW, limits, state[STATE.near], away)
+        mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
+        out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
         if free and out:  # damped, as in `hold_back`
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out

@@ -17,27 +17,45 @@ therefore replaced by the direction in which b_k is largest, and the side is kep
 """
 
 import math
+from typing import NamedTuple
 
 from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
 from .laws import gram
 
-ZERO = 1e-9  # singular value (lengths over reach) below which a direction does not move to first order
-NOTHING = 1e-12  # added to the squares of singular values, which are above LOST^2 here: no more than rounding
-CLEARLY = 0.1  # component of a unit vector along a direction above which it is clear to which side it points
-KNOWN = 0.5  # the same of a side that was kept: less is left of another singular pose
-LOST = 5e-3  # singular value below which a direction is taken out of the task
-BENT = 0.2  # or share of sigma_k^2, for what is asked times the curvature, above which it is
-FADE = 0.1  # [s] in which a joint's motion fades along a direction in which nothing moves the tip
-LEAST = 1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singular pose is of the order of its square
 CLOSE = 0.1  # [reaches, or rad] up to which an error is a vector to within a twentieth
-FLAT = 1e-3  # curvature (reaches over rad^2) below which it counts as zero
 ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is evaluated
 SIDE = 0.2  # [s] for which the side is kept from which the joints came to a singular pose: a swing across is shorter
-# Share of the way to the closest pose that a step takes: beside a free direction whole ways zigzag, as steepest descent does.
-CAUTION = 2.0 / 3.0
-MINOR = 0.1  # share of an error that cannot be closed, below which what is left along another direction comes with it
-CLEAR = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
+
+
+class Weak(NamedTuple):
+    """When a direction counts as weak, and what is done along it (tests/servo/test_crossings.py, test_out_of_reach.py).
+
+    Singular values are lengths over the reach, for a radian or a reach of a joint.
+    """
+
+    zero: float = 1e-9  # singular value below which a direction does not move to first order
+    nothing: float = (
+        1e-12  # added to the squares of singular values, which are above lost^2 here: no more than rounding
+    )
+    clearly: float = 0.1  # component of a unit vector along a direction above which it is clear to which side it points
+    known: float = 0.5  # the same of a side that was kept: less is left of another singular pose
+    lost: float = 5e-3  # singular value below which a direction is taken out of the task
+    bent: float = 0.2  # or share of sigma_k^2, for what is asked times the curvature, above which it is
+    fade: float = 0.1  # [s] in which a joint's motion fades along a direction in which nothing moves the tip
+    least: float = (
+        1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singular pose is of the order of its square
+    )
+    flat: float = 1e-3  # curvature (reaches over rad^2) below which it counts as zero
+    # Share of the way to the closest pose that a step takes: beside a free direction whole ways zigzag, as steepest descent does.
+    caution: float = 2.0 / 3.0
+    minor: float = (
+        0.1  # share of an error that cannot be closed, below which what is left along another direction comes with it
+    )
+    clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
+
+
+WEAK = Weak()
 
 
 @inner
@@ -82,7 +100,7 @@ def leave_modes(W, sigma, r, x):
     """Take from x (n,) what moves the tip by other modes than r (-1: by any); returns its length."""
     m, n = W.shape
     for c in range(m):
-        if c != r and sigma[c] > ZERO:
+        if c != r and sigma[c] > WEAK.zero:
             part = 0.0
             for i in range(n):
                 part += W[c, i] * x[i]
@@ -103,8 +121,8 @@ def lost_direction(W, sigma, away, v):
     leave_modes(W, sigma, -1, v)
     size = leave_modes(W, sigma, -1, v)  # twice is enough (Kahan)
     for i in range(v.shape[0]):
-        v[i] = v[i] / size if size > ZERO else 0.0  # a remainder of rounding is not a direction
-    return size > ZERO
+        v[i] = v[i] / size if size > WEAK.zero else 0.0  # a remainder of rounding is not a direction
+    return size > WEAK.zero
 
 
 @inner
@@ -148,23 +166,23 @@ def way_along(sigma, b, E, own, side, home, h):
     step); from rest at the singular pose, or with `home`, the one where they came from (side > 0: that is along v_k).
     """
     D, kept = sigma * sigma, own
-    if abs(b) > FLAT:
+    if abs(b) > WEAK.flat:
         middle = -sigma / b
         D += 2.0 * b * E
         y, half = middle, math.sqrt(max(D, 0.0)) / abs(b)
         heading = own - middle
-        if abs(side) > CLEARLY and (home or abs(heading) < CLEARLY * half):
+        if abs(side) > WEAK.clearly and (home or abs(heading) < WEAK.clearly * half):
             heading = side
         if half > 0.0:
             half = half if heading > 0.0 else -half
             # the second form where the first is a difference of nearly equal numbers
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        D -= 2.0 * FLAT * abs(E)  # as for the largest curvature that counts as zero
-        y = min(max(E / sigma, -sigma / FLAT), sigma / FLAT) if sigma > ZERO else 0.0
-        kept *= max(1.0 - h / FADE, 0.0)
+        D -= 2.0 * WEAK.flat * abs(E)  # as for the largest curvature that counts as zero
+        y = min(max(E / sigma, -sigma / WEAK.flat), sigma / WEAK.flat) if sigma > WEAK.zero else 0.0
+        kept *= max(1.0 - h / WEAK.fade, 0.0)
     weight = D if D > 0.0 else -0.5 * D  # second derivative there of the squared error
-    return (weight * y + LEAST * LEAST * kept) / (weight + LEAST * LEAST), D
+    return (weight * y + WEAK.least * WEAK.least * kept) / (weight + WEAK.least * WEAK.least), D
 
 
 @inner
@@ -199,13 +217,13 @@ def mode_moved(U, r, e, ahead, f, h):
 @inner
 def mode_direction(W, sv, r, away, way, v):
     """Write v_r to v (n,); False where there is no direction to move along."""
-    if sv[r] > ZERO:
+    if sv[r] > WEAK.zero:
         for i in range(v.shape[0]):
             v[i] = W[r, i] / sv[r]
         return True
     for i in range(v.shape[0]):
         v[i] = 0.0
-    return abs(way) > ZERO and lost_direction(W, sv, away, v)
+    return abs(way) > WEAK.zero and lost_direction(W, sv, away, v)
 
 
 @inner
@@ -215,7 +233,7 @@ def begin_bent(W, V, sigma, r, away, x):
         x[i] = away[i]
     size = leave_modes(W, sigma, r, x)
     for i in range(x.shape[0]):
-        x[i] = x[i] / size if size > KNOWN else V[i, r]
+        x[i] = x[i] / size if size > WEAK.known else V[i, r]
 
 
 @inner
@@ -227,7 +245,7 @@ def bent_direction(W, V, sigma, r, slope):
     motions along the direction of `begin_bent` and each joint: one step of a power iteration.
     """
     size = leave_modes(W, sigma, r, slope)
-    if size < FLAT:
+    if size < WEAK.flat:
         return sigma[r]
     own = part_along(V, r, slope)
     sign = 1.0 if own >= 0.0 else -1.0
@@ -259,13 +277,13 @@ def take_out(J, W, U, V, lost, f, G):
                     G[c, d] += U[r, c] * U[r, d] if wide else V[c, r] * V[d, r]
     if not wide:  # joints that move nothing at all leave their rows empty
         for c in range(k):
-            G[c, c] += NOTHING
+            G[c, c] += WEAK.nothing
     cholesky(G, k, 0.0)
     return count
 
 
 @inner
-def by_modes(J, W, U, lost, f, ask, y):
+def by_modes(J, W, U, lost, ask, y):
     """Write the task, J and what is asked, by the modes that are kept, where some are lost: independent rows say the same.
 
     A row of weight 0 is a mode of its own, as long as `modes` began without directions of another task.
@@ -276,18 +294,17 @@ def by_modes(J, W, U, lost, f, ask, y):
         some = some or lost[r] > 0.0
     if not some:
         return
-    for vector in (f, ask):
-        for r in range(m):
-            y[r] = 0.0 if lost[r] > 0.0 else mode_part(U, r, vector)
-        for r in range(m):
-            vector[r] = y[r]
+    for r in range(m):
+        y[r] = 0.0 if lost[r] > 0.0 else mode_part(U, r, ask)
+    for r in range(m):
+        ask[r] = y[r]
     for i in range(n):
         for r in range(m):
             J[i, r] = 0.0 if lost[r] > 0.0 else W[r, i]
 
 
 @inner
-def hold_back(U, sigma, lost, bend, e, ahead, f, pace, more):
+def hold_back(U, sigma, lost, bend, e, ahead, f, more):
     """Shrink what is asked for along the directions that are not lost, where what is lost cannot be reached.
 
     bend: the largest curvature of the tip's way. Times the error left it adds to sigma_k^2 of the second derivative, and whole
@@ -313,7 +330,7 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, pace, more):
         if lost[r] == 0.0:
             extra = bend * math.sqrt(more[r])
             share = extra / (sigma[r] * sigma[r] + extra)
-            for vector in (e, ahead, f, pace):
+            for vector in (e, ahead, f):
                 part = share * mode_part(U, r, vector)
                 for c in range(vector.shape[0]):
                     vector[c] -= part * U[r, c]
@@ -331,10 +348,10 @@ def along_lost(V, lost, xk, x, speeds):
 def down_slopes(W, V, sigma, pull, x, speeds):
     """Bring what x (n,) has along what a bent v_k leaves of the slope sigma_k v_k to the way down, or to nothing.
 
-    Joints that drift there are pulled back in one step once the slope is no small one, at LOST: they come to it by then.
+    Joints that drift there are pulled back in one step once the slope is no small one, at WEAK.lost: they come to it by then.
     """
     for r in range(pull.shape[0]):
-        share = min(2.0 * sigma[r] / LOST - 1.0, 1.0)
+        share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)
         if pull[r] == 0.0 or share <= 0.0:
             continue
         own, size, part = part_along(V, r, W[r]), 0.0, 0.0
@@ -342,6 +359,6 @@ def down_slopes(W, V, sigma, pull, x, speeds):
             slope = W[r, i] - own * V[i, r]
             size += slope * slope
             part += slope * x[i]
-        if size > ZERO * ZERO:
+        if size > WEAK.zero * WEAK.zero:
             for i in range(x.shape[0]):
                 x[i] += share * (speeds * pull[r] - part / size) * (W[r, i] - own * V[i, r])

@@ -186,7 +186,6 @@ class Bench(NamedTuple):
     e: Array  # (m,) error now
     ahead: Array  # (m,) and to where the target will be
     f: Array  # (m,) twist of the target, as it counts
-    pace: Array  # (m,) ... with what is lost of it
     a: Array  # (m,) acceleration
     ask: Array  # (m,) rate of the task without the target's motion
     bias: Array  # (m,)
@@ -219,7 +218,6 @@ class Bench(NamedTuple):
     even: Array  # 1 for all, see damped_descent.py
     floor: Array  # the box
     roof: Array
-    multiplier: Array
     planes: Array  # (rows, n) half-planes, those of slacks among them ...
     edges: Array  # ... and their right sides
 
@@ -236,6 +234,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
-        n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
+        m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
+        n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, (rows, n), rows,
     )))  # fmt: skip

@@ -23,7 +23,6 @@ REPEATS = 15  # the minimum of these is a step's own time: background load only 
 # Mode, speed limits over what the task needs (0: the wanted motion fits), number of half-planes.
 CASES = {
     "x_want fits": (LEAVE, 0.0, 0),
-    "nothing binds": (LEAVE, 10.0, 0),
     "leave": (LEAVE, 0.3, 0),
     "direct": (DIRECT, 0.3, 0),
     "leave, 12 half-planes": (LEAVE, 0.3, ROWS),
@@ -38,16 +37,16 @@ def run(J, v, want, low, high, planes, count, mode, repeats, active, kept):
     n, m = J.shape[1], J.shape[2]
     A, b = planes[:, :n].copy(), planes[:, n].copy()
     room = make_room(n, m, A.shape[0])
-    weight, size, none, at_rest = np.ones(m), np.ones(n), np.zeros(m), np.zeros(n)
-    taken = StepTaken(np.empty(n), active, kept, np.empty(n))
+    weight, size, at_rest = np.ones(m), np.ones(n), np.zeros(n)
+    taken = StepTaken(np.empty(n), active, kept)
     before, held = active.copy(), kept.copy()
     total = 0
     for _ in range(repeats):
         active[:] = before
         kept[:] = held
         for i in range(J.shape[0]):
-            asked = TaskRate(J[i], weight, v[i], none, want[i], at_rest, size, mode, 0.01, 0.0)
-            total += constrain(asked, Allowed(low, high, A, b, count), room, taken)[0]
+            asked = TaskRate(J[i], weight, v[i], want[i], at_rest, size, mode, 0.01, 0.0)
+            total += constrain(asked, Allowed(low, high, A, b, count), room, taken)
     return total
 
 

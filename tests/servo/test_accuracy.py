@@ -137,3 +137,17 @@ def test_simulate_stops_at_the_edge_of_the_domain():
     with np.errstate(all="ignore"):
         run = simulate(case.system, case.path, "ca", 0.12, 1870, (case.path(0)[0] + 0.3 - 0.2) ** 2, kp=110.0, kd=6.5)
     assert run.stopped and np.isfinite(run.q).all() and np.isfinite(run.error).all()
+
+
+@pytest.mark.parametrize("method", ["cv", "aad"])
+def test_weights_of_a_mask_count_while_the_target_moves(method):
+    """Five joints cannot keep the orientation of a target that moves sideways: the less it counts, the nearer the position."""
+    robot, errors = ik.Robot.load("so101"), []
+    q0 = np.array([0.1, -0.6, 0.9, 0.5, 0.1])
+    for weight in (1.0, 0.05):
+        tracker, target = ik.Tracker(robot, method, q0=q0, mask=(1, 1, 1, *[weight] * 3)), robot.fk(q0).homogeneous
+        for _ in range(200):
+            target[1, 3] += 0.0005
+            step = tracker.update(target, 0.02)
+        errors.append(step.position_error)
+    assert errors[1] < 0.005 < errors[0]

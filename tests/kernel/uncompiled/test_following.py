@@ -1,4 +1,4 @@
-"""Secondary wishes, the reference's clock, and rates that cannot be followed."""
+"""Secondary wishes, and slack as half-planes."""
 
 from types import SimpleNamespace
 
@@ -135,7 +135,6 @@ def test_wishes_go_into_the_null_space():
     np.testing.assert_allclose(out, g - np.linalg.pinv(J.T) @ (J.T @ g), atol=1e-10)
 
 
-# -------------------------------------------------------------------------------------------------------------- clock
 def test_turns_of_a_reference():
     rng = np.random.default_rng(7)
     for size in (0.0, 1e-6, 0.9e-4, 1.1e-4, 0.3, 3.0):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.servo import laws, limited_step
+from ik_toolkit.servo import laws, loop
 from ik_toolkit.servo.constrained_step import Allowed
 from ik_toolkit.servo.laws import AA, AT_RATE, AT_RATE_AND_STEP, AT_STEP, AV, CA, CLIP, CV, STATE, Law
 from ik_toolkit.servo.viability import approach
@@ -197,12 +197,7 @@ def test_what_was_held_back_becomes_the_earlier_command():
     for kind in (CV, AV, CA, AA):
         prev = np.full(3, 7.0)
         laws.own_up(law(kind), h, ratio, wanted, x, prev)
-        if kind == CV:  # the rates taken are u + ratio/2 (u - old)
-            change = (x - wanted) / 1.4
-        elif kind == CA:
-            change = (x - wanted) / h / 1.4
-        else:
-            change = 0.0
+        change = (x - wanted) / {CV: 1.0, CA: h}.get(kind, np.inf) / 1.4  # the rates taken are u + ratio/2 (u - old)
         np.testing.assert_allclose(prev, 7.0 + change, rtol=1e-13)
 
 
@@ -213,6 +208,6 @@ def test_rates_that_cannot_be_followed():
         (CLIP, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
     ):  # fmt: skip
         x, state = np.array(wanted), np.zeros(len(STATE))
-        ended, still = limited_step.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
+        ended, still = loop.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
         assert ended == (stop > 0) and still == (stop < 0) and state[STATE.stop] == max(stop, 0)
         np.testing.assert_array_equal(x, [0.0, 0.0] if still else wanted)

@@ -79,12 +79,12 @@ def test_the_way_along_a_mode_solves_its_quadratic():
             assert y == pytest.approx((D * root + least * own) / (D + least), rel=1e-9, abs=1e-12)
         else:  # the vertex is as near as it gets
             assert y == pytest.approx((-0.5 * D * middle + least * own) / (-0.5 * D + least), rel=1e-9, abs=1e-12)
-    flat = 0.04 - 2.0 * singular_step.FLAT * 0.03
+    flat = 0.04 - 2.0 * singular_step.WEAK.flat * 0.03
     y, D = singular_step.way_along(0.2, 0.0, 0.03, 0.4, 1.0, False, 0.01)
     assert D == pytest.approx(flat) and y == pytest.approx((flat * 0.15 + least * 0.4 * 0.9) / (flat + least))
     # What it moves the tip by is next to nothing: no way to go fast.
     y, D = singular_step.way_along(1e-4, 0.0, 0.03, 0.0, 1.0, False, 0.01)
-    assert D < 0.0 and 0.0 < y < 1e-4 / singular_step.FLAT
+    assert D < 0.0 and 0.0 < y < 1e-4 / singular_step.WEAK.flat
     y, D = singular_step.way_along(0.0, 0.0, 0.0, 0.4, 1.0, False, 0.01)
     assert D == 0.0 and y == pytest.approx(0.36)
     assert singular_step.way_along(0.0, 0.0, 0.03, 0.4, 1.0, False, 0.2)[0] == 0.0
@@ -109,13 +109,13 @@ def test_lost_directions_are_taken_out(n):
     np.testing.assert_allclose(g, P @ f, atol=1e-12)
     laws.apply(K, 6, G, P @ b, y, out)
     np.testing.assert_allclose(out, np.linalg.pinv((J @ P).T, 1e-9) @ P @ b, atol=1e-8)
-    same, twist, ask = K.copy(), g.copy(), P @ b
-    singular_step.by_modes(same, W, U, np.zeros(6), twist, ask, y)  # nothing is lost: nothing changes
-    np.testing.assert_array_equal(np.vstack([*same, twist, ask]), np.vstack([*K, g, P @ b]))
-    singular_step.by_modes(same, W, U, lost, twist, ask, y)  # the same task in rows that do not depend on each other
-    assert not same[:, taken].any() and not twist[taken].any() and not ask[taken].any()
+    same, ask = K.copy(), P @ b
+    singular_step.by_modes(same, W, U, np.zeros(6), ask, y)  # nothing is lost: nothing changes
+    np.testing.assert_array_equal(np.vstack([*same, ask]), np.vstack([*K, P @ b]))
+    singular_step.by_modes(same, W, U, lost, ask, y)  # the same task in rows that do not depend on each other
+    assert not same[:, taken].any() and not ask[taken].any()
     np.testing.assert_allclose(same.T @ same - np.diag(np.diag(same.T @ same)), 0.0, atol=1e-12)
-    for one, other in ((same, K), (twist, g), (ask, P @ b)):
+    for one, other in ((same, K), (ask, P @ b)):
         np.testing.assert_allclose(one @ U, other, atol=1e-12)
     x, xk = rng.normal(size=n), rng.normal(size=6)
     for speeds in (0.0, 1.0):
@@ -130,7 +130,7 @@ def test_what_one_tip_cannot_reach_is_nothing_to_a_direction_of_another():
     U, sigma, lost = np.zeros((12, 12)), rng.uniform(0.2, 1.0, 12), np.zeros(12)
     U[:6, :6], U[6:, 6:] = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
     lost[3] = 1.0
-    asked = rng.normal(size=(4, 12))  # e, ahead, f, pace
+    asked = rng.normal(size=(3, 12))  # e, ahead, f
     more = 0.7 * abs(U[3] @ asked[0])
     wanted = asked - (np.where(np.arange(12) < 6, more / (sigma**2 + more), 0.0) * (1.0 - lost) * (asked @ U.T)) @ U
     singular_step.hold_back(U, sigma, lost, 0.7, *asked, np.empty(12))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ik_toolkit.kernel.search import SINGULAR_STEP
-from ik_toolkit.servo import command, laws, limited_step, loop, singular_directions, viability
+from ik_toolkit.servo import command, laws, loop, singular_directions, viability
 from ik_toolkit.servo.constrained_step import DIRECT, LEAVE
 from ik_toolkit.servo.laws import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
 from ik_toolkit.servo.viability import HELD
@@ -34,7 +34,7 @@ def scratch(rng, n=7, m=6):
         e=np.zeros(m),
         bias=np.zeros(m),
     )
-    for name in ("g", "v", "at", "x", "x1", "x2", "probe", "before", "lead", "w"):
+    for name in ("g", "v", "at", "x", "x1", "x2", "probe", "before", "w"):
         setattr(s, name, np.zeros(n))
     s.floor, s.roof = np.full(n, -1.0), np.full(n, 1.0)
     laws.factor(s.J, m, 0.0, s.G, s.y)
@@ -55,13 +55,14 @@ def test_the_rate_at_the_start():
         q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
         state[STATE.start] = MOVING
         loop.set_out(law(late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, q, rate, state)
-        gaps = [max(viability.way_to(side, at, side), 0.0) for side in np.where(own > 0.0, 1.0, -1.0)]
-        top = [min(0.3, viability.approach(gap, 0.0, 1.0, 0.0, 0.5, 0.05)) for gap in gaps]
-        np.testing.assert_allclose(rate, np.clip(own, -np.array(top), top), rtol=1e-9)
+        gaps = [max(viability.way_to(np.copysign(1.0, v), at, np.copysign(1.0, v)), 0.0) for v in own]
+        top = np.array([min(0.3, viability.approach(gap, 0.0, 1.0, 0.0, 0.5, 0.05)) for gap in gaps])
+        np.testing.assert_allclose(rate, np.clip(own, -top, top), rtol=1e-9)
         assert state[STATE.start] == READY
-    state[STATE.start], rate = GIVEN, 0.5 * own
-    loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, np.zeros(n), rate, state)
-    assert (rate == 0.5 * own).all() and state[STATE.start] == READY
+    state[STATE.start] = GIVEN
+    loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, np.zeros(n), rate := own.copy(), state)
+    np.testing.assert_array_equal(rate, own)
+    assert state[STATE.start] == READY
 
 
 def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does():
@@ -87,7 +88,7 @@ def test_half_planes_are_gathered_and_rates_clipped():
         np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
     s.x[:] = [3.0, 0.2, -3.0]
-    assert limited_step.by_clipping(law(), s, 0, 0.0, 0.1, None, None, None, None, code) is False
+    assert not loop.by_clipping(law(), s, 0, 0.0, 0.1, None, None, code)
     np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
 
 
@@ -120,7 +121,9 @@ def test_wishes_are_found_and_added():
             (AA, 0.01, 40.0),
         ):
             s.x[:], memory = base, np.full(n, 7.0)
-            command.add_wishes(law(code, avoid=avoid, null=damped), s, limits, wish, 0.6, h, memory)
+            command.add_wishes(
+                law(code, avoid=avoid, null=damped), s, SimpleNamespace(limits=limits, wish=wish), 0.6, h, memory
+            )
             # With the damping of the law, which is elsewhere, the joints' own motion comes to what is wished, at 20 1/s or more,
             # or in one step (ca: two thirds of it).
             rate = max(min(20.0, (2.0 / 3.0 if code == CA else 1.0) / h), damped)
@@ -199,16 +202,16 @@ def test_a_step_of_a_rule():
             p.desk.dq[:], p.desk.x[:] = 0.5, 3.0
             return self.code
 
-    args = (law(), Rule(), task, None, weights, s, None, None, None, 0, 0.1, None)
-    assert command.by_rule(*args, memory, None, None, None) == 0.0 and task.asked == 0
+    args = law(), Rule(), task, None, weights, s, None, SimpleNamespace(memory=memory), command.Moment(0, 0.1)
+    assert command.by_rule(*args) == 0.0 and task.asked == 0
     np.testing.assert_allclose(s.x, 5.0)
     np.testing.assert_array_equal(memory, 3.0)
     memory[:], s.g[3] = old, 0.25
-    command.by_rule(*args, memory, None, None, None)
+    command.by_rule(*args)
     np.testing.assert_allclose(s.x, 5.0 + s.g)
     assert task.asked == 1
     Rule.code, memory[:] = SINGULAR_STEP, old
-    command.by_rule(*args, memory, None, None, None)
+    command.by_rule(*args)
     np.testing.assert_array_equal(s.x, s.g)
     out = np.zeros((3, 2))
     singular_directions.copy_column(np.arange(3.0), out, 1)

@@ -41,7 +41,6 @@ def speed(
     moved=0.0,
     gain=5.0,
     h=0.01,
-    slow=False,
     a=np.inf,
     near=0.0,
     away=(0.0, 0.0),
@@ -56,7 +55,7 @@ def speed(
     full = sigma if full is None else full
     s = SimpleNamespace(V=V, t=np.array(curve), lost=lost, xk=xk)
     mode = singular_directions.WeakMode(0, full, sigma, rest, own, left, moved)
-    out = singular_directions.mode_speed(s, mode, gain, h, slow, limits, near, side)
+    out = singular_directions.mode_speed(s, mode, gain, h, limits, near, side)
     return (xk[0] if lost[0] else None), out, side
 
 
@@ -75,18 +74,11 @@ def test_the_speed_along_a_singular_direction():
         speed(0.0051, [0.0, 0.0, 0.0], left=1e-6)[0] is None
         and speed(0.0049, [0.0, 0.0, 0.0], left=1e-6)[0] is not None
     )
-    # beyond LOST: the joints are too slow for it, and no clock gives way
-    assert (
-        speed(0.1, [0.0, 0.0, 0.0], left=1.0)[0] is not None
-        and speed(0.1, [0.0, 0.0, 0.0], left=1.0, slow=True)[0] is None
-    )
+    assert speed(0.1, [0.0, 0.0, 0.0], left=1.0)[0] is not None  # above what is lost: the joints are too slow for it
     assert speed(0.1, [0.0, 0.0, 0.0], moved=0.9 * h * cap * 0.1)[0] is None
     assert speed(0.1, [0.0, 0.0, 0.0], moved=1.1 * h * cap * 0.1)[0] is not None
     # or it bends: |b E| above a fifth of sigma^2
-    assert (
-        speed(0.1, [1.9, 0, 1.9], moved=1e-3)[0] is None
-        and speed(0.1, [2.1, 0, 2.1], moved=1e-3, slow=True)[0] is not None
-    )
+    assert speed(0.1, [1.9, 0, 1.9], moved=1e-3)[0] is None and speed(0.1, [2.1, 0, 2.1], moved=1e-3)[0] is not None
     # out of reach: D = sigma^2 + 2 b E below 0
     assert speed(3e-3, [-1.0, 0.0, -1.0], moved=1e-4)[1] and not speed(3e-3, [1.0, 0.0, 1.0], moved=1e-4)[1]
 
@@ -198,26 +190,12 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)
         state[STATE.near] = near
         task, rate = Curved(rng, n, m), 0.1 * rng.normal(size=n)
-        clear, none = np.zeros(m), np.zeros((3, n))
-        args = (
-            law,
-            None,
-            task,
-            None,
-            None,
-            s,
-            clear,
-            limits,
-            none,
-            0,
-            h,
-            rate,
-            memory,
-            away,
-            np.zeros((m, m)),
-            state,
+        none = np.zeros((3, n))
+        settings = SimpleNamespace(counts=np.zeros((3, m)), limits=limits, wish=none)
+        own = SimpleNamespace(
+            motion=np.array([np.zeros(n), rate]), memory=memory, away=away, basis=np.zeros((m, m)), state=state
         )
-        lost = command.by_law(*args)
+        lost = command.by_law(law, None, task, None, None, s, settings, own, command.Moment(0, h))
         want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
         done = U.T @ (J.T @ s.x)
         if state[STATE.near] != 1.0 + SIDE:  # else the others are fed back less
@@ -231,19 +209,21 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             if near > 1.0:  # out of reach a moment ago: of the directions that move nothing, the bent one
                 v = free @ (free.T @ np.array([task.B[:, i].T @ W[:, k - 1] @ u for i in range(n)]))
                 v *= np.sign(v @ W[:, k - 1]) / np.linalg.norm(v)
-            own, curve = v @ rate, np.empty(3)
+            along, curve = v @ rate, np.empty(3)
             for part in range(3):
-                x = (part != singular_step.BESIDE) * v + (part != singular_step.ALONG) * h * (rate - own * v)
+                x = (part != singular_step.BESIDE) * v + (part != singular_step.ALONG) * h * (rate - along * v)
                 task.bending(None, x, x, s.bias)
                 curve[part] = u @ s.bias
             gain = 4.0 if code == CV else 2.0 / 3.0 / h
-            known = near > 0.0 or last < singular_step.CLEAR
+            known = near > 0.0 or last < singular_step.WEAK.clear
             lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
             full = last if last > 1e-9 else s.sv.min()
             rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + SIDE else 0.0
-            mode = singular_directions.WeakMode(0, full, full * (v @ W[:, k - 1]), rest, own, u @ e, u @ ahead - u @ e)
+            mode = singular_directions.WeakMode(
+                0, full, full * (v @ W[:, k - 1]), rest, along, u @ e, u @ ahead - u @ e
+            )
             one = SimpleNamespace(V=v[:, None], t=curve, lost=lost_, xk=xk)
-            singular_directions.mode_speed(one, mode, gain, h, False, limits, near, side)
+            singular_directions.mode_speed(one, mode, gain, h, limits, near, side)
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
@@ -282,7 +262,7 @@ def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
     rng = np.random.default_rng(7)
     U = np.linalg.qr(rng.normal(size=(4, 4)))[0]
     sigma, lost, bend = np.array([1.0, 0.5, 0.2, 0.0]), np.array([0.0, 0.0, 1.0, 1.0]), 0.7
-    asked = rng.normal(size=(4, 4))  # e, ahead, f, pace
+    asked = rng.normal(size=(3, 4))  # e, ahead, f
     more = bend * np.hypot(U[2] @ asked[0], U[3] @ asked[0])
     command = asked - (np.where(lost, 0.0, more / (sigma**2 + more)) * (asked @ U.T)) @ U
     singular_step.hold_back(U, sigma, lost, bend, *asked, np.empty(4))
