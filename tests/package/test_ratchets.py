@@ -7,15 +7,15 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files": 273,
+    "files": 272,
     "public names defined in two files or more": 17,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 28,
+    "functions of more than 9 parameters": 20,
     "constants of the most laden file of kernel and servo": 24,
-    "constants of modules": 1106,
+    "constants of modules": 1092,
     "uses of by_tip": 39,
     "imports for types alone": 3,
-    "files under 120 lines that one other imports": 6,
+    "files under 120 lines that one other imports": 5,
 }
 SHORT = 120  # lines: a file that only one other imports belongs into it below this length
 MANY = 9  # parameters
