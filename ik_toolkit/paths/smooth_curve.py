@@ -68,7 +68,18 @@ def _fitted(plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at:
     curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
     if len(curve) < 2:
         return None
-    between = Arcs(result.targets, result.kinds)
+    # Where the chord may not be left as far as an arc does, rows are inserted on the chord.
+    wide = (
+        (allowed >= sagittas(result.targets, result.kinds)).all(axis=0) if len(result.targets) > 1 else np.ones(1, bool)
+    )
+    arcs = Arcs(result.targets, result.kinds)
+
+    def between(places: np.ndarray) -> np.ndarray:
+        on_arc = wide[places.astype(int).clip(0, len(wide) - 1)]
+        poses = interpolate_poses(result.targets, places, result.kinds)
+        poses[on_arc] = arcs(places[on_arc])
+        return poses
+
     for _ in range(ROUNDS):
         made, broken = _judged(plan, result, allowed, curve, at)
         if not broken.any():

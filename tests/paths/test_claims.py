@@ -135,7 +135,8 @@ def test_what_ends_a_path_early_is_told():
     last = int(np.flatnonzero(np.isfinite(none.q[:, 0]))[-1])
     assert none.message == (
         f"with no reconfiguration the path found ends at pose {last} of 101: pose {last + 1} cannot be passed, and the whole "
-        "path needs 1; allow them (reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
+        f"path needs 1; from the start {100 * none.fraction:.3g} % of its length can be followed in one motion; allow them "
+        "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
     )
     T[98, 0, 3] += 9.0
     lost = ik.solve_path(robot, T)

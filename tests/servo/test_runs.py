@@ -232,7 +232,7 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
         with pytest.raises(IKError, match=r"."):
             track(panda, ref, **{option: value})
     for option in ("q0", "rate0"):
-        for value in (np.zeros(3), np.full(7, np.nan), "home", np.zeros((7, 1))):
+        for value in (np.zeros(3), np.full(7, np.nan), {}, np.zeros((7, 1))):
             with pytest.raises(InvalidConfiguration, match=option):
                 track(panda, ref, **{option: value})
     for jump in (0.0, -1.0, np.nan, "far"):

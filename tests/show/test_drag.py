@@ -100,6 +100,7 @@ def test_what_is_in_the_way_is_named():
     place[:3, 3] = goal[:3, 3]
     name = session.add_box([0.12, 0.12, 0.12], place)
     session.avoid = True
+    session.follow(goal)
     assert session.follow(goal).message.endswith(f"from the target: link_6 and {name} would touch")
     assert any(session.follow(goal).settled for _ in range(20)) and not session.contacts()[0]
     assert session.followed.message.startswith("the closest pose is")

@@ -5,7 +5,7 @@ import pytest
 from robots import CONTINUOUS, load
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidConfiguration, InvalidOption
+from ik_toolkit.errors import ConfigurationNotFound, InvalidOption
 from ik_toolkit.show import plots
 from ik_toolkit.show.plots import attempts
 
@@ -201,5 +201,5 @@ def test_plot_takes_what_the_calls_return(tmp_path):
     for what in (run, path, result):
         with pytest.raises(InvalidOption, match=r"as robot=, not 'p\.png'; to write the chart give file='p\.png'"):
             ik.plot(what, "p.png")
-    with pytest.raises(InvalidConfiguration):
+    with pytest.raises(ConfigurationNotFound):
         ik.plot("something", robot)

@@ -324,7 +324,7 @@ class PanelPage(Visit):
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
         """Return targets in the form the robot expects, without the tips that have none."""
-        return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
+        return self.session.robot.for_tips({tip: T for tip, T in targets.items() if T is not None})
 
     def _solve(self) -> None:
         target = self._typed()

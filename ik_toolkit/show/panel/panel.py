@@ -78,7 +78,7 @@ class Panel(Unique):
         _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
         session = Session(source, tips)  # raises now if the robot is invalid
-        here = session.joined(session.poses())
+        here = session.robot.for_tips(session.poses())
         session.solve(here)  # compile now if necessary, so that no visitor has to wait
         session.follow(here)
         token = new_token()

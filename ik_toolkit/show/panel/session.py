@@ -325,7 +325,7 @@ class Session:
 
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
         """Return caption, header and rows of the D-H table or, without one, of the joint axes at home in base axes."""
-        if self.entry.dh_file is not None and self.entry.tips == self.robot.tips:
+        if self.entry.dh_file is not None and len(self.robot.tips) == 1 and self.entry.tips == self.robot.tips:
             from ...robot.formats.dh import read_dh_table
 
             table = read_dh_table(self.entry.dh_file)
