@@ -69,9 +69,9 @@ def _fitted(plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at:
     if len(curve) < 2:
         return None
     # Where the chord may not be left as far as an arc does, rows are inserted on the chord.
-    wide = (
-        (allowed >= sagittas(result.targets, result.kinds)).all(axis=0) if len(result.targets) > 1 else np.ones(1, bool)
-    )
+    wide = np.ones(max(len(result.targets) - 1, 1), dtype=bool)
+    if len(result.targets) > 1:
+        wide[:] = (allowed >= sagittas(result.targets, result.kinds)).all(axis=0)
     arcs = Arcs(result.targets, result.kinds)
 
     def between(places: np.ndarray) -> np.ndarray:
@@ -197,7 +197,7 @@ class Arcs:
     def __init__(self, T: np.ndarray, kinds: tuple) -> None:
         """Find the corners."""
         self.T, self.kinds = T, kinds
-        self.ends = np.unique([0, *np.flatnonzero(corners(T, kinds)), len(T) - 1])
+        self.ends = np.unique([0, *np.flatnonzero(corners(T, kinds)).tolist(), len(T) - 1])
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
         """Poses (M, F, 4, 4) at places (M,)."""

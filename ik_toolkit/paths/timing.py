@@ -121,7 +121,7 @@ def _pieces(
         parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
         return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
     return [
-        (None, _straight(*result.curve[k : k + 2], result.at[k : k + 2], limits), slice(k, k + 2))
+        (None, _straight(result.curve[k], result.curve[k + 1], result.at[k : k + 2], limits), slice(k, k + 2))
         for k in range(run.start, run.stop - 1)
     ]
 

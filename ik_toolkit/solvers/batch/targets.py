@@ -61,7 +61,7 @@ def _straighten(T: np.ndarray) -> None:
         T[rough, :3, :3] = U @ Vt
 
 
-def with_free_turns(robot: Any, targets: Any, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
     """Targets with AxisTargets in their lists as poses, and options with the free turn about the axis that they share.
 
     Raises:
