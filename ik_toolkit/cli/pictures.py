@@ -26,6 +26,7 @@ def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None,
 
 def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bool = True) -> None:
     """Write the page where a file is given; serve it until Ctrl-C or SIGTERM if it is to be seen live."""
+    incomplete(scene)
     if html is not None:
         written(scene.save(html))
     if not live:
@@ -36,6 +37,13 @@ def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bo
         raise InvalidOption(f"port {port} cannot be used: {error.strerror or error}") from None
     wait(f"the scene is at {url}", url, browse)
     scene.close()
+
+
+def incomplete(scene: Any) -> None:
+    """Say what of the robot could not be drawn, and how meshes are found."""
+    if scene.body.notice:
+        meshes = "; --package-dir names a folder to search for them" if "mesh" in scene.body.notice else ""
+        notice(f"{scene.body.notice}{meshes}")
 
 
 def written(page: Path) -> None:

@@ -144,6 +144,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
                     "base -> tip": f"{arm.base} -> {arm.tip}",
                     "joints": arm.n,
                     "reach": reach,
+                    "mobility": str(arm.mobility).partition(", ")[2],
                     "locked": locked or None,
                     "configurations": ", ".join(arm.named),
                     "closed form": closed_form(arm) or None,

@@ -9,7 +9,7 @@ from ..errors import InvalidOption
 from .command import command, flag, option, options, same
 from .options import RobotOptions, SceneOutput, WholeRobot, joint_vector
 from .output import notice
-from .pictures import present, wait, written
+from .pictures import incomplete, present, wait, written
 from .target import TargetOptions, in_base, relations
 
 
@@ -98,7 +98,9 @@ def view(shown: ViewOptions, target: ViewTarget, how: ViewSolve, robot: WholeRob
     related = relations(target.relative)
     arm = robot.load(robot.choose_tips(aim if target.targets else None, related, target.posed))
     if shown.page is not None:
-        written(make(arm).page(shown.page))
+        scene = make(arm)
+        incomplete(scene)
+        written(scene.page(shown.page))
         return
     what, solved = arm.home, True
     if shown.motion is not None:
