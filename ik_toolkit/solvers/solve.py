@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.checks import BAD_TARGET, LIMIT_BLOCKED
+from ..kernel.checks import BAD_TARGET, CONVERGED
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
 from ..readonly import ReadOnly
@@ -121,20 +121,22 @@ class Solver(ReadOnly):
             notice = notice or note
         row = plan.solve(T, kinds, start, given)
         # The kernel rejected the input, so it is refused here with a message, or corrected.
-        if row[AT.status] >= BAD_TARGET:
-            if row[AT.status] == BAD_TARGET:
+        status = row[AT.status]
+        if status >= BAD_TARGET:
+            if status == BAD_TARGET:
                 T, kinds, notice = read_target(self.robot, target)
             if given:
                 start, note = plan.check_start(q0)
                 notice = notice or note
             row = plan.solve(T, kinds, start, given)
+            status = row[AT.status]
         outcome = make_outcome((plan, T, kinds, start, given, row, perf_counter() - started, notice, None, None, None))
-        if plan.steps:
-            for step in plan.steps:
-                outcome = step(outcome)
-            outcome = outcome._replace(elapsed=perf_counter() - started)
-        elif row[AT.status] == LIMIT_BLOCKED:
+        for step in plan.steps:
+            outcome = step(outcome)
+        if status != CONVERGED:
             outcome = acquit(outcome)
+        if plan.steps or status != CONVERGED:
+            outcome = outcome._replace(elapsed=perf_counter() - started)
         return Result(outcome)
 
     def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64) -> Any:
