@@ -217,7 +217,7 @@ def too_few_joints(result: Any) -> str:
             name = "the arm" if len(rows) == 1 else arm.tip
             joints = f"{arm.n} joint{'s' * (arm.n != 1)}"
             moves = "" if able == arm.n else f", which move the tip in {able} directions"
-            texts.append(f"{name} has {joints}{moves}, and the target fixes {fixed}")
+            texts.append(f"{name} has {joints}{moves}, and the target fixes {fixed} directions")
     return "; ".join(texts)
 
 
