@@ -65,11 +65,14 @@ def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.nda
 
     Of each segment of a curve (M, n), whose rows are at places `at` (M,) among the poses T (N, F, 4, 4), the larger of both ends.
     """
-    left = np.zeros((2, len(curve)))
-    if freedom(plan, kinds).lacks:
-        goals, o = interpolate_poses(T, at, kinds), plan.options
-        for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
-            errors = counted_errors(plan.robot, curve[k], goals[k], kinds, o)
-            left[:, k] = np.max([(position, angle or 0.0) for position, angle in errors], axis=0)
-        left = np.maximum(left - [[o.position_tolerance], [o.orientation_tolerance]], 0.0)
+    return off_the_poses(plan, kinds, curve, at, T) if freedom(plan, kinds).lacks else np.zeros((2, len(curve) - 1))
+
+
+def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """By how much [m] and [rad] (2, M-1) the rows of a curve leave the tolerances, whatever the arm; arguments as of `missed`."""
+    left, goals, o = np.zeros((2, len(curve))), interpolate_poses(T, at, kinds), plan.options
+    for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
+        errors = counted_errors(plan.robot, curve[k], goals[k], kinds, o)
+        left[:, k] = np.max([(position, angle or 0.0) for position, angle in errors], axis=0)
+    left = np.maximum(left - [[o.position_tolerance], [o.orientation_tolerance]], 0.0)
     return np.maximum(left[:, 1:], left[:, :-1])

@@ -6,6 +6,7 @@ poses; where it leaves the chord by more, solved rows on an arc through the pose
 motion stops at corners.
 """
 
+import functools
 import itertools
 import math
 from typing import Any, NamedTuple
@@ -17,9 +18,10 @@ from ..errors import MissingExtra
 from ..kernel.counted_error import FREE, POSITION
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
-from ..solvers.task import counted_errors, relatives
+from ..solvers.task import relatives
 from .contact import find_contacts
 from .continuity import bounds, settle_between
+from .freedom import off_the_poses
 from .interpolate import interpolate_poses
 
 ROUNDS = 12  # rounds of inserting rows: each halves the amount by which corners are cut
@@ -56,37 +58,26 @@ def smooth_curve(plan: Plan, result: Any, allowed: np.ndarray, run: slice) -> Cu
     curve, at = result.curve[run], result.at[run]
     ends = np.zeros(len(at), dtype=bool)
     ends[[0, -1]] = True
+    arcs = Arcs(result.targets, result.kinds, allowed)
     for kept in ((at == np.round(at)) | ends, np.ones(len(at), dtype=bool)):
-        found = _fitted(plan, result, allowed, curve[kept], at[kept])
+        found = _fitted(plan, result, arcs, curve[kept], at[kept])
         if found is not None or kept.all():
             return found
     return None
 
 
-def _fitted(plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at: np.ndarray) -> Curve | None:
+def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.ndarray) -> Curve | None:
     """The spline through rows of a curve (M, n) at places (M,), with rows inserted where it is not yet near enough or free."""
     curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
     if len(curve) < 2:
         return None
-    # Where the chord may not be left as far as an arc does, rows are inserted on the chord.
-    wide = np.ones(max(len(result.targets) - 1, 1), dtype=bool)
-    if len(result.targets) > 1:
-        wide[:] = (allowed >= sagittas(result.targets, result.kinds)).all(axis=0)
-    arcs = Arcs(result.targets, result.kinds)
-
-    def between(places: np.ndarray) -> np.ndarray:
-        on_arc = wide[places.astype(int).clip(0, len(wide) - 1)]
-        poses = interpolate_poses(result.targets, places, result.kinds)
-        poses[on_arc] = arcs(places[on_arc])
-        return poses
-
     for _ in range(ROUNDS):
-        made, broken = _judged(plan, result, allowed, curve, at)
+        made, broken = _judged(plan, result, arcs.allowed, curve, at)
         if not broken.any():
             return made
         near = np.flatnonzero(broken | np.append(broken[1:], False) | np.append(False, broken[:-1]))
         middle = 0.5 * (since[near + 1] + at[near + 1])
-        rows, good = settle_between(plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), between(middle))
+        rows, good = settle_between(plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), arcs(middle))
         if not good.all():
             return None
         since = np.insert(since, near + 1, since[near + 1])
@@ -105,7 +96,8 @@ def _judged(
     rows = np.vstack([cubics[3], curve[-1:]])
     places = _places(plan, result, rows, at, parts)
     sag = _sag(knots, cubics)
-    off, turned = bounds(plan, result.kinds, rows, places, result.targets, sag, _left(plan, result, rows, places))
+    left = off_the_poses(plan, result.kinds, rows, places, result.targets)
+    off, turned = bounds(plan, result.kinds, rows, places, result.targets, sag, left)
     chord = np.minimum(places[:-1], places[1:]).astype(int).clip(0, allowed.shape[1] - 1)
     broken = (off > allowed[0][chord]) | (turned > allowed[1][chord])
     clearance = math.inf
@@ -152,17 +144,6 @@ def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np
     return np.maximum.accumulate(made)
 
 
-def _left(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """By how much [m] and [rad] (2, M-1) rows leave the tolerances of the poses at their places: the larger of both ends."""
-    goals, o = interpolate_poses(result.targets, at, result.kinds), plan.options
-    left = np.zeros((2, len(rows)))
-    for k, (q, goal) in enumerate(zip(rows, goals, strict=True)):
-        errors = counted_errors(plan.robot, q, goal, result.kinds, o)
-        left[:, k] = np.max([(position, angle or 0.0) for position, angle in errors], axis=0)
-    left = np.maximum(left - [[o.position_tolerance], [o.orientation_tolerance]], 0.0)
-    return np.maximum(left[:, 1:], left[:, :-1])
-
-
 def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
     """At which poses (N,) of T (N, F, 4, 4) the chords of a tip turn by more than CORNER; ends are none."""
     found = np.zeros(len(T), dtype=bool)
@@ -192,32 +173,49 @@ def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
 
 
 class Arcs:
-    """Poses on smooth curves through poses T (N, F, 4, 4): cubic splines from corner to corner, straight between two corners."""
+    """Poses between poses T (N, F, 4, 4): on cubic splines from corner to corner, where these may leave the chords so far.
 
-    def __init__(self, T: np.ndarray, kinds: tuple) -> None:
-        """Find the corners."""
-        self.T, self.kinds = T, kinds
-        self.ends = np.unique([0, *np.flatnonzero(corners(T, kinds)).tolist(), len(T) - 1])
+    allowed (2, N-1): how far [m] and [rad] a tip may leave each chord; on others, and between two corners, the poses are on it.
+    """
 
-    def __call__(self, at: np.ndarray) -> np.ndarray:
-        """Poses (M, F, 4, 4) at places (M,)."""
+    def __init__(self, T: np.ndarray, kinds: tuple, allowed: np.ndarray) -> None:
+        """Find the chords that may be left as far as an arc leaves them."""
+        self.T, self.kinds, self.allowed = T, kinds, allowed
+        self.wide = np.ones(allowed.shape[1], dtype=bool)
+        if len(T) > 1:
+            self.wide[:] = (allowed >= sagittas(T, kinds)).all(axis=0)
+
+    @functools.cached_property
+    def _splines(self) -> list[tuple[int, int, int, np.ndarray, Any, Any]]:
+        """Of each tip between two corners, poses a to b: a, b, its number, its way (b - a + 1,), positions and rotations."""
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
 
-        made = interpolate_poses(self.T, at, self.kinds)
-        for a, b in itertools.pairwise(self.ends.tolist()):
-            some = np.flatnonzero((at >= a) & (at <= b))
-            for f, kind in enumerate(self.kinds) if b - a > 1 and len(some) else ():
+        made = []
+        ends = np.unique([0, *np.flatnonzero(corners(self.T, self.kinds)).tolist(), len(self.T) - 1])
+        for a, b in itertools.pairwise(ends.tolist()):
+            for f, kind in enumerate(self.kinds) if b - a > 1 else ():
                 if kind == FREE:
                     continue
                 part = self.T[a : b + 1, f]
                 way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(part[:, :3, 3], axis=0), axis=1) + LEAST))
-                u = np.interp(at[some], np.arange(a, b + 1), way)
-                made[some, f, :3, 3] = CubicSpline(
-                    way, part[:, :3, 3], bc_type="not-a-knot" if b - a > 2 else "natural"
-                )(u)
-                if kind != POSITION:
-                    made[some, f, :3, :3] = RotationSpline(way, Rotation.from_matrix(part[:, :3, :3]))(u).as_matrix()
+                places = CubicSpline(way, part[:, :3, 3], bc_type="not-a-knot" if b - a > 2 else "natural")
+                turns = None if kind == POSITION else RotationSpline(way, Rotation.from_matrix(part[:, :3, :3]))
+                made.append((a, b, f, way, places, turns))
+        return made
+
+    def __call__(self, at: np.ndarray) -> np.ndarray:
+        """Poses (M, F, 4, 4) at places (M,)."""
+        made = interpolate_poses(self.T, at, self.kinds)
+        wide = self.wide[at.astype(int).clip(0, len(self.wide) - 1)]
+        for a, b, f, way, places, turns in self._splines if wide.any() else ():
+            some = np.flatnonzero(wide & (at >= a) & (at <= b))
+            if not len(some):
+                continue
+            u = np.interp(at[some], np.arange(a, b + 1), way)
+            made[some, f, :3, 3] = places(u)
+            if turns is not None:
+                made[some, f, :3, :3] = turns(u).as_matrix()
         return made
 
 

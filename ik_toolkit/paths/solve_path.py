@@ -19,7 +19,7 @@ from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import available_cores
-from ..solvers.batch.targets import blocks, known, mended, with_free_turns
+from ..solvers.batch.targets import blocks, doubt_far, known, mended, with_free_turns
 from ..solvers.collision_free import collision_model
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
@@ -187,6 +187,7 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
         raise InvalidTarget("a path needs at least one pose")
     kinds = parts[0].kinds
     T = np.concatenate([part.poses(0, part.rows) for part in parts])
+    doubt_far(robot, T)
     for t in np.flatnonzero(~_exact(T).reshape(len(T), -1).all(axis=1)).tolist():
         T[t] = mended(T[t], kinds, robot.tips, t)
     return T, kinds

@@ -21,7 +21,7 @@ from ..plan import Plan
 from ..solve import Solver, require_robot
 from .parts import Job, Tables, check_executor, on_executor, on_threads
 from .result import BatchCheckFailed, BatchInterrupted, BatchResult
-from .targets import Block, blocks, known, with_free_turns
+from .targets import Block, blocks, doubt_far, known, with_free_turns
 
 PART, REMOTE_PART = 2048, 4096  # Most rows given to a thread, and to a worker of an executor.
 LEAST_PART = 128  # Smaller batches are divided evenly between the threads, but not into smaller parts than this.
@@ -70,7 +70,7 @@ def solve_parts(
     size = PART if executor is None else REMOTE_PART
     if executor is None and total is not None:
         size = min(size, max(LEAST_PART, math.ceil(total / count)))
-    jobs = _jobs(joined([first], chunks), starts, size)
+    jobs = _jobs(robot, joined([first], chunks), starts, size)
     if executor is not None:
         tables = on_executor(plan, jobs, check, executor)
     else:
@@ -111,12 +111,13 @@ def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
             yield part
 
 
-def _jobs(chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iterator[Job]:
+def _jobs(robot: Robot | Tree, chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iterator[Job]:
     each = starts is not None and starts.ndim == 2 and len(starts) > 1
     first = 0
     for chunk in chunks:
         for a in range(0, chunk.rows, size):
             T = chunk.poses(a, a + size)  # Parts are copies, because a buffer may be refilled while they wait.
+            doubt_far(robot, T)
             if starts is None:
                 q0 = None
             elif not each:

@@ -171,11 +171,14 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
         if kinds not in (None, block.kinds):
             raise InvalidTarget("a batch holds either poses or positions for each tip, not both")
         kinds = block.kinds
-        for tip, part in zip(robot.tips, block.parts, strict=True):
-            if part is not None and len(part):
-                places = np.abs(part if part.ndim == 2 else part[:, :3, 3])
-                doubt_lengths(f"targets of {tip} on {robot.name}", float(np.nanmax(places, initial=0.0)), robot.reach)
         yield block
+
+
+def doubt_far(robot: Any, T: np.ndarray) -> None:
+    """Warn, once for a tip, that targets T (m, 4, 4) or (m, F, 4, 4) far out of reach may be in millimetres."""
+    for f, tip in enumerate(robot.tips):
+        away = np.abs(T.reshape(len(T), -1, 4, 4)[:, f, :3, 3])
+        doubt_lengths(f"targets of {tip} on {robot.name}", float(np.nanmax(away, initial=0.0)), robot.reach)
 
 
 def _stacked(array: np.ndarray, robot: Any) -> Block:
