@@ -17,7 +17,7 @@ def test_a_line_out_of_reach_of_a_planar_arm(end):
     for q0 in (None, ik.solve(arm, line[0]).q):
         path = ik.solve_path(arm, line, q0=q0)
         assert path.status == PathStatus.INCOMPLETE
-        assert abs(path.fraction - 0.5 / (end - 0.5)) < EXACT
+        assert abs(path.fraction - 0.5 / (end - 0.5)) < 0.1 * EXACT
         assert f"from the start {100 * path.fraction:.3g} % of its length can be followed" in path.message
         assert path.to_dict()["fraction"] == path.fraction
 

@@ -95,6 +95,9 @@ def test_a_plane_that_is_never_left_and_a_turn_that_never_happens_are_named():
     assert "the tip never moves along z of the base, and the target is 50 mm off" in ik.solve(flat, T).message
     gantry = robots.load(GANTRY)
     assert (gantry.mobility.turns, gantry.mobility.moves) == (0, 2)
+    off = "the tip never moves along z of the base, and the target is 50 mm off"
+    assert off in ik.solve(gantry, ik.pose((0.2, 0.1, 0.65), rpy=(0, 0, 0))).message
+    assert ik.solve(gantry, ik.pose((0.2, 0.1, 0.6), rpy=(0, 0, 0))).success
     assert (
         "the tip never turns, and the target is turned by 57.3 deg"
         in ik.solve(gantry, ik.pose((0.2, 0.1, 0.6), rpy=(0, 0, 1))).message
