@@ -47,6 +47,8 @@ COMPILED = (
     "shared",
     "build",
     "compiled",
+    "dual",
+    "spliced",
     "overload",
     "rule",
 )  # decorators, outside the kernel

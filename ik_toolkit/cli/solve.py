@@ -46,18 +46,22 @@ class SolverOptions:
     restarts: int | None = option("N", "Additional attempts from other starts; default: the solver's own.")
     timeout: float | None = option("S", "Time for the solve [s]; unlike every other option not deterministic.")
     seed: int = option("N", "Seed of the random restarts.", default=0)
+    length_scale: float | None = option(
+        "M", "Position error [m] that weighs as much as one radian where the target is missed; default: the robot's reach."
+    )
     limits: bool = flag("--limits/--no-limits", "Enforce joint limits.", default=True)
 
-    def choose(self) -> Any:
+    def choose(self, robot: Any) -> Any:
         """The solver's name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
         from ..solvers.presets import from_preset
         from ..solvers.registry import GENERAL, find_row, make_rule
+        from ..solvers.solve import closed_form_with
 
         if self.solver == "auto" and not self.param and not self.preset:
             return self.solver
         asked = solver_named(self.solver)
-        row = find_row(GENERAL if asked == "auto" else asked)
         values = {key: parameter(key, text) for key, text in assignments(self.param, "-p").items()}
+        row = find_row(closed_form_with(robot, values) or GENERAL if asked == "auto" else asked)
         if self.preset is None:
             return make_rule(row, values) if values else asked
         return from_preset(row, self.preset, values)
@@ -173,9 +177,9 @@ def solve(
         raise InvalidOption("--length-unit and --euler go with --targets FILE")
     deg = robot.deg
     aim = target.read(deg) if many.file is None and target.from_q is None else None
-    rule = method.choose()
     tips = robot.choose_tips(aim if target.targets else None, relations(target.relative), target.posed)
     arm = robot.load(tips, method.limits)
+    rule = method.choose(arm)
     aim = aim if target.from_q is None else target.reached(arm, deg)
     options = given(tolerances) | method.read() | wish.read(arm, deg, many.file is not None)
     options |= counts.read(deg, target.relative) | collisions.read(arm)

@@ -14,7 +14,7 @@ from .algebra import V3, at3, rotation_at
 from .kinematics import RATIO, ROW, TAU, fk, own_coordinates, room
 from .problem import fill
 from .records import POINTS, TASK, Array, Ends
-from .starts import FEATURES, PAD, ROTATION_WEIGHT, SEEDS
+from .starts import BEST, FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU  # rad, an endless joint is brought back by full turns beyond this; any start and step are well inside
@@ -164,7 +164,8 @@ def start_range(
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
     """Return features (13, N + PAD) of the configurations seeds (N, n): what `starts.nearest` compares with a target.
 
-    They are the tip's position, the last joint's rotation and the squared distance of the tip, scaled for a squared distance.
+    They are the tip's position, the last joint's rotation, and the squared distances of the tip from the base and of the joints
+    from home, scaled so that their sum is a squared distance from the target plus HOME_WEIGHT times that from home.
     kinematics: `run`, or `evaluate` where nothing may be compiled yet.
     """
     count, n = seeds.shape
@@ -176,6 +177,8 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
     features[3:12, :count] = -2.0 * ROTATION_WEIGHT * rotation.reshape(count, 9).T
     features[12, :count] = (T[:, :3, 3] ** 2).sum(1)
+    home = ends[POINTS + 6 * n : POINTS + 7 * n]
+    features[12, :count] += HOME_WEIGHT * ((seeds - home) ** 2).sum(1)
     return features
 
 
@@ -277,6 +280,9 @@ def pack(
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
     # The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
+    # Half of each group lies in half the range around home, where the answers that people expect are.
+    near = np.arange(SEEDS) // BEST % 2 == 0
+    seeds[near] = 0.5 * (seeds[near] + home / unit)
     features = table(rows, ends, seeds, evaluate)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach, bool(own.all()))
 

@@ -102,15 +102,6 @@ def turn(wanted, q, ends, i):
     return k
 
 
-@inner
-def other_end(q, start, ends):
-    """Return a joint with limits that ended more than half a turn from where it started, or -1."""
-    for i in range(q.shape[0]):
-        if 0.0 < ends.turns(i) < 1.5 and abs(q[i] - start[i]) > math.pi:
-            return i
-    return -1
-
-
 @inline
 def face(q, wanted, ends):
     """Move q by full turns of its joints to where it is nearest `wanted` (n,) within limits; return whether q changed."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, compiled, inline, spliced
-from .limits import hold
+from .limits import LIGHTEST, hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
@@ -148,13 +148,15 @@ def direction(p, z, box):
 
 
 @inline
-def objective(p, what, ends, box, ref):
+def objective(p, what, ends, box, ref, weights):
     """Return the value of the objective (see `refine`) at p.desk.q, whose Jacobian is in p.desk.J; less is better."""
     if what == MANIPULABILITY:
         return -log_manipulability(p, ends)
     total = 0.0
     for i in range(ref.shape[0]):
-        total += box.counted(i) * 0.5 * ((p.desk.q[i] - objective_goal(what, ends, ref, i)) / ends.span(i)) ** 2
+        left = p.desk.q[i] - objective_goal(what, ends, ref, i)
+        unit = ends.span(i) * ends.span(i) if what == MID_RANGE else max(weights[i], LIGHTEST)
+        total += box.counted(i) * 0.5 * left * left / unit
     return total
 
 
@@ -162,8 +164,8 @@ def objective(p, what, ends, box, ref):
 def downhill(p, what, ends, box, ref, value, z):
     """Write to z (n,) the direction in which the objective falls from p.desk.q, where it has the given value.
 
-    For the two objectives that are distances this is the whole Newton step, as they and the projection are measured in joint
-    ranges. The Jacobian at p.desk.q is computed again.
+    For the two objectives that are distances this is the whole Newton step, as they and the projection measure moves alike.
+    The Jacobian at p.desk.q is computed again.
     """
     q = p.desk.q
     n = q.shape[0]
@@ -216,7 +218,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     for k in range(steps + 1):
         e = onto_target(p, weights, box, 0.0)
         p.jacobian(e)
-        now = objective(p, what, full, box, ref)
+        now = objective(p, what, full, box, ref, weights)
         # Less than the rounding of the sum does not count as progress.
         better = e.good and (k == 0 or now < value - 1e-12 * abs(value))
         if better:
@@ -232,7 +234,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         taken += 1 if fresh else 0
         downhill(p, what, full, box, ref, value, z)
         for i in range(n):
-            w[i] = weights[i] * (full.span(i) * full.span(i) if what != MANIPULABILITY else 1.0)
+            w[i] = weights[i] * (full.span(i) * full.span(i) if what == MID_RANGE else 1.0)
         direction(p, z, box)
         size = 0.0
         for i in range(n):
@@ -265,8 +267,9 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
         row: The answer of a search, see `search.entry`.
         ref: (n,) joint values [rad or m] that REFERENCE wants.
         orders: See `search.entry`.
-        what: MID_RANGE or REFERENCE lower half the squared distance from the middle of the range or from `ref`, in ranges of the
-            joints (an endless joint has no middle); MANIPULABILITY raises the logarithm of the manipulability.
+        what: REFERENCE lowers half the squared distance from `ref` (see `limits.distance`); MID_RANGE that from the middle of the
+            range, in ranges of the joints (an endless joint has no middle); MANIPULABILITY raises the logarithm of the
+            manipulability.
         steps: Highest number of steps.
     """
     n, tips = ref.shape[0], ends.size // ends.shape[-1]

@@ -79,8 +79,7 @@ class Answer(NamedTuple):
     history: float  # number of rows of history that were written
     excess: float  # length [m] by which the target is proven out of reach
     attempt: float  # number of the attempt that found q, 0 for the first
-    # Joint that `follow` holds back (TOO_FAR) or that went to its other end (CONVERGED); -1 if there is none.
-    held: float
+    held: float  # joint that `follow` holds back (TOO_FAR), or -1
 
 
 @compiled

@@ -32,7 +32,7 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
-from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
+from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
 from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, TASK, Answer, Array, Ends, Orders, copy, read, write
@@ -59,6 +59,7 @@ class Endings(NamedTuple):
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged
     far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
+    rest: float = 1e-12  # move of a joint [rad or kernel units] that is rounding if the error does not fall with it
 
 
 END = Endings()
@@ -177,7 +178,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least):
     boxed = o.limits > 0.0 or o.follow > 0.0
     holding = boxed and o.hold > 0.0
     count, steps, noted = spent.evaluations, spent.steps, spent.noted
-    k, ceiling = 0.0, patience.ceiling
+    k, ceiling, moved, code, before = 0.0, patience.ceiling, np.inf, 0, np.inf
     while True:
         e = p.evaluate(q)
         count += 1
@@ -189,8 +190,11 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least):
             copy(q, job.best)
             p.keep(e, BEST_OF_ALL)
         status = judge_evaluation(e, k, ceiling, patience, count, o)
+        if status != CONVERGED and moved <= END.rest and e.ee >= before and code != WAITING:
+            status = STILL
         if status != GOING:
             break
+        before = e.ee
         if needs_jacobian:
             p.jacobian(e)
         k += 1.0
@@ -209,9 +213,6 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least):
         moved, far = integrate(q, dq, boxed, job.near)
         if not far < END.far_off:
             status = NOT_FINITE
-            break
-        if moved <= 0.0 and code != WAITING:
-            status = STILL
             break
     return status, e, least, Spent(count, steps, noted)
 
@@ -291,8 +292,6 @@ def conclude(p, job, made, spent, excess):
                 status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else unfinished
             elif status == STILL:
                 status = why
-    if status == CONVERGED and o.given > 0.0 and not following:
-        held = other_end(q, start, job.box)
     position, rotation = p.left(made.slot)
     return Answer(
         float(status), float(spent.steps), float(made.tries - 1), position, rotation, float(evaluations),
@@ -319,8 +318,8 @@ def start_attempt(p, job, k, excess):
         p.draw(job.table, k, q)
         if k >= o.patience:
             iterations, decay = END.patient_iterations * o.iterations, END.patient_decay
-    if excess > 0.0:
-        ceiling = np.inf
+    if excess > 0.0 or k + o.given + 1.0 >= o.attempts:
+        ceiling = np.inf  # nothing is gained by giving up the last attempt
     for i in range(p.desk.x.shape[0]):
         p.desk.x[i] = 0.0
     return Patience(iterations, ceiling, decay)

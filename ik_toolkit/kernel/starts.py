@@ -18,6 +18,7 @@ BEST = 8  # number of attempts that start from the table before the random ones
 FEATURES = 13  # numbers by which a configuration is compared with a target, see `chain.table`
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
 ROTATION_WEIGHT = 0.05  # weight of |dR|_F^2 against |dp|^2 in that comparison, with lengths divided by the reach
+HOME_WEIGHT = 0.01  # weight there of |q - home|^2 [rad^2], so that starts near home are preferred among about equal ones
 
 
 @compiled

@@ -18,7 +18,7 @@ NEAR = 1e-4  # [reaches] from the position, at which such a search ends where it
 ADVICE = {
     Status.CONVERGED: "",
     Status.STALLED: "try more restarts, another q0, or a looser tolerance",
-    Status.ITERATION_LIMIT: "try more iterations, restarts, another q0, or the default solver",
+    Status.ITERATION_LIMIT: "try more iterations where the error still falls, restarts, another q0, or the default solver",
     Status.LIMIT_BLOCKED: "try restarts, another q0, a partial target, or wider limits",
     Status.UNREACHABLE: "move the target inside the reach",
     Status.SINGULAR: "start from another q0, or use the default solver with restarts",

@@ -17,6 +17,7 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
+SHORTEST = 1e-6  # m, the least length that may count as much as a radian.
 SLICE = 256  # A timed solve makes this many evaluations before it looks at the clock, about a quarter of a millisecond.
 FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
 # kernel/null_space.py knows the objectives by these numbers.
@@ -38,7 +39,8 @@ class Options:
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
     restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
     attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
-    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. limits: keep joints inside their
+    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. length_scale: the position error [m] that
+    counts as much as one radian in the error that a failure's q makes least nearby (None: the robot's reach). limits: keep joints inside their
     limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair of arrays (see `robot.narrowed`).
     wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
     otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
@@ -64,6 +66,7 @@ class Options:
     max_evaluations: int | None = None
     timeout: float | None = None
     seed: int = 0
+    length_scale: float | None = None
     limits: bool = True
     wrap: bool | None = None
     q0_outside: str = "clamp"
@@ -121,6 +124,7 @@ class BatchOptions(PathOptions, total=False):
     restarts: int | None
     max_evaluations: int | None
     seed: int
+    length_scale: float | None
     wrap: bool | None
     q0_outside: Literal["clamp", "refuse"]
     closest: bool | Numbers
@@ -182,8 +186,10 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
         if name in OTHERWISE:
             raise InvalidOption(OTHERWISE[name])
         if name not in NAMES:
+            from .registry import solvers_with  # Most options are right, and the registry loads each solver.
+
             near = near_match(name, (*parameters, "tolerance", *NAMES))
-            raise InvalidOption(f"there is no option '{name}'.{near}")
+            raise InvalidOption(f"there is no option '{name}'.{near}{solvers_with(name)}")
         if name in ("position_tolerance", "orientation_tolerance"):
             values[name] = _number(name, value, 0.0, math.inf)
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
@@ -199,8 +205,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
                 )
         elif name == "avoid_collisions":
             values[name] = avoided(value)
-        elif name == "timeout" and value is not None:
-            values[name] = _number(name, value, 0.0, math.inf)
+        elif name in ("timeout", "length_scale") and value is not None:
+            values[name] = _number(name, value, 0.0 if name == "timeout" else SHORTEST, math.inf)
         elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):
             if name == "objective" and value is None:
                 continue

@@ -21,13 +21,18 @@ class SolveRecord(NamedTuple):
     T: np.ndarray  # The targets (1, 4, 4), of several tips (1, F, 4, 4).
     kinds: tuple
     start: np.ndarray  # The start (1, n).
-    given: bool
+    q0: bytes  # q0 (n,) as it was, or b"". The caller may change the array, and bytes cost a quarter of what a copy does.
     row: np.ndarray  # The row of the kernel: Answer, q, then for several tips the Miss of each.
     elapsed: float
     notice: str = ""
     errors: Errors | None = None  # The errors that Pinocchio has computed again.
     history: dict[str, np.ndarray] | None = None
     collision: tuple[str, str] | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether the caller gave q0."""
+        return bool(self.q0)
 
     def left(self) -> Errors:
         """Return the errors of each tip: Pinocchio's if it was asked, otherwise the kernel's."""

@@ -69,6 +69,11 @@ class Plan:
         self._joined: tuple[Any, np.ndarray] = (None, np.empty(0))
         self.steps, self.improving = finishing(self)
 
+    @functools.cached_property
+    def descends(self) -> bool:
+        """Whether a failure is moved to the closest configuration near it; published methods end where they end."""
+        return (self.row.name == GENERAL or self.row.closed) and not self.options.follow
+
     def varied(self, **options: Any) -> "Plan":
         """Return the same plan with some options changed."""
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))

@@ -1,8 +1,9 @@
-"""The steps that finish an answer: each takes an Outcome and returns it, changed or not.
+"""The steps that finish an answer: each takes a SolveRecord and returns it, changed or not.
 
-`plan.improving` are those that may replace q (collisions, objective); they run on converged answers, of single calls
-and of batches. `plan.steps` are all of a single call: what its timeout still allows, history, improving, and the check
-by Pinocchio.
+A failure is finished first (`finish_failure`): by what its timeout still allows, the test whether limits are the cause, and
+the descent to the closest configuration. `plan.improving` are the steps that may replace a converged q (collisions,
+objective), of single calls and of batches. `plan.steps` are all steps of a single call: history, improving, and the check by
+Pinocchio.
 """
 
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED
+from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
 from ..kernel.records import ANSWER, AT, ORDER
 from ..robot.pose import check_target
 from .options import OBJECTIVES
@@ -19,7 +20,9 @@ from .status import Status, constraints_of
 from .task import POSE, counted_errors
 
 Step = Callable[[Any], Any]
-REFINE_STEPS = 60  # Limit on the steps in the null space that improve an answer.
+REFINE_STEPS = 200  # Limit on the steps in the null space that improve an answer.
+DESCENT = 500  # Limit on the evaluations that lead from a failure to the closest configuration, of 0.3 microseconds each.
+ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)  # Failures of searches that were not cut off.
 
 
 def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
@@ -31,7 +34,6 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
         improving = (avoiding(plan, improving),)
     steps = [
-        *([] if o.timeout is None else [extend]),
         *([record] if o.history else []),
         *improving,
         *([confirm] if o.check else []),
@@ -40,19 +42,44 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
     return tuple(steps), improving
 
 
-def acquit(outcome: Any) -> Any:
-    """Call LIMIT_BLOCKED what a short search without limits solves; a target that it does not reach either is STALLED."""
-    if outcome.row[AT.status] == LIMIT_BLOCKED and outcome.plan.options.limits:
-        acquit_rows(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
+def finish_failure(outcome: Any) -> Any:
+    """Return what a search that has not converged comes to, with its arrays copied.
+
+    What a result says is worked out when it is read, when the caller may have changed the target and q0.
+    """
+    outcome = outcome._replace(T=outcome.T.copy(), start=outcome.start.copy())
+    if outcome.plan.options.timeout is not None:
+        outcome = extend(outcome)
+    finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
 
 
-def acquit_rows(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
-    """The same for rows (m, width) of targets T, in place."""
-    for k in np.flatnonzero(rows[:, AT.status] == LIMIT_BLOCKED):
-        row = plan.unlimited.solve(T[k : k + 1], kinds, start[k : k + 1] if len(start) > 1 else start, given)
-        if row[AT.status] != CONVERGED:
-            rows[k, AT.status] = STALLED
+def finish_failures(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
+    """Finish the failures among rows (m, width) of targets T, in place.
+
+    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then the default
+    search and the closed forms descend to the closest configuration near theirs. Published methods end where they end.
+    """
+    for k in np.flatnonzero(np.isin(rows[:, AT.status], ENDED)):
+        at, row = start[k : k + 1] if len(start) > 1 else start, rows[k]
+        if row[AT.status] == LIMIT_BLOCKED and plan.options.limits:
+            if plan.unlimited.solve(T[k : k + 1], kinds, at, given)[AT.status] != CONVERGED:
+                row[AT.status] = STALLED
+        if plan.descends:
+            _descend(plan, T[k], kinds, given, row)
+
+
+def _descend(plan: Any, T: np.ndarray, kinds: tuple, given: bool, row: np.ndarray) -> None:
+    """Move the configuration of a row (width,) to a local minimum of the error, in place."""
+    from ..kernel.closest import descend
+
+    o, robot = plan.options, plan.robot
+    steps = int(min(DESCENT, (o.max_evaluations or np.inf) - row[AT.evaluations]))
+    q = np.clip(row[ANSWER : ANSWER + robot.n], robot.lower, robot.upper) if o.limits else row[ANSWER : ANSWER + robot.n].copy()
+    if steps > 1:
+        descend(*plan.chain[:2], T.reshape(-1, 4, 4), q, row, plan.orders(kinds, given), o.length_scale or robot.reach, steps)
+        if row[AT.status] == LIMIT_BLOCKED and not robot.at_limits(row[ANSWER : ANSWER + robot.n]):
+            row[AT.status] = STALLED
 
 
 # Each slice of a timed search is 4 times as long as the last and repeats it, which costs at most a third more.
@@ -84,14 +111,16 @@ TOLD_APART = 12  # A history tells apart the winning attempt and this many other
 def record(outcome: Any) -> Any:
     """Run once more with room for the history, as much as the counts of the first run say.
 
-    An answer that was moved by full turns nearer to the start was evaluated after the search, so it is the last row.
+    An answer that was moved by full turns nearer to the start, or a failure that was moved to the closest configuration,
+    was evaluated after the search, so it is the last row.
     """
     plan = outcome.plan
     ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
     row, history = plan.note(outcome.T, outcome.start, ready, int(outcome.row[AT.evaluations]) + 1)
-    q = row[ANSWER : ANSWER + plan.robot.n]
+    last = outcome.row
+    q = last[ANSWER : ANSWER + plan.robot.n]
     if not (history[:, 2:] == q).all(axis=1).any():
-        history = np.vstack([history, [row[AT.position], row[AT.rotation], *q]])
+        history = np.vstack([history, [last[AT.position], last[AT.rotation], *q]])
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
     columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}

@@ -37,11 +37,14 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 
 def _call(robot: Any, name: str) -> bool:
-    """Call a solver for a pose and for a position, alone and in a batch; return False if it fits neither."""
+    """Call a solver for a pose, for a position and out of reach, alone and in a batch; return False if it fits none."""
     T, fits = robot.chain.forward(robot.home)[0][0], False
     calls: list[Callable[[], Any]] = []
     for one in (T, T[..., :3, 3].copy()):
         calls += [lambda one=one: Solver(robot, name)(one), lambda one=one: solve_batch(robot, one[None], name)]
+    far = T.copy()
+    far[..., :3, 3] += 9.0 * robot.reach
+    calls.append(lambda: Solver(robot, name)(far))
     for call in calls:
         try:
             call()

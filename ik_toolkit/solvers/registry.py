@@ -285,6 +285,12 @@ def _own(cls: type) -> Row:
     return Row(cls.__name__, target, summary, "a solver of your own", "", **{**kind, **said, "cls": cls})
 
 
+def solvers_with(parameter: str) -> str:
+    """Name our solvers with a parameter, as a sentence to end a message with, or return ''."""
+    owners = [row.name for row in ROWS if parameter in row.load()._fields]
+    return f" Solvers with '{parameter}': {', '.join(owners)}." if owners else ""
+
+
 def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
     """Make an instance of the row's class with the given parameters. Raises InvalidOption for an unknown one or a bad value."""
     cls = row.load()
@@ -292,7 +298,7 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
     for key, value in parameters.items():
         if key not in fields:
             hint = near_match(key, fields) if fields else " It has no parameters."
-            raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}")
+            raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}{solvers_with(key)}")
         if isinstance(value, str) and not isinstance(cls._field_defaults.get(key), str):
             raise InvalidOption(f"parameter '{key}' of solver '{row.name}' takes a number or an array, not '{value}'")
         if isinstance(value, float) and value != value:

@@ -18,6 +18,8 @@ from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors
 
+FAR_MOVE = 0.5  # rad, or robot sizes: a Solver's answer farther from q0 is noticed, as a loop seldom wants such a move
+
 
 class Result(ReadOnly):
     """The answer of one solve, for one tip or several (read-only).
@@ -33,6 +35,7 @@ class Result(ReadOnly):
             tips count as one).
         attempt: Number of the attempt that q comes from; 0 is the first, which starts at q0 if that was given.
         limited_joints: Names of joints at a limit.
+        largest_move: Joint that moved farthest from q0 and how far [rad or m], or None.
         elapsed: Time of the call [s].
         seed, solver, robot: Seed of the random starts, name of the solver used, and the robot.
         notice: What was corrected in the input, that q may be far from q0, and what q does to loops of the description,
@@ -129,16 +132,34 @@ class Result(ReadOnly):
     def notice(self) -> str:
         """What was corrected in the input, that q may be far from q0, and what q does to the description's constraints, or ''."""
         jump, of = "", self._of
-        if of.given and not of.plan.options.closest:
+        move = None if of.plan.options.closest else self.largest_move
+        if move is not None:
+            joint, amount = move
+            at = self.robot.joint_names.index(joint)
+            slide = self.robot.joint_kinds[at] == "prismatic"
+            moved = f"joint {joint} moved by {amount:.3g} {'m' if slide else 'rad'}"
+            # A bound Solver, which leaves the check out, is for loops; others may well start far away.
+            most = np.pi if of.plan.options.check else FAR_MOVE
             if self.attempt:
-                jump = f"q was found by attempt {self.attempt}, not from q0, and may be far from it"
-            elif self.status == Status.CONVERGED and of.row[AT.held] >= 0.0:
-                joint = self.robot.joint_names[int(of.row[AT.held])]
-                jump = f"joint {joint} went to the other end of its range, more than half a turn from q0"
-        if jump:
-            jump += "; in a loop use follow=True"
+                jump = f"q was found by attempt {self.attempt}, not from q0: {moved}; in a loop use follow=True"
+            elif amount / self.robot.chain.unit[at] > most:
+                jump = f"{moved} from q0; in a loop use follow=True"
         kept = constraints_of(self.robot, self.q, of.plan.options).text
         return "; ".join(filter(None, (of.notice, jump, kept)))
+
+    @property
+    def largest_move(self) -> tuple[str, float] | None:
+        """Joint that moved farthest from q0, and how far [rad or m].
+
+        Slides and angles are compared with lengths divided by the size of the robot. None without q0, and in a row of a
+        batch, which keeps none.
+        """
+        of = self._of
+        if not of.given:
+            return None
+        moves = np.abs(self.q - np.frombuffer(of.q0))
+        at = int(np.argmax(moves / self.robot.chain.unit))
+        return self.robot.joint_names[at], float(moves[at])
 
     @property
     def fk_evaluations(self) -> int:
@@ -245,6 +266,7 @@ class Result(ReadOnly):
             "attempt": self.attempt,
             "fk_evaluations": self.fk_evaluations,
             "limited_joints": list(self.limited_joints),
+            "largest_move": self.largest_move,
             "elapsed": self.elapsed,
             "seed": self.seed,
             "notice": self.notice,

@@ -22,7 +22,7 @@ from .closed_form import fits
 from .options import NAMES, Options, SolveOptions, make_options
 from .outcome import make_outcome
 from .plan import Plan
-from .postprocess import acquit
+from .postprocess import finish_failure
 from .registry import GENERAL, find_row, make_rule
 from .result import Result
 from .task import POSES, read_target
@@ -32,7 +32,7 @@ FLOAT = np.dtype(np.float64)
 BOUND_KEPT = 64  # `solve` keeps this many solvers for a robot.
 EXACT = {  # A closed form honours or ignores these options; 'auto' takes the search if any other is given.
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
-    "seed", "limits", "q0_outside", "history", "check",
+    "seed", "length_scale", "limits", "q0_outside", "history", "check",
 }  # fmt: skip
 
 
@@ -44,7 +44,7 @@ class Solver(ReadOnly):
     Args:
         robot: A Robot, or a Tree (several tips solved together).
         solver: Name, rule class or instance. 'auto' uses a closed form for the kinds of target that it solves exactly,
-            otherwise the search; `result.solver` names the one used.
+            or the one whose parameter is given, otherwise the search; `result.solver` names the one used.
         options: Options (see `Options`), and parameters of the rule.
 
     Attributes:
@@ -63,6 +63,8 @@ class Solver(ReadOnly):
         robot = narrowed_for(robot, options)
         options.setdefault("check", False)
         auto = is_auto(solver)
+        if auto and (owner := closed_form_with(robot, options)):
+            solver, auto = owner, False
         self._plans: dict[tuple, Plan] = {}  # Plans for the kinds of target that do not use `plan`.
         if auto:
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
@@ -130,11 +132,12 @@ class Solver(ReadOnly):
                 notice = notice or note
             row = plan.solve(T, kinds, start, given)
             status = row[AT.status]
-        outcome = make_outcome((plan, T, kinds, start, given, row, perf_counter() - started, notice, None, None, None))
+        asked = start.tobytes() if given else b""
+        outcome = make_outcome((plan, T, kinds, start, asked, row, perf_counter() - started, notice, None, None, None))
+        if status != CONVERGED:
+            outcome = finish_failure(outcome)
         for step in plan.steps:
             outcome = step(outcome)
-        if status != CONVERGED:
-            outcome = acquit(outcome)
         if plan.steps or status != CONVERGED:
             outcome = outcome._replace(elapsed=perf_counter() - started)
         return Result(outcome)
@@ -212,6 +215,13 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
 def is_auto(solver: Any) -> bool:
     """Return whether the choice of the solver is left to the toolkit."""
     return solver is None or (isinstance(solver, str) and solver == "auto")
+
+
+def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
+    """Return the closed form that fits the robot and alone has a parameter that `options` names, or None."""
+    names = options.keys() - set(NAMES) - set(find_row(GENERAL).load()._fields)
+    fitting = [name for kind in (POSE, POSITION) if names and (name := fits(robot, kind))]
+    return next((name for name in fitting if names & set(find_row(name).load()._fields)), None)
 
 
 def automatic(robot: Any, kind: int, options: Mapping[str, Any]) -> str:

@@ -162,8 +162,8 @@ def test_objectives_work_beyond_the_limits_when_they_do_not_count(objective):
     for q in robots.sample(robot, 10, seed=8)[0]:
         q[3] = robot.upper[3] + 0.5
         target = robot.fk(q)
-        plain = ik.solve(robot, target, "lm", q0=q + 0.05, limits=False)
-        result = ik.solve(robot, target, "lm", q0=q + 0.05, limits=False, objective=objective)
+        plain = ik.solve(robot, target, "lm", q0=q + 0.2, limits=False)
+        result = ik.solve(robot, target, "lm", q0=q + 0.2, limits=False, objective=objective)
         assert result.success
         moved += np.abs(result.q - plain.q).max() > 1e-3
     assert moved >= 8

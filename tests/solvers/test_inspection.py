@@ -280,3 +280,18 @@ def test_listing_compiles_nothing_in_a_second_process():
     for _ in range(2):
         done = subprocess.run([sys.executable, "-c", LISTING], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0"], done.stdout
+
+
+def test_the_closed_form_takes_its_parameter_without_being_named(arm):
+    T = arm.fk(arm.home)
+    one = ik.solve(arm, T, lift=0.25)
+    assert one.solver == "inspection" and one.success and one.q[1] == pytest.approx(0.25)
+    assert ik.Solver(arm, lift=0.25)(T).q.tolist() == one.q.tolist()
+    assert ik.solve_batch(arm, T.homogeneous[None], lift=0.25)[0].q.tolist() == one.q.tolist()
+    assert all(q[1] == pytest.approx(0.25) for q in ik.solve_all(arm, T, lift=0.25).q)
+    with pytest.raises(ik.IKError, match="'inspection' does not solve positions"):
+        ik.solve(arm, T.translation, lift=0.25)
+    with pytest.raises(ik.IKError, match="no option 'kp'.*Solvers with 'kp': pid"):
+        ik.solve(arm, T, kp=2.0)
+    with pytest.raises(ik.IKError, match="Solvers with 'lift': inspection"):
+        ik.solve(ik.Robot.load("planar_3r"), (0.5, 0.2, 0.0), lift=0.25)

@@ -53,18 +53,21 @@ def test_objectives_reach_a_minimum_of_the_self_motion(objective, cost):
 
 
 def test_reference_objective_pulls_towards_q0():
+    """Nearness is measured as `closest` does: by the Euclidean norm, in which joint weights divide the squares."""
     robot = robots.load("inspection_7dof")
     Q, T = robots.sample(robot, 20, seed=32)
-    closer = 0
-    for q, target in zip(Q, T, strict=True):
-        q0 = np.clip(q + 0.2, robot.lower, robot.upper)
-        plain = ik.solve(robot, target, "lm", q0=q0)
-        pulled = ik.solve(robot, target, "lm", q0=q0, objective="reference")
-        span = robot.upper - robot.lower
-        a, b = (np.linalg.norm((x.q - q0) / span) for x in (plain, pulled))
-        assert pulled.success and b <= a + 1e-9
-        closer += b < a - 1e-4
-    assert closer >= 10
+    weights = np.array([1.0, 0.3, 2.0, 1.0, 0.5, 1.0, 4.0])
+    for given in (None, weights):
+        unit, closer = robot.chain.unit * np.sqrt(np.ones(7) if given is None else given), 0
+        for q, target in zip(Q, T, strict=True):
+            q0 = np.clip(q + 0.2, robot.lower, robot.upper)
+            how = {"q0": q0, "joint_weights": given}
+            plain = ik.solve(robot, target, "lm", **how)
+            pulled = ik.solve(robot, target, "lm", objective="reference", **how)
+            a, b = (np.linalg.norm((x.q - q0) / unit) for x in (plain, pulled))
+            assert pulled.success and b <= a + 1e-9
+            closer += b < a - 1e-4
+        assert closer >= 10
 
 
 def test_closest_is_nearest_among_all_branches():

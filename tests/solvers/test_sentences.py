@@ -156,7 +156,10 @@ def test_notices():
     arm = robots.load("inspection_7dof")
     for q in arm.random_q(np.random.default_rng(4), 25):
         result = ik.solve(arm, arm.fk(q), "lm", q0=arm.home)
-        far = f"q was found by attempt {result.attempt}, not from q0, and may be far from it; in a loop use follow=True"
+        joint, amount = result.largest_move
+        assert amount == abs(result.q - arm.home)[arm.joint_names.index(joint)]
+        moved = f"joint {joint} moved by {amount:.3g} {'m' if joint.startswith('lift') else 'rad'}"
+        far = f"q was found by attempt {result.attempt}, not from q0: {moved}; in a loop use follow=True"
         assert result.notice == (far if result.attempt else "")
         assert ik.solve(arm, arm.fk(q), "lm").notice == ""  # without q0 there is nothing to be near to
     out = arm.upper + 0.1

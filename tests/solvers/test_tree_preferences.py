@@ -32,8 +32,9 @@ def cost(tree, objective, q, goal, q0):
         J = tree.jacobian(q)[rows_that_count(goal)]
         return -0.5 * np.linalg.slogdet(J @ J.T)[1]
     bounded, middle, span = ranges(tree)
-    away = np.where(bounded, q - middle, 0.0) if objective == "mid-range" else q - q0
-    return 0.5 * np.sum((away / span) ** 2)
+    if objective == "reference":
+        return 0.5 * np.sum(((q - q0) / tree.chain.unit) ** 2)
+    return 0.5 * np.sum((np.where(bounded, q - middle, 0.0) / span) ** 2)
 
 
 def ranges(tree):

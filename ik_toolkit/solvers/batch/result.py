@@ -83,7 +83,7 @@ class BatchResult(ReadOnly):
             # There is no pair if the colliding obstacle has been moved away since.
             touching = next(iter(model.collisions(self.q[k])), None)
         nothing = np.empty(0)  # A batch keeps neither targets nor starts.
-        return Result(SolveRecord(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
+        return Result(SolveRecord(self.plan, nothing, self.kinds, nothing, b"", row, 0.0, collision=touching))
 
     @property
     def position_only(self) -> bool:

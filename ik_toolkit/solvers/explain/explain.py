@@ -124,7 +124,8 @@ def _beside(of: SolveRecord, name: str) -> SolveRecord:
     plan = Plan(robot, row, row.load()(), options)
     made = _run(of, plan)
     if not made.row[AT.iterations]:  # The start is the answer, so there would be nothing to show.
-        made = _run(of._replace(start=robot.random_q(np.random.default_rng(0))[None], given=True), plan)
+        start = robot.random_q(np.random.default_rng(0))
+        made = _run(of._replace(start=start[None], q0=start.tobytes()), plan)
     return made
 
 

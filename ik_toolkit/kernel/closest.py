@@ -1,0 +1,121 @@
+"""Move a failed search's best configuration to a local minimum of the error within the limits.
+
+The error is that of every tip, |position error|^2 / length^2 + |rotation vector|^2, of what counts of it. A search takes
+steps that suit a target in reach; before one that is out of reach it ends up to some percent above the minimum.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..compile.array_view import cut, flat, keep, space, view
+from ..compile.jit import cached, inline
+from .checks import CONVERGED
+from .limits import hold
+from .null_space import REFERENCE, make_bounds, move
+from .problem import BEST_OF_ALL
+from .records import ANSWER, AT, HEAD, TASK, Ends, Orders, copy, read
+from .search import problem_on
+
+
+class Descent(NamedTuple):
+    """Numbers of the descent, a Levenberg-Marquardt method whose damping is a share of the squared error."""
+
+    first: float = 0.1  # share at the start
+    least: float = 1e-6  # smallest share, which bounds the steps at singular poses
+    most: float = 1e9  # share at which even the shortest step no longer lowers the error
+    lowered: float = 0.3  # factor of the share after a step that lowers the error
+    raised: float = 4.0  # factor after one that does not
+    smallest: float = 1e-7  # the descent ends when a step moves every joint by less [rad or kernel units]
+
+
+DOWN = Descent()
+
+
+@inline
+def weighed(p, e, factor):
+    """Write the errors of an evaluation to p.desk.y, with positions times `factor`, and return their squared norm."""
+    y, total = p.desk.y, 0.0
+    p.stack(e)
+    for k in range(y.shape[0]):
+        y[k] *= factor if k % 6 < 3 else 1.0
+        total += y[k] * y[k]
+    return total
+
+
+@inline
+def descend_on_views(rows, ends, T, q0, row, orders, length, steps, block):
+    """Do the work of `descend` on views, with a block of scratch."""
+    n = q0.shape[0]
+    o = read(Orders, orders)
+    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
+    block[0] = 0.0
+    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    weights, full, s = orders[first : first + n], Ends(flat(ends), n), p.desk
+    (places,) = cut(block, np.float64, ((3, n),))
+    box = make_bounds(places, full, REFERENCE, o.limits > 0.0)
+    best, error = cut(block, np.float64, (n, s.y.shape[0]))
+    p.head_for(T)
+    for i in range(n):
+        best[i] = q0[i] / full.unit(i)
+    copy(best, s.q)
+    factor, share, value, made = full.scale() / length, DOWN.first, np.inf, 0
+    while True:
+        e = p.evaluate(s.q)
+        made += 1
+        now = weighed(p, e, factor)
+        if now < value:
+            value, share = now, max(DOWN.lowered * share, DOWN.least)
+            copy(s.q, best)
+            copy(s.y, error)
+            p.keep(e, BEST_OF_ALL)
+            p.jacobian(e)
+            for i in range(n):
+                for k in range(s.J.shape[1]):
+                    s.J[i, k] *= factor if k % 6 < 3 else 1.0
+        else:
+            share *= DOWN.raised
+            copy(best, s.q)
+        if e.good or share > DOWN.most or made >= steps:
+            break
+        copy(weights, s.w)
+        for _ in range(n):
+            p.toward(error, share * value)
+            if not hold(s.q, s.dq, s.w, box):
+                break
+        size = 0.0
+        for i in range(n):
+            size = max(size, abs(s.dq[i]))
+        if size < DOWN.smallest:
+            break
+        move(s.q, s.dq, 1.0, box)
+    row[AT.evaluations] += made
+    if made > 1:
+        row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
+        p.report(BEST_OF_ALL, row)
+        for i in range(n):
+            row[ANSWER + i] = best[i] * full.unit(i)
+        if e.good:
+            row[AT.status] = CONVERGED
+
+
+@cached
+def descend(rows, ends, T, q0, row, orders, length, steps):
+    """Lower the error of a failed search from q0; q, the errors and the evaluations in its `row` are replaced.
+
+    Where the descent reaches the target, the row's status becomes CONVERGED.
+
+    Args:
+        rows: (L, 10) of the chain or tree.
+        ends: Of the chain or tree.
+        T: (F, 4, 4) targets [m] of F tips, base frame.
+        q0: (n,) joint values [rad or m] inside the limits.
+        row: The answer of a search, see `search.entry`.
+        orders: See `search.entry`.
+        length: Position error [m] that counts as much as a rotation error of one radian.
+        steps: Highest number of evaluations.
+    """
+    n, tips = q0.shape[0], ends.size // ends.shape[-1]
+    block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
+    descend_on_views(view(rows), view(ends), view(T), view(q0), view(row), view(orders), length, steps, view(block))
+    keep(block)
