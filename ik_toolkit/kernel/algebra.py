@@ -65,7 +65,7 @@ class M3(NamedTuple):
         return self.x * v.x + self.y * v.y + self.z * v.z
 
     def across(self, v):
-        """Return the transpose of the matrix times v."""
+        """Return M' v, the transpose of the matrix times the vector v."""
         return V3(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
 

@@ -42,12 +42,15 @@ class KeptIndices(NamedTuple):
 
 IN = KeptIndices()
 KEPT = 39  # length of the array that `shape` fills
-STRAIGHT = 1e-9  # two directions are parallel if the sine of their angle is below this: their cross product is rounding
+STRAIGHT = 1e-9  # Two directions count as parallel if the sine of their angle is below this, which is rounding.
 
 
 @inner
 def allowance(task, first, tolerance):
-    """Return the largest norm that three errors (from index `first` on) may have inside a tolerance; inf if one does not count."""
+    """Return the largest norm of three errors (from index `first` on) within a tolerance, before weights and slack.
+
+    It is infinite if one of the three does not count.
+    """
     least, room = math.inf, 0.0
     for i in range(first, first + 3):
         least = min(least, task[WHAT.w0 + i])
@@ -88,7 +91,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if sine > STRAIGHT:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
-        elif cosine < 0.0:  # half a turn, for which any axis normal to a will do
+        elif cosine < 0.0:  # For half a turn any rotation axis normal to a will do.
             r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
             r = r * (math.pi / math.sqrt(r.square()))
     else:

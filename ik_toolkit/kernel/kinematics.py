@@ -49,7 +49,7 @@ def turn_all(rows, q, trig):
 
 @inline
 def fk(rows, q, joints, trig):
-    """Return the pose of the last joint at q; joints[6 i : 6 i + 6] receives the axis and a point of joint i."""
+    """Return the pose of the last joint at q (n,); joints[6 i : 6 i + 6] receives the axis and a point of joint i."""
     turn_all(rows, q, trig)
     size = trig.shape[0] // 3
     s, c = at(trig, size), at(trig, 2 * size)
@@ -118,11 +118,12 @@ def half_turn_axis(now, goal, sine):
 
 @inline
 def rotation_error(now, goal):
-    """Return 2 sin(angle/2) times the axis of the rotation that brings M3 `now` to `goal`."""
+    """Return 2 sin(angle/2) times the axis of the rotation that takes the rotation matrix `now` to `goal`."""
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near half a turn the sine loses its digits: the length then comes from the cosine, and at last the axis from the matrix.
+    # Near half a turn the sine is too inexact. The length is then computed from the cosine and, even nearer, the axis
+    # from the symmetric part of the matrix.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)

@@ -6,10 +6,11 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-TURN = 0  # index in a link of the rotation (9) from the other tip's axes to the target's
-POINT = 9  # index in a link of the target's point (3) in the other tip's axes
-FRAME = 12  # index in a link of the pose (12) of the other chain's first joint in the frame of this chain's first joint
-LINK = 24  # length of a link, the array that ties a target to another tip
+# A link is the array that ties a target to another tip. TURN, POINT and FRAME are indices in it.
+TURN = 0  # rotation (9) from the other tip's axes to the target's
+POINT = 9  # the target's point (3) in the other tip's axes
+FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
+LINK = 24  # length of a link
 
 
 @inline

@@ -155,7 +155,8 @@ class Interpreted:
     @staticmethod
     def _damped(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
         J = jacobian(frames)
-        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)  # the damping is (100 mm)^2
+        # The damping 0.01 m^2 is (100 mm)^2, as in the paper.
+        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)
 
 
 def jacobian(frames: list[np.ndarray]) -> np.ndarray:

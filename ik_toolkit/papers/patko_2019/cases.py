@@ -12,7 +12,7 @@ from ...servo.methods import Run, System, simulate
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-# The methods by their names in the report; the method aad is ours.
+# The methods of the paper by their names in the report; the method aad is not from the paper but our own.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
     "av": ("av", {}),

@@ -83,7 +83,7 @@ def self_motion(
         for k, d in enumerate(lifts[1:-1], 1):
             found = inspection.every_branch(p, T, box, np.array([d]), out, broken)
             theta[k] = np.sort(out[:found, 0][np.abs(out[:found, 4]) < math.pi / 2])
-        for k, nearby in ((0, 1), (-1, -2)):  # the two branches of the elbow meet at the ends
+        for k, nearby in ((0, 1), (-1, -2)):  # Both branches of the elbow meet at the least and the largest lift.
             theta[k] = np.repeat(theta[nearby].reshape(2, 2).mean(axis=1), 2)
         return 1000.0 * lifts, np.degrees(theta)
 
