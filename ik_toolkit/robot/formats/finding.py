@@ -52,6 +52,6 @@ def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
 
 
 def did_you_mean(name: str, options: Iterable[str] | Mapping[str, object]) -> str:
-    """Return ' Did you mean ...?' for a misspelled name, or an empty text if no option is near it; the options are not listed."""
+    """Return ' Did you mean ...?' with the option most like a misspelled name, or '' if none is like it."""
     found = near_match(name, options).partition(" Available")[0]
     return found if found.startswith(" Did") else ""

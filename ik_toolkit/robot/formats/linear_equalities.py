@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-ZERO = 1e-9  # A coefficient left by elimination counts as 0 below this fraction of the largest one of its equation.
+ZERO = 1e-9  # After elimination a coefficient counts as 0 below this fraction of the largest one of its equation.
 LEAST = 1e-6  # A joint is expressed by another one only if its coefficient is at least this fraction of the largest.
 
 

@@ -152,7 +152,8 @@ def _shape(
     if max(map(abs, xyz)) > LARGEST:
         raise ModelError(f'its shape <origin xyz="{origin["xyz"][:60]}"> is further than {LARGEST:g} m away')
     material = given.get("material", {}).get("name", "")
-    color = colors.get(material) or _color(given.get("color", {}))  # The name of a material refers to its first colour.
+    # A material's name refers to the first colour given for that name.
+    color = colors.get(material) or _color(given.get("color", {}))
     place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
     mesh = kind == "mesh"
     return LinkShape(
