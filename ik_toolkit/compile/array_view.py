@@ -1,9 +1,8 @@
 """Views: light arrays inside kernels that consist of a pointer and a shape.
 
 An array of numba has seven to eleven numbers and a reference count, so passing a record of two dozen arrays takes much
-code. A
-view owns no memory and must not outlive the array it was made of: functions that Python calls keep the arrays, and pass
-on views of them. A view is contiguous. Its indices must be whole numbers that are not negative. A[i] of a
+code. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the arrays,
+and pass on views of them. A view is contiguous. Its indices must be whole numbers that are not negative. A[i] of a
 two-dimensional view is a row, A[i:k] are rows. Without compilation a view is the array itself.
 """
 

@@ -15,9 +15,8 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-# Releases of numba with which pipeline.py and typing_cache.py work. They use private interfaces of numba, which might
-# crash in another release, so any other release compiles in numba's own, slower way. scripts/try_numba.py tries a
-# release.
+# Releases of numba with which pipeline.py and typing_cache.py work; scripts/try_numba.py tries one.
+# Both use private interfaces of numba, so in any other release kernels are compiled in numba's own, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 PARTS: dict[str, Any] = {}
@@ -34,11 +33,9 @@ OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reass
 # `jit` is for functions that Python may call as well as kernels; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
 # The options that follow are for functions that only kernels call (see pipeline.py); a call from Python would crash.
-# BUILD is for functions that make arrays. They count references and are compiled by plain numba, not as parts of a
-# kernel.
+# BUILD is for functions that make arrays: they count references, and plain numba compiles them.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
-# INLINE is for all other functions. They do not count references, so they must not return an array, or a record of
-# arrays, to a function that counts them.
+# INLINE is for all others: without reference counts they must not return arrays to a function that counts references.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 # BARE is for functions that need not be inlined: numba would pass on the caller's request to inline to them.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)

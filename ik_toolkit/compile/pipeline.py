@@ -129,8 +129,7 @@ class Quick(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# numba's passes for `with`, comprehensions, closures, exceptions, inlining and array expressions, which parts do not
-# use.
+# numba's passes for `with`, comprehensions, closures, exceptions, inlining and array expressions: parts have none.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",

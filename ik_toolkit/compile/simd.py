@@ -20,8 +20,8 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from .array_view import parts_of
 
-# Length of a vector: two registers of AVX2 or one of AVX-512. Vectors of four would be hardly faster, because the
-# processor mostly waits for the results of earlier operations.
+# Number of lanes of a vector: two registers of AVX2 or one of AVX-512.
+# Vectors of four would be hardly faster, because the processor mostly waits for the results of earlier operations.
 WIDTH = 8
 _DATA = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)

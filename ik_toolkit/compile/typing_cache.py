@@ -87,8 +87,7 @@ def remembering(typing: Any) -> Iterator[None]:
     def resolve_function_type(function: Any, kinds: Any, names: Any) -> Any:
         if names or not isinstance(function, types.Callable):
             return resolve(function, kinds, names)
-        # Types of constants are replaced by general types, so that one copy serves all; LLVM sees the constants when it
-        # inlines.
+        # Types of constants are replaced by general types, so that one copy serves all of them.
         if isinstance(function, types.Dispatcher):
             kinds = map(types.unliteral, kinds)
         return call(function, *kinds)

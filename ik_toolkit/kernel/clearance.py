@@ -39,8 +39,7 @@ class Approach(NamedTuple):
 
     slope: float  # [1/s] highest speed of approach over the gap
     step: float  # [s] length of a control step, in which a pair may use up at most half of its gap
-    # A joint takes part in the braking of a pair if its approach per unit exceeds this share of the largest of all
-    # joints.
+    # A joint takes part in the braking of a pair if its approach per unit exceeds this share of the largest one.
     share: float
     flat: float  # A pair is left out if no joint brings it closer by more than this per unit [m/rad or m/m].
 

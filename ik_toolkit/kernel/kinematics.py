@@ -58,16 +58,16 @@ def fk(rows, q, joints, trig):
     p = V3(zero, zero, at(q, int(rows[0, 8])) * rows[0, 6] + rows[0, 7])
     put3(joints, 0, z)
     put3(joints, 3, p)
-    for i in range(1, rows.shape[0]):  # row 0 has no turn by b
+    for i in range(1, rows.shape[0]):  # Row 0 is done above, as it has no rotation by b.
         cb, sb = rows[i, 0], rows[i, 1]
-        v = y * cb + z * sb  # y and z turn by the angle b about x
+        v = y * cb + z * sb  # The axes y and z are rotated by the angle b about x.
         z = z * cb - y * sb
         d = at(q, int(rows[i, 8])) * rows[i, 6] + rows[i, 7]
-        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # the point moves along the new axes
+        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # The point p moves along the axes of the joint's frame.
         put3(joints, 6 * i, z)
         put3(joints, 6 * i + 3, p)
         s, c = at(trig, size + i), at(trig, 2 * size + i)
-        y = v * c - x * s  # x and y turn by the joint's angle about z
+        y = v * c - x * s  # The axes x and y are rotated by the joint's angle about z.
         x = x * c + v * s
     return Pose(M3(x, y, z), p)
 
@@ -88,7 +88,7 @@ def aim(ends, T, goal):
     point = V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())
     put3(goal, 9, base.across(point - at3(ends.flat, 9)))
     x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
-    for k in range(3):  # the rotation is base' T tip', computed column by column
+    for k in range(3):  # The rotation base' T tip' is computed column by column.
         row = at3(ends.flat, 12 + 3 * k)
         v = base.across(x * row.x + y * row.y + z * row.z)
         goal[k], goal[3 + k], goal[6 + k] = v.x, v.y, v.z
@@ -122,8 +122,8 @@ def rotation_error(now, goal):
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near half a turn the sine is too inexact. The length is then computed from the cosine and, even nearer, the axis
-    # from the symmetric part of the matrix.
+    # Near half a turn the sine is too inexact: the length is computed from the cosine, and at last the axis from R +
+    # R'.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)

@@ -85,7 +85,7 @@ class Answer(NamedTuple):
 
 @compiled
 class Miss(NamedTuple):
-    """What separates one tip from its target."""
+    """The errors of one tip in an answer for several tips."""
 
     position: float  # position error [m]
     rotation: float  # rotation error [rad]

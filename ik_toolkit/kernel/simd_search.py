@@ -32,8 +32,7 @@ from .starts import BEST, make_table, rnd, sow
 LEFT = -1  # status of a target that is left to the ordinary search (search.py)
 # An attempt is given up when 1 + cos(angle left) is below this: the axis of the rotation is then unknown.
 HALF_TURN = 5e-4
-# Number of attempts after which a target is left to the ordinary search, because at the end all lanes wait for the
-# last.
+# Number of attempts after which a target is left to the ordinary search, so that other lanes need not wait for it.
 ATTEMPTS = 32
 ALL = (1 << WIDTH) - 1  # bits of a mask in which every lane is set
 

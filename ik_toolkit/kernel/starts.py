@@ -17,8 +17,7 @@ SEEDS = 256  # number of configurations in the table of starts; scanning more co
 BEST = 8  # number of attempts that start from the table before the random ones
 FEATURES = 13  # numbers by which a configuration is compared with a target, see `chain.table`
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
-# Weight of the squared Frobenius distance of rotations against the squared distance of positions (over the reach), when
-# a configuration is compared with a target.
+# A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm).
 ROTATION_WEIGHT = 0.05
 
 

@@ -20,12 +20,10 @@ from ..robot.geometry.distance import Clearance
 from ..robot.joints import Joints
 from .certificate import Contact
 
-# Largest margin factor [rad] that is tested, 1.5 cm for a lever arm of a metre, and the ratio of each factor to the
-# next smaller.
+# Largest margin factor that is tested [rad], 1.5 cm for an arm of a metre; each further one is this much smaller.
 LARGEST, FINER = 0.015, 4.0
 FLOOR = 1e-4  # smallest margin [m] of the pair with the longest arm; nearer shapes cannot be proven free of contact
-# Largest number of collision tests, per row of a curve and at least for any curve; what remains then counts as not
-# proven.
+# Largest number of collision tests per row of a curve, and for a short curve; the rest then counts as not proven.
 EACH, AT_LEAST = 30, 20_000
 
 
@@ -134,8 +132,7 @@ def find_contacts(
         sag: (M-1, n) upper bound on each joint's deviation from the straight line between two rows; default 0.
 
     Returns:
-        The proven clearance [m] (0: not proven), contacts (at most one per segment), and places that are not proven
-        free.
+        The proven clearance [m] (0: not proven), contacts (at most one per segment), and places not proven free.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)

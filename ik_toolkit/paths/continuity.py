@@ -23,8 +23,7 @@ from .freedom import freedom, missed
 from .interpolate import interpolate_poses
 from .smoothing import settle_rows as settle_rows
 
-# Largest number of rounds of inserting rows. Two or three usually suffice, because the bound falls with the square of
-# the number of pieces.
+# Largest number of rounds of inserting rows. Bounds fall with the square of the number of pieces, so few suffice.
 ROUNDS = 12
 # Largest number of pieces per max_step between two poses; a motion that needs more counts as not continuous there.
 MOST_PIECES = 256
@@ -104,8 +103,7 @@ def densify(
     for _ in range(ROUNDS):
         owner = at[:-1].astype(int)
         deviation, turn = bounds(plan, kinds, curve, at, T)
-        # Dividing a segment by k lowers the bound by about k^2, so the root of the excess is the number of pieces
-        # needed.
+        # Dividing a segment by k lowers its bound by about k^2, so the root of the excess is the number of pieces.
         excess = [np.sqrt(x / most) for x, most in zip((deviation, turn), path_tolerance, strict=True)]
         wanted = np.max([*excess, (np.abs(np.diff(curve, axis=0)) / step).max(axis=1)], axis=0)
         wanted = np.where(open_[owner] & ~given_up[owner] & (wanted > 1.0), np.ceil(wanted * (1.0 + 1e-9)), 1.0)
@@ -201,8 +199,8 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
     sag = (sag / chain.unit)[:, owner]
     speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
     for r in range(len(rows) - 1, -1, -1):
-        # Seen from joint r, the joints beyond it move the tip by at most `speed` over the segment. So the tip's
-        # distance from the axis of joint r is at most the mean of its values at both ends, plus half of that.
+        # Over the segment the joints beyond joint r move the tip by at most `speed`, seen from joint r.
+        # So the tip's distance from its axis is at most the mean of the values at both ends plus half of `speed`.
         arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
         bend += turns[:, r] * (turns[:, r] * arm + 2.0 * speed)
         twist += turns[:, r] * turn

@@ -151,8 +151,7 @@ def smooth(
 ) -> np.ndarray:
     """Shorten and smooth a motion q (N, n) [rad or m] through poses T (N, F, 4, 4), staying inside the tolerances.
 
-    max_step (rad, m): no step grows beyond it, or beyond the longest step of q. fixed (N,): poses whose rows do not
-    change.
+    max_step (rad, m): no step grows beyond it, or beyond the longest step of q. fixed (N,): poses whose rows stay.
     bad: a function of a motion (N, n) that returns the numbers of the poses where it is not acceptable, such as those
     in contact; these and their neighbours are held at q, and the rest is smoothed again. Returns q itself if nothing
     better is found.
@@ -183,8 +182,7 @@ def smooth(
     return q
 
 
-# Spacing of poses for the search, as a share of the reach and [rad]; the joints then mostly move less than max_step per
-# pose.
+# Spacing of poses for the search [share of the reach], [rad]; joints then mostly move less than max_step per pose.
 FAR = (0.015, np.radians(3.0))
 MOST = 1000  # largest number of inserted poses, to bound the search's time; longer paths get a wider spacing
 WIDER = 1.5  # factor by which the spacing grows until there are at most MOST inserted poses

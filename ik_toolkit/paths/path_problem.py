@@ -14,11 +14,11 @@ from ..solvers.protocol import Asked
 from .continuity import settle_on_targets
 from .freedom import freedom
 
-# Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow. The search itself uses at least
-# these steps, because a smaller max_step is met at the end by inserting rows.
+# Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow.
+# The search itself uses at least these steps, because a smaller max_step is met at the end by inserting rows.
 STEP = (np.radians(7.0), 0.02)
-# An arm with too few joints to follow the interpolated poses is searched without bounds: these steps of a joint [rad],
-# [m] and deviations of a tip [m], [rad] are larger than any that occur.
+# For an arm with too few joints to follow interpolated poses: a joint step [rad], [m] and tip deviation [m], [rad] that
+# never occur, so that the search has no bounds.
 ANY_STEP, ANY_DEVIATION = (1e3, 1e6), (1e9, 1e9)
 
 
@@ -32,14 +32,12 @@ class Problem:
     poses (N, F, 4, 4): T with one axis for the tips
     at (N,): place of each pose among the requested ones (3.5 is halfway from pose 3 to pose 4)
     stand (n,): values at which joints of weight 0 are held, from q0 or else home [kernel units]
-    plan, single: the solver's Plan, and a Plan that makes one attempt of an iterative search; rows, ends, orders are
-    its arrays
+    plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
+    rows, ends, orders: the arrays of `single` that compiled functions take
     limits (3, n): lower limit, upper limit [kernel units], and 1 where both are finite
-    endless (n,), turning: revolute joints without limits, and indices of limited ones with more than a full turn of
-    range
+    endless (n,), turning: revolute joints without limits; indices of limited ones whose range exceeds a full turn
     redundant: whether there are more joints than the targets need, so that solutions are not isolated
-    room (3, n): limits used in the search; if not redundant, `turning` joints have none there and get their full turns
-    later
+    room (3, n): limits in the search, which has none for `turning` joints if not redundant: their turns come later
     """
 
     def __init__(

@@ -27,8 +27,8 @@ ANCHORS = 13
 SHARE = 40  # largest number of tracks that an anchor of a redundant robot adds
 TRIED = 3  # number of solutions tested for contact for each track that an anchor may add
 PATIENCE = 2  # number of successive rounds of further anchors without a gain after which the search ends
-# In the first search the margin of a pair of shapes is this angle [rad] times the pair's longest lever arm: 3 mm for a
-# metre. With such a margin the motion between poses is easily proven free.
+# The first search keeps a margin of this angle [rad] times a pair's longest lever arm: 3 mm for an arm of a metre.
+# With such a margin the motion between poses is easily proven free of contact.
 NEAR = 0.003
 PROBES = 9  # After this many poses without a solution, the others in a gap between tracks are given up.
 LEAST, BUDGET = 20_000, 200  # largest number of collision tests: at least for any path, and per pose

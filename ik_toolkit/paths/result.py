@@ -59,8 +59,7 @@ class PathResult:
         continuity: what is proven about the motion between the poses.
         reconfigurations, lower_bound: changes of branch, and their proven least number (None: not proven).
         unreachable: the poses that are not reached.
-        max_step, path_tolerance, collision, seed: the options (rad, m), (m, rad), a CollisionModel or None, and the
-        seed.
+        max_step, path_tolerance, collision, seed: the options: (rad, m), (m, rad), a CollisionModel or None, a seed.
         elapsed: time of the search [s].
         fraction: share of the path's length that one motion can follow from the start; 1 if FOLLOWED.
         tolerance_given: whether the caller gave path_tolerance.
@@ -217,18 +216,14 @@ class PathResult:
         other branch.
 
         Args:
-            velocity: largest joint speeds, one number or one per joint (n,) [rad/s or m/s]; default the robot's own
-            limits.
-            acceleration: largest joint accelerations, one number or one per joint (n,) [rad/s^2 or m/s^2]; must be
-            given.
+            velocity: largest joint speeds [rad/s or m/s], one number or one per joint (n,); default the robot's own.
+            acceleration: largest joint accelerations [rad/s^2 or m/s^2], likewise; must be given.
             rate: samples per second.
             seed: of the random search for a free motion from one branch to another.
             path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the one
-            given to
-                `solve_path`. If none was given, the larger of that function's default and the chord's sagitta, which is
-                how far an arc through the poses leaves it.
-            tip_speed: speed [m/s] of the fastest tip, kept wherever the limits allow (`Trajectory.slower` says where
-            not).
+                given to `solve_path`. If none was given, the larger of that function's default and the chord's sagitta,
+                which is how far an arc through the poses leaves it.
+            tip_speed: speed [m/s] of the fastest tip, kept wherever the limits allow (see `Trajectory.slower`).
 
         Returns:
             The sampled motion.

@@ -2,11 +2,9 @@
 
 A track is one solution continued along the poses, and a state is the configuration of a track at a pose; the states of
 a pose form a layer. From one layer to the next a path stays on its track, changes to a track that is within the largest
-joint step, or
-reconfigures: any state may follow the best state of the layer before. So only near pairs of states are compared, not
-all.
-Collision tests are lazy: only states on the best path are tested, those in contact are penalised, and the program is
-run again.
+joint step, or reconfigures: any state may follow the best state of the layer before. So only near pairs of states are
+compared, not all. Collision tests are lazy: only states on the best path are tested, those in contact are penalised,
+and the program is run again.
 """
 
 import itertools
@@ -18,11 +16,9 @@ import numpy as np
 from ..compile.jit import cached, inline, inner
 from ..kernel.kinematics import TAU
 
-# What is known of a state: it does not exist or violates a limit, was not tested for contact, is free, or is in
-# contact.
+# A state does not exist or violates a limit (DEAD), or it is not tested for contact yet, or free, or in contact.
 DEAD, UNTESTED, FREE, TOUCHING = range(4)
-# In the array of parents: the track of the state before is k for a step, -2 - k for a reconfiguration, NONE if there is
-# none.
+# An array of parents has the track k of the state before: k for a step, -2 - k for a reconfiguration, NONE for none.
 NONE = -1
 CONTACT = 1 << 20  # A state in contact costs as much as this many reconfigurations, more than any path has.
 
@@ -82,8 +78,7 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
     Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING
     most (n,): largest step of each joint; endless (n,): 1 if full turns of a joint do not count
-    price (3, n): per unit of a joint's move; per unit of its square; [2, 0] of a step longer than `most`, [2, 1] of a
-    reconfiguration
+    price (3, n): per unit of a joint's move; per unit of its square; [2, :2]: of a too long step, of a reconfiguration
     begin (2, K): number of reconfigurations and cost of starting on each track; toll (N, K): extra cost of a state
     blocked (B, 3): excluded steps, as pose they lead to, track before, track after; sorted
     axis: index of the joint by whose value near states are looked up

@@ -139,9 +139,8 @@ def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tup
 def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np.ndarray) -> np.ndarray:
     """Return the place among the poses of each row of a spline: where the tips are nearest the chord there.
 
-    rows (K, n) [rad or m]: the spline at the ends of all parts; at (M,): places of the rows that the spline goes
-    through;
-    parts (M-1,): number of parts between two of these. The result (K,) never falls.
+    rows (K, n) [rad or m]: the spline at the ends of all parts; at (M,): places of the rows that were interpolated;
+    parts (M-1,): number of parts between two of these. The result (K,) never decreases.
     """
     share = np.concatenate([np.arange(k) / k for k in parts] + [[1.0]])
     k = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)

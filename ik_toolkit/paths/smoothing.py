@@ -5,9 +5,8 @@ costs, so a step keeps every pose on its target to first order; after the step e
 second differences couple only neighbouring poses. So the system is banded, with a half width of twice the number of
 joints, and takes time linear in the number of poses. Joint limits are bounds, handled by an active set.
 
-The banded system is solved by Cholesky decomposition in place. A symmetric matrix of half width b is stored by rows of
-its lower
-half: element (i, k), for k = i - b ... i, is A[i, k - i + b], so that the sums below run through memory in order.
+The banded system is solved by Cholesky decomposition in place. Of a symmetric matrix of half width b the lower half is
+stored by rows: element (i, k), for k = i - b ... i, is A[i, k - i + b], so that sums run through memory in order.
 """
 
 import math
@@ -19,8 +18,7 @@ from ..kernel.null_space import REFERENCE, make_bounds, onto_target
 from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
 from ..kernel.search import problem
 
-# Weight of the squared task errors against squared differences. An error of 1e-2 rad leaves some 1e-9 rad, which
-# is corrected after the step.
+# Weight of squared task errors against squared differences: a step leaves 1e-9 rad of 1e-2 rad, corrected afterwards.
 TASK_WEIGHT = 1e7
 RIDGE = 1e-9  # added to the diagonal, so that the system is positive definite even if no difference involves a pose
 ARRIVED = 1e-24  # A correction onto a target ends below this squared error (lengths over the reach), which is rounding.
@@ -178,10 +176,9 @@ def moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
 def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, steps, good):
     """Shorten and smooth a path Q (N, n) [rad or m] in place; return the steps taken, and the cost before and after.
 
-    rows, ends, orders: arrays of a Plan; T (N, ...): the targets; fixed (N,): poses whose joints do not move; first,
-    second,
-    rounding: as in `cost_of`; longest (n,) [rad or m]: largest joint step between neighbouring poses; steps: largest
-    number of Gauss-Newton steps. Writes to good (N,) whether each pose was brought onto its target at the beginning.
+    rows, ends, orders: arrays of a Plan; T (N, ...): the targets; fixed (N,): poses whose joints do not move;
+    first, second, rounding: as in `cost_of`; longest (n,) [rad or m]: largest joint step between neighbouring poses;
+    steps: largest number of Gauss-Newton steps. Writes to good (N,) whether each pose was on its target at first.
     """
     N, n = Q.shape
     o = read(Orders, orders)

@@ -33,8 +33,7 @@ from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
 TOLERANCE = (1e-3, math.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
-# Largest number of further searches. Each takes rotations of 180 degrees the other way round, where the path breaks at
-# them.
+# Largest number of further searches, in which rotations of 180 degrees go the other way round where the path breaks.
 OTHER_WAYS = 4
 DT = 0.01  # sampling interval of a Reference [s]
 EXACT = 1e-13  # Columns of an exact rotation matrix deviate less than this from orthonormal ones; rounding is 1e-15.
@@ -80,17 +79,14 @@ def solve_path(
 
     Args:
         robot: a Robot, or a Tree of F tips.
-        poses: (N, 4, 4), or (N, 3) with free orientation [m, base frame]; for a Tree (N, F, 4, 4), (N, F, 3) or a dict
-        by tip; or a
-            Reference, which is sampled every 0.01 s.
+        poses: (N, 4, 4), or (N, 3) with free orientation [m, base frame]; for a Tree (N, F, 4, 4), (N, F, 3) or a
+            dict by tip; or a Reference, which is sampled every 0.01 s.
         q0: (n,) [rad or m], the start of the path if it reaches the first pose, else a configuration to start near.
         q_end: (n,) [rad or m], likewise for the end and the last pose.
-        max_step: largest step of a joint between rows, (rad, m) or one number for both; default 7 deg and 20 mm. Longer
-        steps
-            are divided by inserted rows, up to 200,000 rows in all.
-        path_tolerance: how far (m, rad) a tip may leave the interpolated pose between two poses. Default: 1 mm and 1
-        deg, or
-            twice the tolerances at the poses if that is more.
+        max_step: largest step of a joint between rows, (rad, m) or one number for both; default 7 deg and 20 mm.
+            Longer steps are divided by inserted rows, up to 200,000 rows in all.
+        path_tolerance: how far (m, rad) a tip may leave the interpolated pose between two poses. Default: 1 mm and
+            1 deg, or twice the tolerances at the poses if that is more.
         avoid_collisions: as for `solve`.
         reconfigurations: 'fewest', 'none', or the largest number of changes of branch.
         seed: of the random starts.
@@ -246,8 +242,7 @@ def _result(
     found, kept, q = search.found, motion.found, motion.q
     asked = problem.at == np.round(problem.at)
     poses, T = problem.poses[asked], problem.T[asked]
-    # Several breaks at inserted poses between the same two requested poses count as one, so at least one is all that is
-    # proven.
+    # Several breaks between the same two requested poses count as one, so only "at least one" is proven.
     least = search.lower_bound
     least = least if least is None or asked.all() else min(least, 1)
     errors = np.full((len(q), 2), np.nan)

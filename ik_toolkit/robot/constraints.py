@@ -247,7 +247,7 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- closing
     def _close(self, group: CoupledConstraints, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
-        """Move joints of a group in `full` (nq,) so that its constraints are violated least; return (name, value) pairs."""
+        """Move a group's joints in `full` (nq,) so that its constraints are violated least; return names and values."""
         if not group.joints:
             return []
         rest = np.array([self._value(j, full) for j in group.joints]).clip(group.lower, group.upper)

@@ -55,7 +55,8 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
     columns = [*first, *others]  # A joint that comes first is expressed by those after it.
     place = {joint: i for i, joint in enumerate(columns)}
-    rows: dict[int, np.ndarray] = {}  # Each pivot has its row of coefficients, which ends with the right side.
+    # This maps each pivot to its row of coefficients, followed by the right-hand side.
+    rows: dict[int, np.ndarray] = {}
     against: list[Equation] = []
     for one in equations:
         row = np.zeros(len(columns) + 1)

@@ -21,8 +21,7 @@ from .distance import Clearance, Near
 from .surroundings import PlacedShape, Surroundings
 
 SAMPLES = 8  # This many random configurations show which links move relative to each other.
-# Two parts do not move relative to each other if no entry of their relative pose (rotation matrix, or [m]) changes by
-# this.
+# Two parts are fixed to each other if no entry of their relative pose (rotation matrix, or [m]) changes by this.
 STILL = 1e-9
 
 

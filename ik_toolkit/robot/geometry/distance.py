@@ -16,9 +16,9 @@ from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlane
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
-# The nearest points of a pair jump from one end of an edge to the other, so points found before are kept: at most
-# CORNERS of them, while their distance is less than NEARBY [m] above the least one. Points within APART [m] of each
-# other count as one.
+# The nearest points of a pair jump from one end of an edge to the other, so points found before are kept.
+# At most CORNERS points are kept, while their distance is less than NEARBY [m] above the least one.
+# Points within APART [m] of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
 
