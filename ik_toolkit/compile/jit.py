@@ -37,7 +37,7 @@ jit = njit(**OPTIONS)
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 # INLINE is for all others: without reference counts they must not return arrays to a function that counts references.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
-# BARE is for functions that need not be inlined: numba would pass on the caller's request to inline to them.
+# BARE turns off forced inlining, which numba would otherwise pass on from the caller to every function that it calls.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
 # `inner` makes one copy that is called, for code that is rarely run, or large and used in several places.
 inner = njit(**{**BARE, **CALLED})

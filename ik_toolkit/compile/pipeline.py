@@ -129,7 +129,7 @@ class Quick(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# numba's passes for `with`, comprehensions, closures, exceptions, inlining and array expressions: parts have none.
+# Passes of numba that are left out because parts of kernels use no `with`, comprehensions, closures or exceptions.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",

@@ -164,8 +164,9 @@ def start_range(
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
     """Return features (13, N + PAD) of the configurations seeds (N, n): what `starts.nearest` compares with a target.
 
-    They are the tip's position, the last joint's rotation and the squared distance of the tip, scaled for a squared distance.
-    kinematics: `run`, or `evaluate` where nothing may be compiled yet.
+    They are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, with
+    factors such that a scalar product with a target gives a squared distance. kinematics: `run`, or `evaluate`, which
+    compiles nothing.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
@@ -246,7 +247,7 @@ def pack(
     slides = np.array([not rows[owner == k, 9].any() for k in range(n)])
     mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
     followers = np.bincount(owner, minlength=n)
-    # A full turn of a coordinate is a full turn of its joint only if the joint follows it with ratio 1.
+    # A coordinate may wrap by a full turn only if it moves a single joint, with ratio 1.
     own = followers == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
     turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own

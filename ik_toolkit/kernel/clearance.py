@@ -8,7 +8,7 @@ import numpy as np
 from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
 
-# A proof of freedom is narrowed down to this share of a piece of the motion; there the distance must be measured again.
+# Smallest part of a piece of a motion for which a bound on the approach is computed; then distances are measured again.
 FINEST = 1.0 / 64.0
 
 

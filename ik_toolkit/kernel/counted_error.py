@@ -149,9 +149,10 @@ def count_goal_column(kept, linear, angular):
 
 @inner
 def turn_axis(task, kept, out):
-    """Write to out (3,) the normal n of the mirror after which the third rotation error is always 0; zeros if no turn is free.
+    """Write to out (3,) the normal n of a Householder reflection that makes the third rotation error 0, or zeros.
 
-    The three rotation errors of a tip with a free turn depend on each other by c' r = 0; the mirror 1 - 2 n n' brings c to z.
+    It is zero if no turn is free. With a free turn the rotation error r is always normal to an axis c, so c' r = 0. The
+    reflection 1 - 2 n n' takes c to z.
     """
     for k in range(3):
         out[k] = 0.0
@@ -194,7 +195,7 @@ def angle_left(kind, rr):
 
 @inline
 def counts(task):
-    """Return 1.0 or 0.0 for whether the position counts, and the same for the rotation, to choose starts by."""
+    """Return whether the position, and whether the rotation, matters for the choice of starts, each as 1.0 or 0.0."""
     position, rotation = 0.0, 0.0
     for i in range(3):
         if task[WHAT.w0 + i] > 0.0 and task[WHAT.s0 + i] < math.inf:

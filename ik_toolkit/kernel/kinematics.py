@@ -162,7 +162,8 @@ def jacobian_rate(rows, joints, J, first, tip, x, y, out):
     v = zero  # velocity of the tip
     for i in range(J.shape[0]):
         v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
-    turn, speed = zero, zero  # angular velocity of the link before the joint, and velocity of the joint's point
+    # Angular velocity of the link before joint i, and velocity of the stored point on its axis
+    turn, speed = zero, zero
     linear, angular = zero, zero
     for i in range(rows.shape[0]):
         k = int(rows[i, 8])

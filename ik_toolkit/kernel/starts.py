@@ -31,7 +31,7 @@ class StartTable(NamedTuple):
     score: Array  # (N,) squared distance of each configuration from the target
     val: Array  # (BEST,) the least score of each group
     best: Array  # (BEST,) for one tip the rows to start from, nearest first; for several tips the groups in that order
-    choice: Array  # (BEST, tips) row of each group that each tip chooses
+    choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
     state: Array  # (1,) state of the random sequence that gives the later starts
 

@@ -172,7 +172,7 @@ class Search:
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses that no track passes: in each gap in bisection order, until PROBES poses had no solution.
+        """Solve poses at which no track exists: in each gap in bisection order, until PROBES poses had no solution.
 
         Requested poses come before inserted ones, because an arm with too few joints may reach only the former.
         """

@@ -124,9 +124,9 @@ def limits(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Return the limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
-    They are what the description says, whatever the size of the robot. Each of `followers` (see `mimic_limits`) keeps
-    its leader inside its own limits, on the path or off it, because it moves in either case. Raises ModelError if that
-    leaves a joint no legal position.
+    They are those of the description. The limits of a leader are narrowed so that each of its `followers` (see
+    `mimic_limits`), on the path or off it, stays inside the follower's own limits. Raises ModelError if that leaves a
+    joint no legal position.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -191,7 +191,7 @@ def kinds(chain: Chain) -> tuple[str, ...]:
 def speed_limits(model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
     """Return the velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
 
-    Each of `followers` (see `mimic_speeds`) keeps its leader slow enough for its own limit.
+    The limit of a leader is lowered so that each of its `followers` (see `mimic_speeds`) keeps its own limit.
     """
     own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
     most = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
@@ -309,10 +309,9 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
 def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
     """Return the largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q).
 
-    Lengths are divided by the robot's size, the largest of its reach, its largest offset and FAR times the distance
-    `far` [m] of its base from the model's origin (a wrist's offsets may be rounding); a Jacobian column is divided by
-    the ratio of its joints. The result is at least the compiled kernel's rounding error at the largest angle, HELD
-    times that angle.
+    Lengths are divided by the robot's size: the largest of its reach, its largest offset, and FAR times the distance
+    `far` [m] of its base from the model's origin. A Jacobian column is divided by the ratio of its joints. The result
+    is at least the compiled kernel's rounding error at the largest angle, which is HELD times that angle.
     """
     Q = configurations(chain, slides)
     poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)

@@ -113,7 +113,7 @@ class TuneResult:
     rule: Any  # the best of the three rules, for solve, Solver and solve_batch
     train: Score  # score of the tuned rule on the training targets
     scores: dict[str, Score]  # scores on the held-out targets of the rules 'tuned', 'start' and 'default'
-    kept: str  # which of these three names `rule` has
+    kept: str  # name of the kept rule: 'tuned', 'start' or 'default'
     options: dict[str, Any]  # options with which the targets were solved
     history: np.ndarray  # (generations, 3) best cost so far, best and median cost of each generation
     evaluations: int  # number of candidates that were evaluated

@@ -31,7 +31,7 @@ PLANAR_B = (
     [[2, -2], [-1, 0], [1, -2]],
     [[0, -2], [-1, -1], [-2, -1]],
 )  # B of the planar arm, found by a search over whole numbers, as the paper does not print it
-MISPRINTS = (  # place, problem and the reading used here
+MISPRINTS = (  # Each misprint has its place in the paper, the problem, and the reading that is used here.
     ("eq. (2), element (2,4)", "+sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit", "minus"),
     (
         "eq. (2), Table I",

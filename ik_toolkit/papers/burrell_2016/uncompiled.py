@@ -54,7 +54,7 @@ class PlainPinv(NamedTuple):
 
 # --------------------------------------------------------------------------------------------------------- interpreted
 class Interpreted:
-    """The methods in numpy, for a robot with a table of D-H parameters."""
+    """The solvers that the paper times, in interpreted numpy, for a robot with a table of D-H parameters."""
 
     def __init__(self, robot: Robot) -> None:
         """Read the D-H parameters of the robot, and the matrices of the tuned state-space solver with one map."""

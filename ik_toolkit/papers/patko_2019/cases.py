@@ -168,7 +168,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float 
     n = len(q0)
     rate0 = np.linalg.solve(case.system.jacobian(q0), case.path(0.0)[1])
     command0 = rate0 if key == "cv" else run(case, gains, key, h=h, steps=1, rate0=rate0).command
-    # The indices of those of q, rate and command that are states of the method.
+    # The states of a method are some of q (0), rate (1) and previous command (2).
     sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))
     start = np.concatenate([q0, rate0, command0])
 
