@@ -199,8 +199,8 @@ def unwound(
     """Choose the full turns of the joints `free` (n,) along a path q (N, n) [kernel units], in place.
 
     Rows of NaN, where a pose is not reached, separate continuous pieces. Each continuous piece is unwrapped and put on
-    the turn inside its limits that is nearest the end of the previous piece; the first piece is put nearest the start
-    ends[0].
+    the turn inside its limits that is nearest the end of the previous piece; the first piece is put nearest ends[0], or
+    without it nearest the middle of the limits.
 
     Args:
         q: (N, n) configurations at the poses, NaN where there is none.

@@ -31,7 +31,7 @@ PATIENCE = 2  # number of successive rounds of further anchors without a gain af
 # With such a margin the motion between poses is easily proven free of contact.
 NEAR = 0.003
 PROBES = 9  # After this many poses without a solution, the others in a gap between tracks are given up.
-LEAST, BUDGET = 20_000, 200  # largest number of collision tests: at least for any path, and per pose
+LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.
 
 
 def _runs(places: np.ndarray) -> list[np.ndarray]:
@@ -63,7 +63,7 @@ class Found(NamedTuple):
     tracks: np.ndarray
     breaks: list[int]
     contacts: int
-    verified: bool  # whether all states on the path were tested for contact, if that was asked for
+    verified: bool  # whether the path was tested for contact at every pose, or no test was asked for
 
 
 class Search:
@@ -102,7 +102,7 @@ class Search:
         self.lower_bound: int | None = None
         self.sure: np.ndarray | None = None  # (N,) poses whose solutions are proven to be all known
         self.legal = np.empty((0, 0), dtype=bool)  # (N, K) which of the K solutions of a pose keep the joint limits
-        self.copied: set[int] = set()  # joints of more than a full turn for whose every turn tracks are copied
+        self.copied: set[int] = set()  # joints with a range of over a full turn whose tracks are copied to every turn
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
 

@@ -18,9 +18,9 @@ from ..kernel.kinematics import TAU
 
 # A state does not exist or violates a limit (DEAD), or it is not tested for contact yet, or free, or in contact.
 DEAD, UNTESTED, FREE, TOUCHING = range(4)
-# An array of parents has the track k of the state before: k for a step, -2 - k for a reconfiguration, NONE for none.
+# A state's parent is the track k of the state before it, -2 - k if it is reached by a reconfiguration, or NONE.
 NONE = -1
-CONTACT = 1 << 20  # A state in contact costs as much as this many reconfigurations, more than any path has.
+CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, which is more than any path has.
 
 
 @inline
@@ -210,7 +210,7 @@ class Program:
         return int(np.argmin((np.abs(d) <= self.most).mean(axis=(0, 1, 2))))
 
     def run(self) -> None:
-        """Compute the layers that are out of date."""
+        """Run the dynamic program over the layers whose results are out of date."""
         if self.changed >= len(self.Q):
             return
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
