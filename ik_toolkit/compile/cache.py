@@ -192,7 +192,7 @@ def write_whole(path: Path, body: bytes) -> None:
     _remove_old(path.parent)
 
 
-@functools.cache  # The cache of results makes this run once in a process for each argument.
+@functools.cache  # Results are cached, so that old files are removed only once in a process.
 def _remove_old(folder: Path) -> None:
     for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         if f".{stamp_of(*STAMPED)[:12]}." not in path.name:

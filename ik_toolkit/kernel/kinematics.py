@@ -122,8 +122,7 @@ def rotation_error(now, goal):
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near half a turn the sine is too inexact: the length is computed from the cosine, and at last the axis from R +
-    # R'.
+    # Near half a turn the sine is too inexact, so the length, and even nearer the axis, are computed from the matrix.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)

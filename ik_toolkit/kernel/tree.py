@@ -34,7 +34,8 @@ from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
-ARRIVED = 1e-4  # a tip whose squared error (rad, lengths over reach) is below this keeps its joints in the next attempt
+# In the next attempt a tip keeps its joints if its squared error (rad, lengths over reach) is below this.
+ARRIVED = 1e-4
 
 
 @compiled
@@ -242,7 +243,7 @@ class TreeProblem(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            # The goal of a tip without a target is only where it starts, so its distance from there is no error.
+            # A tip without a target has its start as goal, but its distance from there does not count as an error.
             free = int(self.tasks[f, WHAT.kind]) == FREE
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()

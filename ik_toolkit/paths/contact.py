@@ -20,7 +20,8 @@ from ..robot.geometry.distance import Clearance
 from ..robot.joints import Joints
 from .certificate import Contact
 
-# Largest margin factor that is tested [rad], 1.5 cm for an arm of a metre; each further one is this much smaller.
+# LARGEST is the first margin factor tested [rad], 1.5 cm for a lever arm of a metre.
+# Each further margin factor is FINER times smaller than the one before.
 LARGEST, FINER = 0.015, 4.0
 FLOOR = 1e-4  # smallest margin [m] of the pair with the longest arm; nearer shapes cannot be proven free of contact
 # Largest number of collision tests per row of a curve, and for a short curve; the rest then counts as not proven.

@@ -63,7 +63,7 @@ class Found(NamedTuple):
     tracks: np.ndarray
     breaks: list[int]
     contacts: int
-    verified: bool  # whether the path was tested for contact at every pose, or no test was asked for
+    verified: bool  # False if the collision tests ended before the path was tested at every pose
 
 
 class Search:

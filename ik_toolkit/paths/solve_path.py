@@ -143,7 +143,7 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # Other directions of the half turns, which were not all tried, may need fewer.
+            search.lower_bound = None  # Directions of half turns that were not tried may need fewer.
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
         return replace(made, tolerance_given=path_tolerance is not None)

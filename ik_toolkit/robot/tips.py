@@ -18,7 +18,7 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
 # SCENE has words for sensors and things of a scene, which are no tips while an arm is there.
-# OTHERS also has words for parts of a hand, legs and the like, on which no tool is mounted.
+# OTHERS has these words and those for parts of a hand, legs and the like, on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
     "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()

@@ -38,7 +38,7 @@ def odd(element: object, problem: str, advice: str, line: int, at_load: bool = F
 
 
 def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
-    """Summarise what loading reports in one sentence per kind of advice, with line numbers if `lines` is set."""
+    """Return a sentence for each kind of advice among the findings to report; lines: whether to name line numbers."""
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
         if finding.at_load:

@@ -46,7 +46,7 @@ class _Reader:
         self.lengths = [self._tendon(tendon) for tendon in model["tendons"]]
 
     def read(self) -> Ties:
-        """Solve the linear equalities and return all others as constraints."""
+        """Solve the linear equalities for followers and held joints, and return all other equalities as constraints."""
         equations, curved, notes = [], [], []
         for equality in self.model["equalities"]:
             if not equality["active"]:

@@ -48,8 +48,8 @@ NUMBERS = {  # Maps an element to its attributes of numbers, and each to how man
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
 ITEMS = ("link", "joint", "material")
-# A description with one of the elements in XACRO is xacro.
-# A mere call of a macro is left over in a plain URDF and cannot be expanded, so it does not count.
+# A description that has one of these xacro elements must be expanded by xacro.
+# A call of a macro alone does not count, because plain URDFs contain leftover calls that cannot be expanded.
 XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
 XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")

@@ -29,8 +29,8 @@ REPLACED = {
     "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
 }  # fmt: skip
 
-# DEFAULTS matches the parameters of a macro as xacro does, but without a repetition in a repetition.
-# xacro's own pattern repeats [^\s'"] inside a repetition, which takes exponential time.
+# DEFAULTS matches the parameters of a macro as xacro's own regular expression does, but without nested repetition.
+# Nested repetition, as in xacro's own pattern, can take exponential time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )

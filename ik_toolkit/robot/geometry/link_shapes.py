@@ -103,7 +103,7 @@ def problems_sentence(problems: Problems) -> str:
 
 
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
-    """Make Pinocchio's geometry by placing forms (coal shapes) on the links of their shapes."""
+    """Make Pinocchio's geometry model: place coal objects (`forms`) on the links of the shapes they were made from."""
     geometry = pin.GeometryModel()
     frames: dict[str, int] = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY}
     for shape, form in zip(shapes, forms, strict=True):
