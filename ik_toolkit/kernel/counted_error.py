@@ -37,7 +37,7 @@ class KeptIndices(NamedTuple):
     B: int = 18  # index of the matrix B (9), by rows
     arm: int = 27  # index of the vector arm (3)
     arm_goal: int = 30  # index of the vector arm_goal (3)
-    error: int = 33  # index of the six errors that count
+    error: int = 33  # index of the six errors, after mask, slack and free turn are applied
 
 
 IN = KeptIndices()

@@ -39,7 +39,10 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write to goal (GOAL,) where the target is when the other tip is at a pose: axes of its last joint (9), then the tip (3)."""
+    """Write to goal (GOAL,) the target that `link` ties to another tip, when that tip is at `pose` (12).
+
+    pose: axes of the other chain's last joint (9), then the tip's position (3).
+    """
     frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
     put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))
     put3(goal, 9, frame.times(at3(pose, 9) + axes.times(at3(link, POINT))) + at3(link, FRAME + 9))

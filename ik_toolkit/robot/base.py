@@ -106,7 +106,7 @@ def _unpacked(kind: str, q: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- models
 def _add(model: pin.Model, parent: int, prefix: str, part: str, placement: pin.SE3, pitch: float) -> int:
-    """Append the joint PREFIX_PART of one coordinate to a model and return its index."""
+    """Append a joint of one coordinate, whose name is PREFIX_PART ('base_x'), to a model and return its index."""
     name = f"{prefix}_{part}"
     if model.existJointName(name):
         raise ModelError(f"the robot already has a joint '{name}', a name that its base needs")

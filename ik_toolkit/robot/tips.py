@@ -17,7 +17,7 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# SCENE has words for sensors and things of a scene, which are no tips while an arm is there.
+# SCENE has words for sensors and objects of a scene, which are taken as a tip only if there is no arm.
 # OTHERS has these words and those for parts of a hand, legs and the like, on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "

@@ -79,7 +79,7 @@ class Evaluator:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            if isinstance(value, Mapping) and type(value) is not dict:  # Everything else was checked when it was made.
+            if isinstance(value, Mapping) and type(value) is not dict:  # Only namespaces are not checked yet.
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
         except Refused as error:
