@@ -36,7 +36,7 @@ class V3(NamedTuple):
         return V3(-self.x, -self.y, -self.z)
 
     def __mul__(self, other):
-        """Return the vector times a number, which stands on the right."""
+        """Return the vector times a number; only vector * number is defined, not number * vector."""
         return V3(self.x * other, self.y * other, self.z * other)
 
     def dot(self, other):

@@ -203,7 +203,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
 
 
 def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` whose reach bounds hold where limits are ignored, so that slides reach any distance."""
+    """Return a copy of `ends` whose bounds on the reach hold without joint limits; slides then reach any distance."""
     endless = np.full(n, np.inf)
     free = ends.copy()
     free[POINTS + 7 * n + 1 : POINTS + 7 * n + 7] = reach_bounds(rows, ends[12:24], -endless, endless)

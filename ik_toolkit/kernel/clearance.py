@@ -238,7 +238,7 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
         pairs: `Separation` of K pairs there.
         levers: (P, E) from the function `levers`, for the whole path.
         path: `BrakingPath`.
-        start: Where the path is looked at from [pieces].
+        start: Place on the path at which the proof begins [pieces from its beginning, may be a fraction].
         out: (K,) receives where each pair's proof ends [pieces].
     """
     V, coordinates, middle, radius, a, b, by_a, by_b = parts

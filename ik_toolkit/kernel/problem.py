@@ -61,7 +61,7 @@ class Desk(NamedTuple):
     errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
 
     def affords(self, evaluations):
-        """Return whether a rule may make so many evaluations and still leave one for the search itself."""
+        """Return whether the budget allows a rule this number of evaluations, and one more for the search itself."""
         return self.spent[0] + evaluations < self.spent[1]
 
 
@@ -88,7 +88,10 @@ def tolerances(orders, kind, scale):
 
 @inline
 def take(T, ends, task, goal, orders):
-    """Write a target to goal (GOAL,). Returns the length by which it is out of reach, -1 if it is not a pose."""
+    """Convert a target T (4, 4) and write it to goal (GOAL,).
+
+    Returns the length [kernel units] by which the target is proven out of reach, -1 if T is not a pose.
+    """
     if not rigid(T, ORTHONORMAL):
         return -1.0
     aim(ends, T, goal)

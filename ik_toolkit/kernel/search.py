@@ -53,8 +53,8 @@ class Endings(NamedTuple):
     decay of the ceiling, so that hard targets are solved and easy ones cost no more.
     """
 
-    patient_iterations: float = 2.0  # factor on the iterations of a patient attempt
-    patient_decay: float = 0.6  # factor per iteration on the highest squared error that a patient attempt may have
+    patient_iterations: float = 2.0  # factor on the highest number of iterations of a later, patient attempt
+    patient_decay: float = 0.6  # factor per iteration on the squared error above which a patient attempt is given up
     unreachable_attempts: int = 3  # number of attempts at the nearest pose of a target that is proven out of reach
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged

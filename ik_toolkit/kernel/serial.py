@@ -1,4 +1,4 @@
-"""The problem of one tip. What each of its methods does stands in problem.py."""
+"""The problem of one tip. Its methods are described in problem.py."""
 
 import math
 from typing import NamedTuple

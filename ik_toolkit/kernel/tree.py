@@ -1,4 +1,4 @@
-"""The problem of several tips that share joints. What each of its methods does stands in problem.py.
+"""The problem of several tips that share joints. Its methods are described in problem.py.
 
 Each tip has a chain of its own whose rows name the shared coordinates. Joints common to two chains are evaluated once for each,
 which is cheaper than keeping account of a tree. The errors are stacked, six a tip.

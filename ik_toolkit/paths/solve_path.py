@@ -283,7 +283,7 @@ class HalfTurns:
     """The P rotations of 180 degrees between neighbouring poses, each of which may go either way round.
 
     gaps (P,): the pose before each; tips (P,): the tip that it belongs to; axes (P, 3): the chosen unit axis in base
-    axes. At first each half turn goes back the way of the one before.
+    axes. At first each half turn is opposite to the one before.
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, tolerance: float) -> None:

@@ -226,7 +226,7 @@ class Joints(ReadOnly):
         raise NotImplementedError
 
     def narrowed(self, limits: Any) -> Self:
-        """Return a variant with narrower limits, the one that the option `limits=` of a call makes and keeps.
+        """Return a variant of the robot with narrower limits, the same one that the option `limits=` of a call uses.
 
         A collision model made for the robot serves its variants too.
 

@@ -164,7 +164,7 @@ def approach(target: Any, distance: float, axis: Numbers | str | None = None) ->
 
     Args:
         target: T_base_tip (4, 4), a pin.SE3 or ROS pose, or an AxisTarget.
-        distance: how far [m] the tip stands back, against the direction of the axis; negative: beyond the target.
+        distance: how far [m] the tip is backed off against the direction of the axis; negative: beyond the target.
         axis: of the tip, "z" or three numbers; default that of an AxisTarget, else z.
 
     Returns:

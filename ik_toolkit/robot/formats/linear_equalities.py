@@ -1,4 +1,4 @@
-"""Solves linear equations between joint values for which joint follows which other joint, and which joints stand still."""
+"""Solves linear equations between joint values: finds which joints follow another joint, and which cannot move."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

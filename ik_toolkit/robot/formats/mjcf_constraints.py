@@ -180,7 +180,7 @@ class _Reader:
 
 
 def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | None:
-    """Return the relation as a linear equation between joint values, or None; with `first`, its first joint is meant to follow."""
+    """Return a relation as a linear equation between joint values, or None; first: whether the first joint follows."""
     x = one.x or LinearLength(())
     constant, ratio, *higher = one.curve
     if one.x is not None and any(higher):

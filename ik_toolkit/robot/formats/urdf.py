@@ -316,7 +316,7 @@ MARKS = (  # These are byte order marks; UTF-32 is first, because its mark begin
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
     (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
 )  # fmt: skip
-ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # encoding names that Python does not know, and Python's own
+ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names of encodings in files, and Python's names for them
 DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
 # Encodings that are accepted: those of text, without Python's codecs that unpack data, such as zip or hex.
 TEXTS = re.compile(

@@ -272,7 +272,7 @@ class Clearance:
     def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
         """Return how far (K,) pairs ks are free from their last measurement on, see `kernel.clearance.free_until`.
 
-        path: the fields of `BrakingPath`, and where it is looked at from [pieces].
+        path: the fields of `BrakingPath`, and the place on it at which the proof begins [pieces].
         """
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
