@@ -112,7 +112,7 @@ CASES = {
 
 
 def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, **changes: Any) -> Run:
-    """Track a case's path with the method METHODS[key] from an initial error `offset` [m]; `changes` replace options."""
+    """Track a case's path by the method METHODS[key] from an initial error `offset` [m]; `changes` replace options."""
     name, options = METHODS[key]
     options = dict(options)
     if name == "cv":

@@ -47,7 +47,7 @@ class Function:
     """A function that a file may call, and may pass to `map` and similar functions."""
 
     def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None, weighed: bool = False) -> None:
-        """Store name, Python function, type that it is for `isinstance`, and whether it checks the size of its result."""
+        """Store name, Python function, type for `isinstance`, and whether it checks the size of its own result."""
         self.name, self.does, self.kind, self.weighed = name, does, kind, weighed
 
     def __call__(self, *given: Any, **named: Any) -> Any:
