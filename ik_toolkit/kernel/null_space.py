@@ -22,7 +22,7 @@ DAMPING = 1e-10
 
 
 class Steps(NamedTuple):
-    """Numbers of the motion through the null space."""
+    """Numeric constants of the steps through the null space: tolerances, step sizes, numbers of iterations."""
 
     influence: float = 1e-18  # The joints can change an error if its row of the Jacobian has a larger squared norm.
     volume: float = 1e-30  # smallest squared pivot, which keeps the logarithm finite at a singular pose

@@ -299,7 +299,8 @@ class HalfTurns:
             )
             before = np.zeros(3)
             for k in np.flatnonzero((sine <= DOUBT * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
-                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)  # For a half turn this is axis axis'.
+                # For a half turn this is the outer product of its axis.
+                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)
                 axis = square[:, np.argmax(np.diag(square))]
                 before = axis * ((-1.0 if axis @ before > 0.0 else 1.0) / np.linalg.norm(axis))
                 gaps.append(k)

@@ -44,7 +44,7 @@ def urdf_of(
 ) -> Urdf:
     """Return the URDF text of a URDF, xacro or MJCF source. Raises what `Robot.load` raises.
 
-    `elsewhere` tells that another file may use the xacro arguments.
+    elsewhere: whether another file (the SRDF) may use the xacro arguments, so that a plain URDF need not refuse them.
     """
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:

@@ -27,7 +27,7 @@ from .rotation import euler_matrix
 
 LINES = 16384  # number of rows read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-# Column names of angles: about x, y and z, or in order of the turns
+# Column names of angles: for rotations about the axes x, y and z, or for the first, second and third rotation.
 ABOUT, IN_ORDER = ("rx", "ry", "rz"), ("a", "b", "c")
 ORIENTATIONS = (QUAT, RPY, ABOUT, IN_ORDER)
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m] of a unit
@@ -128,7 +128,7 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
         content = content if isinstance(content, dict) else {"targets": content}
         yield {name: _array(path, name, content[name]) if name in names else None for name in content}
         return
-    if not zipfile.is_zipfile(path):  # The error of numpy would suggest to unpickle the file, which is unsafe.
+    if not zipfile.is_zipfile(path):  # numpy's own error would suggest unpickling the file, which is unsafe.
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
     with np.load(path, allow_pickle=False) as file:
