@@ -1,9 +1,9 @@
-"""Views: arrays inside kernels that are a pointer and a shape, cut from one block of memory a call.
+"""Views: light arrays inside kernels that consist of a pointer and a shape.
 
-An array of numba has seven to eleven numbers and counts references, so a record of two dozen of them would be most of the code
-wherever it is passed. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the
-arrays, and pass views on. A view is contiguous. Its indices are whole numbers that are not negative; A[i] of a table is a row,
-A[i:k] are rows. Without compilation a view is the array itself.
+An array of numba has seven to eleven numbers and a reference count, so passing a record of two dozen arrays takes much
+code. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the arrays,
+and pass on views of them. A view is contiguous. Its indices must be whole numbers that are not negative. A[i] of a
+two-dimensional view is a row, A[i:k] are rows. Without compilation a view is the array itself.
 """
 
 # pyright: reportOptionalCall=false
@@ -27,7 +27,7 @@ from numba.np.arrayobj import populate_array
 
 from .jit import BUILD, INLINE, inline
 
-LINE = 8  # 8-byte numbers of a cache line, which is also the widest register; arrays begin at a multiple of it
+LINE = 8  # number of float64 in a cache line and in the widest SIMD register; arrays begin at multiples of it
 WORD = ir.IntType(64)  # LLVM's type of lengths and indices
 
 
@@ -62,7 +62,7 @@ def _made(context: Any, builder: Any, kind: Any, data: Any, dims: Sequence) -> A
 
 
 def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
-    """Return how many elements stand before those of an index, which may be shorter than the shape."""
+    """Return the offset in memory, in elements, of an index; it may have fewer entries than the view has dimensions."""
     place = index[0]
     for k in range(1, len(dims)):
         place = builder.mul(place, dims[k])
@@ -73,7 +73,7 @@ def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
 
 # ------------------------------------------------------------------------------------------------------ A[i], A[i, k], A[i:k]
 def _index(kind: View, index: Any) -> tuple[Any, Any]:
-    """Return the type of an index as it is lowered, and that of its element; both None if it cannot index a view."""
+    """Return the type of an index in compiled code, and the type of what it selects; both None if it is not allowed."""
     if isinstance(index, types.SliceType):
         return types.slice2_type, kind
     if isinstance(index, types.Integer):
@@ -102,7 +102,7 @@ class _Set(AbstractTemplate):
 
 
 def _element(context: Any, builder: Any, kind: Any, value: Any, how: Any, index: Any) -> tuple[Any, list]:
-    """Return the pointer to the element or row that an index means, and the lengths of that."""
+    """Return the pointer to the element or rows that an index selects, and their shape."""
     data, dims = parts_of(context, builder, kind, value)
     index = cgutils.unpack_tuple(builder, index) if isinstance(how, types.BaseTuple) else [index]
     return builder.gep(data, [_place(builder, dims, index)], inbounds=True), dims[len(index) :]
@@ -129,7 +129,7 @@ def _set(context, builder, sig, args):
 def _rows(context, builder, sig, args):
     kind, (value, index) = sig.args[0], args
     data, dims = parts_of(context, builder, kind, value)
-    # A slice without an end has the largest number there is.
+    # numba gives a slice without an end the largest integer as its end.
     part = context.make_helper(builder, types.slice2_type, index)
     stop = builder.select(builder.icmp_signed("<", part.stop, dims[0]), part.stop, dims[0])
     pointer = builder.gep(data, [_place(builder, dims, [part.start])], inbounds=True)
@@ -226,19 +226,20 @@ def _as_table(typing, A, kind, n, m):
 # ---------------------------------------------------------------------------------------------------------------- scratch
 @inline
 def space(n, m, L, N):
-    """Return the length of a block with room for a search.
+    """Return the length [float64] of a block of memory with room for all arrays of a search.
 
-    It has n coordinates, m errors, L joints on all chains and N known configurations. (n + m + LINE)^2 is more than the matrices
-    and vectors over n and m take, 16 m more than what is kept of the tips; the rest is for gaps between arrays.
+    The search has n coordinates, m errors, L joints on all chains and N known configurations. The term (n + m + LINE)^2
+    is larger than all matrices and vectors over n and m, 16 m is larger than the arrays of the tips, and the rest is
+    for gaps between arrays.
     """
     return (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
 
 
 def cut(block, kind, shapes):
-    """Cut arrays of given shapes (whole numbers or tuples) from what is left of a block, as views if the block is one.
+    """Cut arrays of given shapes (whole numbers or tuples) from the unused part of a block; those of a view are views.
 
-    block (K,) is of float64; its first number says how much is taken and is 0 at the start. The arrays hold numbers of type
-    `kind`, which are whatever was in memory. Raises MemoryError if the block is too short.
+    block (K,) is of float64; its first number says how much of it is used, and is 0 at the start. The arrays hold
+    numbers of type `kind`, not initialised. Raises MemoryError if the block is too short.
     """
     made = []
     for shape in shapes:
@@ -257,7 +258,7 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(cut, jit_options=BUILD)  # arrays that share a block count references to it
+@overload(cut, jit_options=BUILD)  # Arrays cut from an array share its memory, so they count references to it.
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 

@@ -37,7 +37,7 @@ COMPILING = logging.getLogger("ik_toolkit.compile")
 
 
 class MemoryCache(NullCache):
-    """A cache that keeps nothing, for a kernel that must be compiled in every process, which it logs."""
+    """A cache that stores nothing, for a kernel that must be compiled in every process; it logs each compilation."""
 
     def __init__(self, what: str, why: str) -> None:
         """Take the name of what is compiled, and why it cannot be kept, for the log."""
@@ -63,7 +63,7 @@ class DiskCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self.stamp, numba.__version__, llvmlite.__version__)
 
     def path(self, key: tuple) -> Path:
-        """Return the file of a key; the second part of its name is a hash of the kernel sources it was made from."""
+        """Return the path of the file for a key; the second part of its name is a hash of the kernel's sources."""
         name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(*STAMPED)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
         return Path(self._cache_path) / name
 
@@ -85,7 +85,7 @@ class DiskCache(FunctionCache):
                 return self._impl.rebuild(target_context, payload)
         except FileNotFoundError:
             pass
-        except Exception as error:  # whatever is wrong with the file, the kernel can be compiled
+        except Exception as error:  # Whatever is wrong with the file, the kernel can be compiled instead.
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
         where = {"folder": Path(self._cache_path)}
         COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, up to half a minute", extra=where)
@@ -103,7 +103,7 @@ class DiskCache(FunctionCache):
             not_kept(str(self._cache_path), error.strerror or str(error))
 
 
-@functools.cache  # the warning comes once in a process for each folder and reason
+@functools.cache  # The cache of results makes the warning appear once in a process for each folder and reason.
 def not_kept(folder: str, why: str) -> None:
     """Warn that no kernels can be kept in a folder."""
     LOG.warning(
@@ -121,7 +121,7 @@ def folder() -> Path | None:
 
 
 def open_to_others(path: Path) -> str:
-    """Return why users other than this one and root may have written a file, or files in a folder; '' if they cannot."""
+    """Return the reason why other users (not root) may have written a file, or files in a folder; '' if they cannot."""
     try:
         return _open_to_others(os.stat(path))
     except OSError:
@@ -184,7 +184,7 @@ def write_whole(path: Path, body: bytes) -> None:
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:
         part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
-        part.chmod(0o644)  # nobody but the user may write to the file, even if new files are open to a group
+        part.chmod(0o644)  # Only the user may write to the file, even if the umask lets a group write to new files.
         os.replace(part, path)
     except BaseException:
         part.unlink(missing_ok=True)
@@ -192,7 +192,7 @@ def write_whole(path: Path, body: bytes) -> None:
     _remove_old(path.parent)
 
 
-@functools.cache  # old files are removed once in a process
+@functools.cache  # Results are cached, so that old files are removed only once in a process.
 def _remove_old(folder: Path) -> None:
     for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         if f".{stamp_of(*STAMPED)[:12]}." not in path.name:
@@ -209,7 +209,7 @@ def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
     try:
         sources = {source for thing in (function, *parts) for source in _sources(thing)}
         return DiskCache(function, what, stamp_of(*STAMPED, *sorted(sources)))
-    except (RuntimeError, OSError) as error:  # there is no folder to write to, or no source file to watch
+    except (RuntimeError, OSError) as error:  # There is no folder to write to, or no source file to hash.
         return MemoryCache(what, str(error))
 
 
@@ -240,11 +240,12 @@ def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
     yield path
     for function in filter(inspect.isfunction, vars(thing).values() if isinstance(thing, type) else (thing,)):
         if function.__code__.co_filename != str(path):
-            continue  # methods that NamedTuple generates have no file
+            continue  # The methods that NamedTuple generates have no source file.
         found = inspect.getclosurevars(function)
         values = [*found.globals.values(), *found.nonlocals.values()]
         modules = [value for value in values if isinstance(value, types.ModuleType)]
-        values += [vars(module).get(name) for module in modules for name in found.unbound]  # for calls of module.name()
+        # A function that is called as module.name() is found by its name in the module.
+        values += [vars(module).get(name) for module in modules for name in found.unbound]
         for value in values:
             if isinstance(value, Dispatcher) or (isinstance(value, type) and hasattr(value, "_fields")):
                 yield from _sources(value, seen)

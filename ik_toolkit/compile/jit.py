@@ -15,8 +15,8 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-# Releases of numba with which pipeline.py and typing_cache.py work; any other release compiles in numba's own, slower way.
-# They use private interfaces of numba, and in another release LLVM might end the process; scripts/try_numba.py tries one.
+# Releases of numba with which pipeline.py and typing_cache.py work; scripts/try_numba.py tries one.
+# Both use private interfaces of numba, so in any other release kernels are compiled in numba's own, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 PARTS: dict[str, Any] = {}
@@ -30,27 +30,27 @@ if OWN_WAY:
 
 # The flags nnan and ninf are left out, because a NaN must fail every test and must not be assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-# `jit` is for functions that Python calls, too; they are compiled into their callers and never cached alone.
+# `jit` is for functions that Python may call as well as kernels; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
 # The options that follow are for functions that only kernels call (see pipeline.py); a call from Python would crash.
-# Functions that make arrays count references, as plain numba does; compiled as parts they would take 5 us longer a call.
+# BUILD is for functions that make arrays: they count references, and plain numba compiles them.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
-# All other functions borrow references; they must not return an array, or a record of arrays, to a function that counts them.
+# INLINE is for all others: without reference counts they must not return arrays to a function that counts references.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
-# numba passes a request to inline on to all functions that are called, so a part that is not inlined refuses it.
+# BARE turns off forced inlining, which numba would otherwise pass on from the caller to every function that it calls.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
-# One copy that is called, for code that is rarely run, or large and used in several places.
+# `inner` makes one copy that is called, for code that is rarely run, or large and used in several places.
 inner = njit(**{**BARE, **CALLED})
 inline = njit(**INLINE)  # a copy in every caller, for small code and for code that takes or returns large records
 build = njit(**BUILD)  # a copy in every caller, for code that makes arrays
 spliced = njit(inline="always", **BARE)  # for a large part with one caller, so that no second copy is optimised
-shared = register_jitable(**INLINE)  # inlined in kernels, and run by Python as it is written
+shared = register_jitable(**INLINE)  # inlined in kernels; Python runs it as plain Python
 
 
 def dual(function: Callable) -> Any:
     """Decorator: compile a function that makes no arrays twice, as `jit` for Python and as a part for kernels."""
     dispatcher = jit(function)
-    if hasattr(dispatcher, "get_overload"):  # NUMBA_DISABLE_JIT=1 leaves the Python function as it is
+    if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
         part = njit(**BARE)(function)
         dispatcher.get_call_template, dispatcher.get_overload = part.get_call_template, part.get_overload
     return dispatcher
@@ -60,8 +60,8 @@ def dual(function: Callable) -> Any:
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
 }  # fmt: skip
-METHODS: dict[str, dict[type, Callable]] = {}  # functions by name of the method and class of the record
-FIELDS: set[str] = set()  # names of all fields of records
+METHODS: dict[str, dict[type, Callable]] = {}  # compiled methods of all records, by method name and class
+FIELDS: set[str] = set()  # field names of all records
 
 
 def compiled(cls: type) -> type:
@@ -86,7 +86,7 @@ def compiled(cls: type) -> type:
 
 
 def _let_numba_know(name: str, example: Callable) -> None:
-    """Register the name of a method with numba; its function is looked up when a call is compiled."""
+    """Register a method name of records with numba; the function of a class is looked up when a call is compiled."""
 
     def resolve(self: Any, *_: Any) -> Callable | None:
         return METHODS[name].get(getattr(self, "instance_class", None))  # type: ignore[arg-type]
@@ -102,18 +102,18 @@ def _let_numba_know(name: str, example: Callable) -> None:
 def cached(function: Callable, *parts: Any) -> Any:
     """Decorator: compile a function that Python calls, with a cache on disk.
 
-    The cache is void after an edit of any kernel file, of the function's file, or of the files of `parts`: classes and functions
-    that are compiled into it but that its global names do not lead to, such as a rule.
+    The cache is invalid after an edit of any kernel file, of the function's file, or of the files of `parts`: classes
+    and functions, such as a rule, that are compiled into the function but are not found through its global names.
     """
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **KERNEL)(function)
-    if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT=1 leaves the Python function as it is
+    if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
         dispatcher._cache = make_cache(function, parts)
         dispatcher._compile_for_args = without_collector(dispatcher._compile_for_args)
     return dispatcher
 
 
 def without_collector(compile_for: Callable) -> Callable:
-    """Wrap a function that compiles so that the garbage collector pauses, which saves a tenth of the time."""
+    """Wrap numba's compile function so that the garbage collector pauses, which saves a tenth of the time."""
 
     @functools.wraps(compile_for)
     def call(*arguments: Any, **keywords: Any) -> Any:

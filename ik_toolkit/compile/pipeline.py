@@ -1,6 +1,6 @@
-"""A faster way to compile parts of a kernel, which are never called from outside it and need no machine code of their own.
+"""Compile parts of a kernel faster: functions that only kernels call, so that they need no machine code of their own.
 
-It uses undocumented interfaces of numba, so jit.py imports it only for releases with which it was tried.
+This uses undocumented interfaces of numba, so jit.py imports it only for releases with which it was tried.
 """
 
 from functools import partial
@@ -19,9 +19,10 @@ LEVEL = 1
 
 
 class PartLibrary(JITCodeLibrary):
-    """Code of a part, simplified but not turned into machine code, and without the functions it calls.
+    """LLVM code of a part of a kernel: simplified, not yet machine code, and without the functions that it calls.
 
-    A kernel is optimised once, when all parts are in it. To simplify each function before saves time, because it is short then.
+    A kernel is optimised once, when all its parts are linked. Simplifying each part first saves time, because its code
+    is still short.
     """
 
     def add_ir_module(self, ir_module: Any) -> None:
@@ -32,11 +33,11 @@ class PartLibrary(JITCodeLibrary):
         self._optimize_functions(made)
         if any(not function.is_declaration for function in self._final_module.functions):
             self._final_module.link_in(made)
-        else:  # the first module is taken as it is; mostly it is the only one
+        else:  # The first module, mostly the only one, need not be linked to anything.
             self._final_module = made
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        """Simplify the functions that a module defines, with one set of passes; numba would make one for each function."""
+        """Simplify all functions of a module with one pass manager, where numba would make one for each function."""
         ll_module.data_layout = self._codegen._data_layout
         passes, builder = self._codegen._function_pass_manager(opt=LEVEL)
         for function in ll_module.functions:
@@ -44,7 +45,7 @@ class PartLibrary(JITCodeLibrary):
                 passes.run(function, builder)
 
     def finalize(self) -> None:
-        """Finish without linking what the part calls: the kernel links it once, where numba would link it into every caller."""
+        """Finish a part without linking the functions that it calls, because the kernel links each of them once."""
         self._raise_if_finalized()
         for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
@@ -54,7 +55,7 @@ class PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """Return the code with all that it calls, for a library of numba's own, which links only what it calls directly."""
+        """Return the code with all functions that it calls, because numba's own libraries link only direct callees."""
         module = self._final_module.clone()
         link(module, self._linking_libraries)
         return module
@@ -70,14 +71,14 @@ class KernelLibrary(JITCodeLibrary):
         super().finalize()
 
     def _optimize_final_module(self) -> None:
-        """Optimise cheaply to inline functions, so that numba can leave out more counting of references; then optimise well."""
+        """Inline functions first, so that numba can remove reference counts, and then optimise fully."""
         first = self._codegen._module_pass_manager(loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap")
         for passes, builder in (first, self._codegen._module_pass_manager(opt=LEVEL)):
             passes.run(self._final_module, builder)
 
 
 def link(module: Any, libraries: list) -> None:
-    """Link libraries and all that they call into a module, each after its callers, as LLVM drops what nothing calls yet."""
+    """Link libraries and all that they call into a module, callers first: LLVM drops functions not called yet."""
     order: dict[Any, None] = {}
 
     def visit(library: Any) -> None:
@@ -94,7 +95,7 @@ def link(module: Any, libraries: list) -> None:
 
 
 class CalledLibrary(PartLibrary):
-    """Code of a part that stays one copy; LLVM would inline a function with one caller, however long it is."""
+    """LLVM code of a part that is never inlined; LLVM would inline even a long function with only one caller."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         for function in ll_module.functions:
@@ -103,22 +104,23 @@ class CalledLibrary(PartLibrary):
         super()._optimize_functions(ll_module)
 
 
-# Options that every part sets for itself, whatever its caller has; numba derives the second from the first.
+# Compiler options that every part sets for itself, whatever its caller has; numba derives dbg_optnone from forceinline.
 OWN = {"forceinline", "dbg_optnone"}
 
 
 class Quick(Flags):
-    """Options of a compilation that are compared fast, by those that were set.
+    """numba's compiler options, compared faster: by the few that were set.
 
-    numba compares options to find an overload for every operator of every function, and `Flags` compares all fifty. The options
-    OWN are not compared, as there would be two copies of each method that inlined and called parts use.
+    numba compares options whenever it looks for an overload, for every operator of every function, and its `Flags`
+    compare all fifty. The options OWN are left out, so that inlined and called parts share one copy of a method that
+    both use.
     """
 
     def values(self) -> dict:
         return self._values
 
     def __hash__(self) -> int:
-        return hash(Quick)  # all options share one hash, because numba looks up the types of a call first
+        return hash(Quick)  # One hash for all is enough, because numba looks up the types of a call first.
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, Quick) and self._shared() == other._shared()
@@ -127,7 +129,7 @@ class Quick(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# Passes that a part does not need: for `with`, comprehensions, closures, exceptions, inlining by numba, expressions of arrays.
+# Passes of numba that are left out because parts of kernels use no `with`, comprehensions, closures or exceptions.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",
@@ -136,10 +138,10 @@ UNNEEDED = {
 
 
 class PartPipeline(Compiler):
-    """numba's pipeline, which compiles into a PartLibrary."""
+    """numba's compiler pipeline for a part of a kernel; the code goes into a PartLibrary."""
 
     library = PartLibrary
-    passes: ClassVar[list] = []  # numba's passes for a part, made once
+    passes: ClassVar[list] = []  # numba's passes for a part, made for the first part and used for all
 
     def define_pipelines(self) -> list:
         """Return numba's passes without those that a part does not need."""
@@ -168,13 +170,13 @@ class PartPipeline(Compiler):
 
 
 class CalledPipeline(PartPipeline):
-    """The pipeline of a part that is called, which compiles into a CalledLibrary."""
+    """numba's compiler pipeline for a part that is not inlined; the code goes into a CalledLibrary."""
 
     library = CalledLibrary
 
 
 class KernelPipeline(Compiler):
-    """numba's pipeline, which compiles into a KernelLibrary."""
+    """numba's compiler pipeline for a kernel; the code goes into a KernelLibrary."""
 
     def compile_extra(self, func: Any) -> Any:
         self.state.library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)

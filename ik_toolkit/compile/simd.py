@@ -1,4 +1,4 @@
-"""SIMD vectors of eight float64 for compiled functions, which code written for numbers accepts.
+"""SIMD vectors of eight float64 for compiled functions; code that is written for numbers works on them, too.
 
 Operators, `abs`, `math.sqrt` and `np.rint` work as on numbers. `full`, `load` and `store` make and move vectors; comparisons give
 masks for `choose` and `bits`.
@@ -20,7 +20,8 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from .array_view import parts_of
 
-# Length of a vector: two registers of AVX2 or one of AVX-512. Four would take almost as long, as operations wait for each other.
+# Number of lanes of a vector: two registers of AVX2 or one of AVX-512.
+# Vectors of four would be hardly faster, because the processor mostly waits for the results of earlier operations.
 WIDTH = 8
 _DATA = ir.VectorType(ir.DoubleType(), WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
@@ -177,7 +178,7 @@ def lane_select(typing, condition, yes, no):
 
 @intrinsic
 def bits(typing, condition):
-    """Return a mask as a whole number with one bit for each lane."""
+    """Return a mask as a whole number whose bit k is 1 where lane k is true."""
 
     def generate(context, builder, sig, args):
         return builder.zext(builder.bitcast(args[0], ir.IntType(WIDTH)), ir.IntType(64))

@@ -1,4 +1,4 @@
-"""Caches for work that numba repeats for every call of a part while it compiles a kernel.
+"""Caches for work of type inference that numba repeats for every function call while it compiles a kernel.
 
 They do not change the result: the same functions are found for the same types, and the same code is made.
 """
@@ -15,16 +15,16 @@ from numba.core.compiler_machinery import PassManager, _pass_registry
 from numba.core.postproc import PostProcessor
 from numba.core.transforms import canonicalize_cfg
 
-everything = PostProcessor.run  # numba's own method, which `in_order` replaces while a kernel is compiled
+everything = PostProcessor.run  # numba's own method; `in_order` replaces it for parts, which need less
 # numba's timers, one for each part that is compiled; it notifies them of every call of LLVM, some 20,000 for a kernel.
 listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
 class Passes(PassManager):
-    """Passes over a part, without the events, timers and checks with which numba surrounds each."""
+    """numba's pass manager for a part of a kernel, without numba's events, timers and checks around each pass."""
 
     def run(self, state: Any) -> None:
-        """Run all passes, and sort the blocks of the code after one that moved them."""
+        """Run all passes, and sort the blocks of the code after each pass that changed their order."""
         for kind, _ in self.passes:
             known = _pass_registry.get(kind)
             step = known.pass_inst
@@ -37,7 +37,7 @@ class Passes(PassManager):
 
 
 def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-    """Replace PostProcessor.run, whose search for how long variables live only reference counts and generators need."""
+    """Replace PostProcessor.run: without liveness analysis, which only generators and reference counts need."""
     if emit_dels or self.func_ir.is_generator:
         everything(self, emit_dels, extend_lifetimes)
     else:
@@ -46,7 +46,7 @@ def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False)
 
 @cache
 def size_of(target: Any, kind: Any) -> int:
-    """Return the size of an LLVM type [bytes]; numba would write a module with such a variable and parse it each time."""
+    """Return the size of an LLVM type [bytes], cached, because numba parses a whole LLVM module for each answer."""
     return kind.get_abi_size(target)
 
 
@@ -72,12 +72,12 @@ def remembered(function: Callable) -> Callable:
 
 @contextmanager
 def remembering(typing: Any) -> Iterator[None]:
-    """Cache, while a kernel is compiled, which overload a call with given types means, and the fields and methods of records.
+    """Cache what numba finds out about types while a kernel is compiled: overloads, fields and methods of records.
 
-    typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. The cache ends with the
-    kernel, because functions may be defined again before the next one.
+    typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. The cache is
+    emptied after the kernel, because functions may be redefined before the next one.
     """
-    if "resolve_function_type" in vars(typing):  # a kernel that another kernel calls uses the same cache
+    if "resolve_function_type" in vars(typing):  # A kernel that is compiled inside another uses the other's cache.
         yield
         return
     told, resolve, find = listeners[:], typing.resolve_function_type, typing.find_matching_getattr_template
@@ -87,7 +87,7 @@ def remembering(typing: Any) -> Iterator[None]:
     def resolve_function_type(function: Any, kinds: Any, names: Any) -> Any:
         if names or not isinstance(function, types.Callable):
             return resolve(function, kinds, names)
-        # One copy serves all constants; LLVM sees them again once it is inlined.
+        # Types of constants are replaced by general types, so that one copy serves all of them.
         if isinstance(function, types.Dispatcher):
             kinds = map(types.unliteral, kinds)
         return call(function, *kinds)

@@ -36,7 +36,7 @@ class V3(NamedTuple):
         return V3(-self.x, -self.y, -self.z)
 
     def __mul__(self, other):
-        """Return the vector times a number, which stands on the right."""
+        """Return the vector times a number; only vector * number is defined, not number * vector."""
         return V3(self.x * other, self.y * other, self.z * other)
 
     def dot(self, other):
@@ -65,7 +65,7 @@ class M3(NamedTuple):
         return self.x * v.x + self.y * v.y + self.z * v.z
 
     def across(self, v):
-        """Return the transpose of the matrix times v."""
+        """Return M' v, the transpose of the matrix times the vector v."""
         return V3(self.x.dot(v), self.y.dot(v), self.z.dot(v))
 
 

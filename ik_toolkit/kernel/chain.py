@@ -17,10 +17,10 @@ from .records import POINTS, TASK, Array, Ends
 from .starts import BEST, FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS
 
 __all__ = ["ROW", "Chain", "pack"]
-WINDING = 5 * TAU  # rad, an endless joint is brought back by full turns beyond this; any start and step are well inside
-TURNING = 1e4  # rad, a joint with a wider range counts as endless when random starts are drawn
-LONGEST_UNIT = 1e4  # m, the kernel's unit of length is longer than this only if the links are
-LEAST_REACH = 1e-10  # m, a shorter reach is the rounding of a CAD program and not a length, so that 1 m is used instead
+WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by full turns.
+TURNING = 1e4  # A joint with a wider range [rad] counts as endless when random starts are drawn.
+LONGEST_UNIT = 1e4  # The kernel's unit of length [m] exceeds this only if the links do, not because of a slide's range.
+LEAST_REACH = 1e-10  # A shorter reach [m] is only rounding in the description, so 1 m is used instead.
 
 
 @cached
@@ -67,9 +67,9 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """Return what `run` returns, by numpy operations over all of Q (N, n), so that loading a robot needs no compiler.
+    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6, n), else None.
 
-    `run`, which the tests hold to the same numbers, is some ten times as fast.
+    It computes by numpy what `run` computes by a compiled kernel, so that loading a robot compiles nothing.
     """
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
@@ -112,14 +112,14 @@ class Chain(NamedTuple):
     rows: np.ndarray  # (L, 10) geometry, see kinematics.py
     ends: np.ndarray  # base, tip, limits and reach, see `records.Ends`
     seeds: np.ndarray  # (256, n) configurations to start from
-    features: np.ndarray  # (13, 272) what is compared with a target to choose among them, see `table`
+    features: np.ndarray  # (13, 272) numbers by which the seeds are compared with a target, see `table`
     unit: np.ndarray  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
     lower: np.ndarray  # (n,) limits [rad or m]
     upper: np.ndarray  # (n,) limits [rad or m]
     turns: np.ndarray  # (n,) 1 if a coordinate may wrap by full turns, else 0
     scale: float  # kernel unit of length [m]
     reach: float  # longest distance of the tip [m]
-    plain: bool  # whether row i moves coordinate i alone, without followers
+    plain: bool  # whether there are no mimic joints, so that row i belongs to coordinate i
 
     @property
     def n(self) -> int:
@@ -136,7 +136,7 @@ class Chain(NamedTuple):
 
 
 def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the longest possible distance (L,) of each joint from the one before; it is infinite for an unlimited slide."""
+    """Return the longest possible distance (L,) of each joint from the one before, infinite for an unlimited slide."""
     lengths = np.zeros(len(rows))
     for i, row in enumerate(rows):
         k = int(row[8])
@@ -164,9 +164,9 @@ def start_range(
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
     """Return features (13, N + PAD) of the configurations seeds (N, n): what `starts.nearest` compares with a target.
 
-    They are the tip's position, the last joint's rotation, and the squared distances of the tip from the base and of the joints
-    from home, scaled so that their sum is a squared distance from the target plus HOME_WEIGHT times that from home.
-    kinematics: `run`, or `evaluate` where nothing may be compiled yet.
+    They are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, with
+    factors such that a scalar product with a target gives a squared distance. kinematics: `poses_at`, or `evaluate`, which
+    compiles nothing.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
@@ -177,9 +177,19 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
     features[3:12, :count] = -2.0 * ROTATION_WEIGHT * rotation.reshape(count, 9).T
     features[12, :count] = (T[:, :3, 3] ** 2).sum(1)
-    home = ends[POINTS + 6 * n : POINTS + 7 * n]
-    features[12, :count] += HOME_WEIGHT * ((seeds - home) ** 2).sum(1)
     return features
+
+
+def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
+    """Return random configurations (count, n) [kernel units], half of each group from half the range around home.
+
+    That is where the answers lie that people expect. The seed is uncommon, so that no target that a user draws with
+    default_rng(1) is in the table by accident.
+    """
+    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
+    near = np.arange(count) // BEST % 2 == 0
+    seeds[near] = 0.5 * (seeds[near] + home)
+    return seeds
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
@@ -192,7 +202,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Return the radius that a chain cannot fold into: its longest rigid piece minus all the others at their longest."""
+        """Return the least distance of a chain's end from its foot: its longest rigid part less all others."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -205,7 +215,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
 
 
 def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` whose reach bounds hold where limits are ignored, so that slides reach any distance."""
+    """Return a copy of `ends` whose bounds on the reach hold without joint limits; slides then reach any distance."""
     endless = np.full(n, np.inf)
     free = ends.copy()
     free[POINTS + 7 * n + 1 : POINTS + 7 * n + 7] = reach_bounds(rows, ends[12:24], -endless, endless)
@@ -249,7 +259,7 @@ def pack(
     slides = np.array([not rows[owner == k, 9].any() for k in range(n)])
     mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
     followers = np.bincount(owner, minlength=n)
-    # A full turn of a coordinate is a full turn of its joint only if the joint follows it with ratio 1.
+    # A coordinate may wrap by a full turn only if it moves a single joint, with ratio 1.
     own = followers == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
     turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
@@ -266,7 +276,7 @@ def pack(
     scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
     rows[:, [2, 3, 7]] /= scale
     for i, k in enumerate(owner):
-        if not slides[k] and not rows[i, 9]:  # the ratio of a slide that follows a turning joint is a length
+        if not slides[k] and not rows[i, 9]:  # The ratio of a slide that follows a turning joint is a length.
             rows[i, 6] /= scale
     base[9:] /= scale
     tip[9:] /= scale
@@ -278,12 +288,9 @@ def pack(
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
-    # The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
-    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
-    # Half of each group lies in half the range around home, where the answers that people expect are.
-    near = np.arange(SEEDS) // BEST % 2 == 0
-    seeds[near] = 0.5 * (seeds[near] + home / unit)
+    seeds = known_configurations(low, high, home / unit, SEEDS)
     features = table(rows, ends, seeds, evaluate)
+    features[12, :SEEDS] += HOME_WEIGHT * ((seeds - home / unit) ** 2).sum(1)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach, bool(own.all()))
 
 
@@ -313,13 +320,13 @@ class TreeChain(NamedTuple):
     ends: Array  # (F, ...) `records.Ends` of each tip; then its number of rows, and (n) 1 where a coordinate moves it
     # (N, n) configurations to start from; each tip picks its own joints from them, the first also the shared ones.
     seeds: Array
-    features: Array  # (F, 13, N + PAD) what is compared with a target to choose among them, see `table`
+    features: Array  # (F, 13, N + PAD) numbers by which the seeds are compared with a target, see `table`
     unit: Array  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
     lower: Array  # (n,) limits [rad or m]
     upper: Array  # (n,) limits [rad or m]
     scale: float  # kernel unit of length [m]
 
-    plain = False  # no chain has all the coordinates, so columns of the Jacobians are scattered
+    plain = False  # Row i of a chain need not belong to coordinate i, because no chain has all coordinates.
 
     @property
     def turns(self) -> Array:
@@ -360,7 +367,8 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
         return chains[0]._replace(ends=ends)
     scale = max(chain.scale for chain in chains)
     parts = []
-    for chain, place in zip(chains, places, strict=True):  # back to metres, exactly because scales are powers of two
+    # Lengths are converted back to metres, without rounding, because the scales are powers of two.
+    for chain, place in zip(chains, places, strict=True):
         rows, own = chain.rows.copy(), chain.rows[:, 8].astype(int)
         turning = [rows[own == k, 9].any() for k in range(chain.n)]
         rows[:, [2, 3, 7]] *= chain.scale
@@ -395,6 +403,6 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
         moves = np.zeros(n)
         moves[place] = 1.0
         ends[f] = np.concatenate([points, *vectors, [scale], chain.ends[-6:] * factor, [len(rows)], moves])
-    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (ROWS, n))
+    seeds = known_configurations(low, high, home / unit, ROWS)
     features = np.stack([table(rows, end, seeds, evaluate) for rows, end in zip(parts, ends, strict=True)])
     return TreeChain(np.concatenate(parts), ends, seeds, features, unit, lower, upper, scale)

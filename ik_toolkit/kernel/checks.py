@@ -12,21 +12,21 @@ from .records import WHAT
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 # The target or the start is invalid: Python examines it and raises, so users never see these.
 BAD_TARGET, BAD_START = 8, 9
-TOO_FAR = 11  # the code 10 is COLLISION, which is found outside the kernel
-ORTHONORMAL = 1e-6  # a pose may have axes whose products differ from 0 and 1 by less
-LAST_ROW = 1e-9  # a pose may have a last row that differs from 0 0 0 1 by less
-FAR = 1e100  # a pose with coordinates [m] beyond this is refused, because their squares would overflow
+TOO_FAR = 11  # Code 10 is not used here: it is COLLISION, which Python finds after the kernel.
+ORTHONORMAL = 1e-6  # largest difference of the dot products of a pose's axes from 0 and 1
+LAST_ROW = 1e-9  # largest difference of a pose's last row from 0 0 0 1
+FAR = 1e100  # A pose with coordinates [m] beyond this is refused, because their squares would overflow.
 
 
 class Proofs(NamedTuple):
     """Bounds beyond which a target counts as out of reach, or an attempt as held."""
 
-    # Kernel units, more than any rounding of the reach bound, so that "unreachable" is a proof.
+    # A target must be this much out of reach [kernel units], more than any rounding, to be called unreachable.
     reach_slack: float = 1e-9
-    # rad, a rotation tolerance from which on the last joint's place is unbounded, as no chord exceeds 2.
+    # From this rotation tolerance [rad] on, the target does not bound the position of the last joint.
     wide: float = 2.0
-    unseen: float = 1e-16  # least cos^2 of the angle between the error and what the joints can do that is not rounding
-    blocked: float = 1e-4  # limits hold an attempt if the free joints have less than this share of the squared gradient
+    unseen: float = 1e-16  # No joint changes the error e if |J' e|^2 is at most this share of |J|^2 |e|^2: rounding.
+    blocked: float = 1e-4  # Limits block an attempt if free joints have less than this share of the squared gradient.
 
 
 PROOF = Proofs()
@@ -34,8 +34,9 @@ PROOF = Proofs()
 
 @inner
 def ring(p, reach, hole, ends, slack):
-    """Return the length by which a point lies outside the reach, or inside the hole around the foot, of an arm.
+    """Return the length by which a point p lies outside an arm's reach, or inside the hole around its foot.
 
+    The arm reaches distances from `hole` to `reach` from its foot, each with the allowance `slack`.
     The foot may be carried by a vertical slide (a lift).
     """
     across = p.x * p.x + p.y * p.y
@@ -99,7 +100,7 @@ def rigid(T, within):
 
 @cached
 def is_rigid(T):
-    """Return whether T (4, 4) is a pose, for calls from Python."""
+    """Return whether T (4, 4) is a pose, see `rigid`; this compiled function may be called from Python."""
     return rigid(T, ORTHONORMAL)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
 
-# Smallest part of a piece in which a motion is proven free; beyond it the distance must be measured again.
+# Smallest part of a piece of a motion for which a bound on the approach is computed; then distances are measured again.
 FINEST = 1.0 / 64.0
 
 
@@ -31,20 +31,21 @@ class Facing(NamedTuple):
 
     ks: np.ndarray  # (K,) indices of the pairs
     points: np.ndarray  # (K, 2, 3) nearest points [m], root axes
-    gap: np.ndarray  # (K,) distance [m] that the pair may still lose
+    gap: np.ndarray  # (K,) distance [m] by which the pair may still approach
 
 
 class Approach(NamedTuple):
     """Rules for how fast a pair may approach."""
 
     slope: float  # [1/s] highest speed of approach over the gap
-    step: float  # [s] length of a control step, in which a pair may lose at most half of its gap
-    share: float  # a joint takes part in the braking of a pair above this share of the pair's largest entry
-    flat: float  # [m/rad or 1] a pair with no entry above this is left out: no joint can move it
+    step: float  # [s] length of a control step, in which a pair may use up at most half of its gap
+    # A joint takes part in the braking of a pair if its approach per unit exceeds this share of the largest one.
+    share: float
+    flat: float  # A pair is left out if no joint brings it closer by more than this per unit [m/rad or m/m].
 
 
 class HalfPlanes(NamedTuple):
-    """Room for the half-planes A x <= b that limit the joint rates x, the one that leaves least room first."""
+    """The half-planes A x <= b that limit the joint rates x, the most restrictive one first."""
 
     A: np.ndarray  # (R, n) speed of approach per unit of each joint rate
     b: np.ndarray  # (R,) highest speed of approach [m/s]
@@ -52,7 +53,7 @@ class HalfPlanes(NamedTuple):
 
 
 class Separation(NamedTuple):
-    """Pairs whose distance and direction are known where a motion is looked at from, one row a pair."""
+    """Pairs of shapes whose distance and direction are known at one configuration of a motion, one row a pair."""
 
     ks: np.ndarray  # (K,) indices of the pairs
     normals: np.ndarray  # (K, 3) unit vectors from the first to the second shape, zero where a shape is not convex
@@ -71,10 +72,13 @@ class BrakingPath(NamedTuple):
 
 @dual
 def travelled(start, change, f):
-    """Return how far a joint has gone a fraction f into a piece: its speed grows evenly from `start` by `change` [per piece]."""
+    """Return how far a joint has gone at the fraction f (0 to 1) of a piece of a motion, reversals included.
+
+    Its speed grows evenly from `start` by `change` [per piece].
+    """
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
-    if 0.0 < turn < f:  # the joint's motion reverses on the way
+    if 0.0 < turn < f:  # The joint reverses on the way, so both parts count.
         far = 0.5 * start * turn
         return abs(far) + abs(there - far)
     return abs(there)
@@ -224,16 +228,17 @@ def second_order_motion(turn, lever, moved, length):
 def free_until(parts, pairs, levers, path, start, out) -> None:
     """Find how far each pair is certainly free of contact along a path.
 
-    Nothing convex reaches through the plane between two shapes before their points have come that much closer along its normal:
-    by the velocities at the start times the moves of the joints, and by the bend of their ways. For shapes that are not convex
-    (zero normal) only the length of the ways counts.
+    Two convex shapes cannot touch before they have approached along the normal of a plane between them by their
+    distance. The approach is bounded by the velocities at the start times the joint moves, plus a second-order bound on
+    the curvature of the motion. For shapes that are not convex (zero normal) it is bounded by the lengths that the
+    joints travel.
 
     Args:
         parts: `Bodies` where the path is at `start`.
         pairs: `Separation` of K pairs there.
         levers: (P, E) from the function `levers`, for the whole path.
         path: `BrakingPath`.
-        start: Where the path is looked at from [pieces].
+        start: Place on the path at which the proof begins [pieces from its beginning, may be a fraction].
         out: (K,) receives where each pair's proof ends [pieces].
     """
     V, coordinates, middle, radius, a, b, by_a, by_b = parts
@@ -262,7 +267,7 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
             spread = moved_a * radius[a[p]] + moved_b * radius[b[p]]
             size[e] = abs(rate[e]) + spread * math.sqrt(swung.square())
         k, f0, share, done = first, start - first, 1.0, start
-        before = 0.0  # how much closer [m] the pair is at the place reached so far
+        before = 0.0  # approach [m] of the pair up to the place reached so far
         while done < last and share >= FINEST:
             f = min(1.0, f0 + share)
             way, curve, closing = 0.0, 0.0, 0.0

@@ -37,17 +37,20 @@ class KeptIndices(NamedTuple):
     B: int = 18  # index of the matrix B (9), by rows
     arm: int = 27  # index of the vector arm (3)
     arm_goal: int = 30  # index of the vector arm_goal (3)
-    error: int = 33  # index of the six errors that count
+    error: int = 33  # index of the six errors, after mask, slack and free turn are applied
 
 
 IN = KeptIndices()
 KEPT = 39  # length of the array that `shape` fills
-STRAIGHT = 1e-9  # two directions are parallel if the sine of their angle is below this: their cross product is rounding
+STRAIGHT = 1e-9  # Two directions count as parallel if the sine of their angle is below this, which is rounding.
 
 
 @inner
 def allowance(task, first, tolerance):
-    """Return the largest norm that three errors (from index `first` on) may have inside a tolerance; inf if one does not count."""
+    """Return the largest norm of three errors (from index `first` on) within a tolerance, before weights and slack.
+
+    It is infinite if one of the three does not count.
+    """
     least, room = math.inf, 0.0
     for i in range(first, first + 3):
         least = min(least, task[WHAT.w0 + i])
@@ -88,7 +91,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if sine > STRAIGHT:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
-        elif cosine < 0.0:  # half a turn, for which any axis normal to a will do
+        elif cosine < 0.0:  # For half a turn any rotation axis normal to a will do.
             r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
             r = r * (math.pi / math.sqrt(r.square()))
     else:
@@ -100,7 +103,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != BASE:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # a row of G is the axis times G
+        if turns:  # This is a row of G, namely axis' G.
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -117,7 +120,8 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, IN.A + 3 * i, own * w)
-        others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5  # a row of G' is the axis times G'
+        # This is a row of G', namely axis' G'.
+        others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
         put3(kept, IN.B + 3 * i, (others - across if frame == TARGET else others) * w)
     put3(kept, IN.arm, linear if frame == TIP else none)
     put3(kept, IN.arm_goal, -linear if frame == TARGET else none)
@@ -146,9 +150,10 @@ def count_goal_column(kept, linear, angular):
 
 @inner
 def turn_axis(task, kept, out):
-    """Write to out (3,) the normal n of the mirror after which the third rotation error is always 0; zeros if no turn is free.
+    """Write to out (3,) the normal n of a Householder reflection that makes the third rotation error 0, or zeros.
 
-    The three rotation errors of a tip with a free turn depend on each other by c' r = 0; the mirror 1 - 2 n n' brings c to z.
+    It is zero if no turn is free. With a free turn the rotation error r is always normal to an axis c, so c' r = 0. The
+    reflection 1 - 2 n n' takes c to z.
     """
     for k in range(3):
         out[k] = 0.0
@@ -191,7 +196,7 @@ def angle_left(kind, rr):
 
 @inline
 def counts(task):
-    """Return 1.0 or 0.0 for whether the position counts, and the same for the rotation, to choose starts by."""
+    """Return whether the position, and whether the rotation, matters for the choice of starts, each as 1.0 or 0.0."""
     position, rotation = 0.0, 0.0
     for i in range(3):
         if task[WHAT.w0 + i] > 0.0 and task[WHAT.s0 + i] < math.inf:

@@ -49,7 +49,7 @@ def turn_all(rows, q, trig):
 
 @inline
 def fk(rows, q, joints, trig):
-    """Return the pose of the last joint at q; joints[6 i : 6 i + 6] receives the axis and a point of joint i."""
+    """Return the pose of the last joint at q (n,); joints[6 i : 6 i + 6] receives the axis and a point of joint i."""
     turn_all(rows, q, trig)
     size = trig.shape[0] // 3
     s, c = at(trig, size), at(trig, 2 * size)
@@ -58,16 +58,16 @@ def fk(rows, q, joints, trig):
     p = V3(zero, zero, at(q, int(rows[0, 8])) * rows[0, 6] + rows[0, 7])
     put3(joints, 0, z)
     put3(joints, 3, p)
-    for i in range(1, rows.shape[0]):  # row 0 has no turn by b
+    for i in range(1, rows.shape[0]):  # Row 0 is done above, as it has no rotation by b.
         cb, sb = rows[i, 0], rows[i, 1]
-        v = y * cb + z * sb  # y and z turn by the angle b about x
+        v = y * cb + z * sb  # The axes y and z are rotated by the angle b about x.
         z = z * cb - y * sb
         d = at(q, int(rows[i, 8])) * rows[i, 6] + rows[i, 7]
-        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # the point moves along the new axes
+        p = p + (x * rows[i, 2] + v * rows[i, 3] + z * d)  # The point p moves along the axes of the joint's frame.
         put3(joints, 6 * i, z)
         put3(joints, 6 * i + 3, p)
         s, c = at(trig, size + i), at(trig, 2 * size + i)
-        y = v * c - x * s  # x and y turn by the joint's angle about z
+        y = v * c - x * s  # The axes x and y are rotated by the joint's angle about z.
         x = x * c + v * s
     return Pose(M3(x, y, z), p)
 
@@ -88,7 +88,7 @@ def aim(ends, T, goal):
     point = V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())
     put3(goal, 9, base.across(point - at3(ends.flat, 9)))
     x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
-    for k in range(3):  # the rotation is base' T tip', computed column by column
+    for k in range(3):  # The rotation base' T tip' is computed column by column.
         row = at3(ends.flat, 12 + 3 * k)
         v = base.across(x * row.x + y * row.y + z * row.z)
         goal[k], goal[3 + k], goal[6 + k] = v.x, v.y, v.z
@@ -118,11 +118,11 @@ def half_turn_axis(now, goal, sine):
 
 @inline
 def rotation_error(now, goal):
-    """Return 2 sin(angle/2) times the axis of the rotation that brings M3 `now` to `goal`."""
+    """Return 2 sin(angle/2) times the axis of the rotation that takes the rotation matrix `now` to `goal`."""
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near half a turn the sine loses its digits: the length then comes from the cosine, and at last the axis from the matrix.
+    # Near half a turn the sine is too inexact, so the length, and even nearer the axis, are computed from the matrix.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)
@@ -161,7 +161,8 @@ def jacobian_rate(rows, joints, J, first, tip, x, y, out):
     v = zero  # velocity of the tip
     for i in range(J.shape[0]):
         v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
-    turn, speed = zero, zero  # angular velocity of the link before the joint, and velocity of the joint's point
+    # Angular velocity of the link before joint i, and velocity of the stored point on its axis
+    turn, speed = zero, zero
     linear, angular = zero, zero
     for i in range(rows.shape[0]):
         k = int(rows[i, 8])

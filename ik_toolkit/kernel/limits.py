@@ -48,7 +48,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
 
 @inner
 def held_back(p, look, near, ends, limits):
-    """Return the joint that `follow`, and not a limit, hinders most from lowering the error, or -1."""
+    """Return the joint that the option `follow`, and not its own limit, keeps most from lowering the error, or -1."""
     q = p.desk.q
     worst, most = -1, 0.0
     for i in range(q.shape[0]):
@@ -86,9 +86,9 @@ def integrate(q, dq, limits, ends):
         if limits and (a < lower or a > upper) and dq[i] != 0.0:
             if ends.turns(i) > 0.0:
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
-            a = min(max(a, lower), upper)  # a full turn may end just outside by rounding
+            a = min(max(a, lower), upper)  # After a full turn the value may be just outside by rounding.
         moved = max(moved, abs(a - q[i]))
-        far = far if abs(a) <= far or far != far else abs(a)  # the result is NaN if any coordinate is
+        far = far if abs(a) <= far or far != far else abs(a)  # The result is NaN if any coordinate is NaN.
         q[i] = a
     return moved, far
 
@@ -104,14 +104,14 @@ def turn(wanted, q, ends, i):
 
 @inline
 def face(q, wanted, ends):
-    """Move q by full turns of its joints to where it is nearest `wanted` (n,) within limits; return whether q changed."""
+    """Move joints of q by full turns as near as possible to `wanted` (n,) within limits; return whether q changed."""
     turned = False
     for i in range(q.shape[0]):
         if ends.turns(i) > 0.0:
             k = turn(wanted[i] - q[i], q[i], ends, i)
             if k != 0.0:
                 q[i] += k * TAU
-                if ends.turns(i) < 1.5:  # a full turn may end just outside by rounding
+                if ends.turns(i) < 1.5:  # After a full turn the value may be just outside by rounding.
                     q[i] = min(max(q[i], ends.lower(i)), ends.upper(i))
                 turned = True
     return turned

@@ -8,7 +8,8 @@ from .algebra import V3, diagonal
 TINY = 1e-300  # smallest pivot of a factorisation: its root and the inverse of the root are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
-NOISE = 1e-15  # a column shorter than this share of the longest is rounding: without a direction it would turn for ever
+# A column shorter than this share of the longest is rounding. It has no direction, so rotating it would never end.
+NOISE = 1e-15
 FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its largest entry
 
 
@@ -94,7 +95,10 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
 
 @inline
 def jacobi(a, b, g):
-    """Return the cosine and sine of the rotation that makes two columns orthogonal, given their squares a, b and product g."""
+    """Return the cosine and sine of the Jacobi rotation that makes two columns orthogonal.
+
+    a, b: squared lengths of the columns; g: their dot product.
+    """
     d = b - a
     t = (2.0 * g if d >= 0.0 else -2.0 * g) / (abs(d) + math.sqrt(d * d + 4.0 * g * g))
     cosine = 1.0 / math.sqrt(1.0 + t * t)

@@ -17,13 +17,14 @@ from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 from .search import problem_on
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
-DAMPING = 1e-10  # damping of projections and corrections: below the square of any singular value worth a step
+# Damping of projections and corrections. It is below the square of any singular value along which a step is worthwhile.
+DAMPING = 1e-10
 
 
 class Steps(NamedTuple):
-    """Numbers of the motion through the null space."""
+    """Numeric constants of the steps through the null space: tolerances, step sizes, numbers of iterations."""
 
-    influence: float = 1e-18  # squared norm of a row of the Jacobian above which the joints can reduce its error
+    influence: float = 1e-18  # The joints can change an error if its row of the Jacobian has a larger squared norm.
     volume: float = 1e-30  # smallest squared pivot, which keeps the logarithm finite at a singular pose
     corrections: int = 6  # highest number of steps back onto the target; two or three do, as convergence is quadratic
     difference: float = 1e-6  # step of the one-sided derivative of the manipulability [rad or kernel units]
@@ -106,9 +107,10 @@ def move(q, dq, factor, box):
 
 @inline
 def onto_target(p, weights, box, enough):
-    """Move p.desk.q back to the target, which a null-space step leaves to second order.
+    """Move p.desk.q onto the target again by damped least squares, because a null-space step leaves it to second order.
 
-    Returns the last evaluation; its Jacobian is in p.desk.J.
+    weights (n,): joint weights; box: the limits; enough: squared error at which to stop, 0 for the tolerances. Returns
+    the last evaluation; its Jacobian is in p.desk.J.
     """
     s = p.desk
     for k in range(NULL.corrections):
@@ -171,7 +173,7 @@ def downhill(p, what, ends, box, ref, value, z):
     n = q.shape[0]
     for i in range(n):
         z[i] = box.counted(i) * (objective_goal(what, ends, ref, i) - q[i])
-    for i in range(n + 1):  # the last pass only computes the Jacobian of the unchanged q
+    for i in range(n + 1):  # The last pass changes no joint and restores the Jacobian of q itself.
         if i < n:
             if what != MANIPULABILITY:
                 continue
@@ -185,7 +187,7 @@ def downhill(p, what, ends, box, ref, value, z):
 
 @inline
 def secant(old, before, way, dq, gain):
-    """Return the length of the next step that Barzilai and Borwein (1988) derive from the last step; else the present gain."""
+    """Return the step length of Barzilai and Borwein (1988) from the last step; `gain` if it is not positive."""
     ss, sy = 0.0, 0.0
     for i in range(old.shape[0]):
         step = old[i] - before[i]
@@ -203,7 +205,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
     block[0] = 0.0
     p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
-    full = Ends(flat(ends), n)  # the limits are the same for every tip, so those of the first will do
+    full = Ends(flat(ends), n)  # The joint limits are stored for every tip alike, so those of the first tip are read.
     (places,) = cut(block, np.float64, ((3, n),))
     box = make_bounds(places, full, what, o.limits > 0.0)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
@@ -219,7 +221,7 @@ def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
         e = onto_target(p, weights, box, 0.0)
         p.jacobian(e)
         now = objective(p, what, full, box, ref, weights)
-        # Less than the rounding of the sum does not count as progress.
+        # An improvement below the rounding error of the objective does not count as progress.
         better = e.good and (k == 0 or now < value - 1e-12 * abs(value))
         if better:
             value = now

@@ -30,12 +30,12 @@ class Parts(NamedTuple):
     rows: Array  # (L, 10) geometry of the joints
     ends: Array  # (F * K,) the K numbers of `records.Ends` of each tip
     seeds: Array  # (N, n) configurations to start from
-    features: Array  # (F * FEATURES, N + PAD) single-precision numbers that choose among them
+    features: Array  # (F * FEATURES, N + PAD) single-precision numbers by which the seeds are compared with a target
 
 
 @inline
 def array_sizes(chain):
-    """Return how many joints, tips, numbers in `ends` of one tip, coordinates and known configurations there are."""
+    """Return the counts in a packed array: joints, tips, numbers in `ends` of one tip, coordinates, seeds."""
     return int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
 
 

@@ -55,12 +55,13 @@ class Desk(NamedTuple):
     J: Array  # (n, m) transposed Jacobian
     A: Array  # (m, m) scratch for a matrix over the errors
     y: Array  # (m,) errors with rotations as rotation vectors
-    e: Array  # (m,) errors of several tips in the form that is minimised
-    spent: Array  # (2,) evaluations made, and evaluations allowed
-    errors: Array  # (3, F, 2) kept squared errors (position, rotation) by index: BEST_OF_ALL, NEAREST, NOW
+    # (m,) errors of several tips whose sum of squares is minimised, with rotations as 2 sin(angle/2) times axis
+    e: Array
+    spent: Array  # (2,) number of evaluations made, and number allowed
+    errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
 
     def affords(self, evaluations):
-        """Return whether a rule may make so many evaluations and still leave one for the search itself."""
+        """Return whether the budget allows a rule this number of evaluations, and one more for the search itself."""
         return self.spent[0] + evaluations < self.spent[1]
 
 
@@ -77,20 +78,27 @@ def make_desk(block, n, m):
 
 @inline
 def tolerances(orders, kind, scale):
-    """Return the squared tolerances of position and rotation, in the measure of the errors of a kind of task."""
+    """Return the squared tolerances of position [kernel units] and rotation, as the errors of this kind are measured.
+
+    Rotations are measured by 2 sin(angle/2), or by the angle if only a part of the error counts.
+    """
     tol_p = orders.tol_p / scale
     return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == PART else chord(orders.tol_r)
 
 
 @inline
 def take(T, ends, task, goal, orders):
-    """Write a target to goal (GOAL,). Returns the length by which it is out of reach, -1 if it is not a pose."""
+    """Convert a target T (4, 4) and write it to goal (GOAL,).
+
+    Returns the length [kernel units] by which the target is proven out of reach, -1 if T is not a pose.
+    """
     if not rigid(T, ORTHONORMAL):
         return -1.0
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
-    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # the search converges fast at a point that can be reached
+    # A target out of reach is moved to the edge of the reach, because the search converges fast only at such a point.
+    if excess > 0.0 and int(task[WHAT.kind]) < FREE:
         edge(goal, ends, excess)
     return excess
 

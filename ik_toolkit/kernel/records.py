@@ -27,11 +27,11 @@ class Orders(NamedTuple):
     given: float  # 1 if the first attempt starts at q0, else 0
     iterations: float  # highest number of iterations of an attempt
     attempts: float  # highest number of attempts
-    c: float  # an attempt from the table is given up in iteration k if |e|^2 > c rho^k
+    c: float  # An attempt from the table of starts is given up in iteration k if its squared error exceeds c rho^k.
     rho: float
-    c_free: float  # an attempt from q0 or a random start is given up in iteration k if |e|^2 > c_free rho_free^k
+    c_free: float  # An attempt from q0 or a random start is given up if its squared error exceeds c_free rho_free^k.
     rho_free: float
-    patience: float  # number of the first patient attempt, see `search.Endings`; inf if no attempt is patient
+    patience: float  # number of the first attempt that gets more iterations, see `search.Endings`; inf if none does
     evaluations: float  # highest number of evaluations of the errors
     limits: float  # 1 if the joint limits are kept, 0 if they are ignored
     seed: float  # seed of the random starts
@@ -76,7 +76,7 @@ class Answer(NamedTuple):
     position: float  # position error [m], the largest of all tips
     rotation: float  # rotation error [rad], the largest of all tips
     evaluations: float  # how often the errors were evaluated
-    history: float  # number of rows of history that were written
+    history: float  # number of rows of history (one per evaluation) that were written
     excess: float  # length [m] by which the target is proven out of reach
     attempt: float  # number of the attempt that found q, 0 for the first
     held: float  # joint that `follow` holds back (TOO_FAR), or -1
@@ -84,7 +84,7 @@ class Answer(NamedTuple):
 
 @compiled
 class Miss(NamedTuple):
-    """What separates one tip from its target."""
+    """The errors of one tip in an answer for several tips."""
 
     position: float  # position error [m]
     rotation: float  # rotation error [rad]
@@ -98,7 +98,7 @@ WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the orders fo
 AT = Answer._make(range(ANSWER))
 ORDER = Orders._make(range(HEAD))
 WHAT: Any = Task._make(range(TASK))
-POINTS = 24  # `Ends` begins with so many numbers of the base (12) and the tip (12), before those of the coordinates
+POINTS = 24  # index in `Ends` of the first number of the coordinates, after those of the base (12) and the tip (12)
 
 
 @compiled
@@ -173,12 +173,12 @@ def _read(cls, array, start=0):
     return lambda cls, array, start=0: make(*counted_part(array, start, size))
 
 
-@overload(read, jit_options=BUILD)  # a function that returns an array must count references
+@overload(read, jit_options=BUILD)  # A function that returns an array must count references, unlike those with INLINE.
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # a rule with many numbers has them as one array
+    return lambda cls, array, start=0: make(array[start:])  # A record of one array takes all numbers from `start` on.
 
 
 def write(array, start, record):

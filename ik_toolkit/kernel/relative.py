@@ -6,10 +6,11 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-TURN = 0  # index in a link of the rotation (9) from the other tip's axes to the target's
-POINT = 9  # index in a link of the target's point (3) in the other tip's axes
-FRAME = 12  # index in a link of the pose (12) of the other chain's first joint in the frame of this chain's first joint
-LINK = 24  # length of a link, the array that ties a target to another tip
+# A link is the array that ties a target to another tip. TURN, POINT and FRAME are indices in it.
+TURN = 0  # rotation (9) from the other tip's axes to the target's
+POINT = 9  # the target's point (3) in the other tip's axes
+FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
+LINK = 24  # length of a link
 
 
 @inline
@@ -38,7 +39,10 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write to goal (GOAL,) where the target is when the other tip is at a pose: axes of its last joint (9), then the tip (3)."""
+    """Write to goal (GOAL,) the target that `link` ties to another tip, when that tip is at `pose` (12).
+
+    pose: axes of the other chain's last joint (9), then the tip's position (3).
+    """
     frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
     put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))
     put3(goal, 9, frame.times(at3(pose, 9) + axes.times(at3(link, POINT))) + at3(link, FRAME + 9))

@@ -53,9 +53,9 @@ class Endings(NamedTuple):
     decay of the ceiling, so that hard targets are solved and easy ones cost no more.
     """
 
-    patient_iterations: float = 2.0  # factor on the iterations of a patient attempt
+    patient_iterations: float = 2.0  # factor on the highest number of iterations of a later, patient attempt
     patient_decay: float = 0.6  # factor per iteration on the squared error above which a patient attempt is given up
-    unreachable_attempts: int = 3  # number of attempts, enough for a pose near a target that is proven out of reach
+    unreachable_attempts: int = 3  # number of attempts at the nearest pose of a target that is proven out of reach
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged
     far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
@@ -103,7 +103,7 @@ def _problem(rows, ends, tasks, n, orders):
 
 @compiled
 class SearchInput(NamedTuple):
-    """What all targets of one call share."""
+    """The arrays that the search reads and writes for every target of a call."""
 
     orders: Orders
     near: Ends  # the limits of a step, which the option `follow` makes narrower than those of the joints
@@ -129,19 +129,19 @@ class Spent(NamedTuple):
     """Counts of what a search has done so far."""
 
     evaluations: int  # evaluations of the errors
-    steps: int  # steps of the rule
-    noted: int  # rows written to `history`
+    steps: int  # number of iterations of the rule
+    noted: int  # number of rows written to `history`
 
 
 @compiled
 class Attempts(NamedTuple):
-    """What is known of the attempts at one target when the last one has ended."""
+    """Summary of all attempts at one target."""
 
     status: int  # CONVERGED when any attempt did, else the status of the last one
     tries: int
-    cut_off: int  # attempts that ended at the limit of iterations
-    found: int  # the attempt that found the answer, 0 for the first
-    slot: int  # where the errors of the answer are kept: BEST_OF_ALL or NEAREST
+    cut_off: int  # number of attempts that ended at the iteration limit
+    found: int  # number of the attempt that found the answer, 0 for the first
+    slot: int  # index at which the errors of the answer are stored: BEST_OF_ALL or NEAREST
 
 
 @inline
@@ -277,7 +277,7 @@ def conclude(p, job, made, spent, excess):
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
-        if status == CONVERGED and not e.good:  # the full turn's rounding exceeded a tolerance that was just met
+        if status == CONVERGED and not e.good:  # The rounding of a full turn exceeded a tolerance.
             copy(answer, q)
         else:
             p.keep(e, made.slot)
@@ -343,7 +343,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
-    box, near = Ends(ends, n), Ends(near_ends, n)  # several tips have the same limits
+    box, near = Ends(ends, n), Ends(near_ends, n)  # These read the first tip's limits, as all tips have the same.
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
     job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)

@@ -1,4 +1,4 @@
-"""The problem of one tip. What each of its methods does stands in problem.py."""
+"""The problem of one tip. Its methods are described in problem.py."""
 
 import math
 from typing import NamedTuple
@@ -49,14 +49,15 @@ class Serial(NamedTuple):
     ends: Ends  # base, tip and the limits of a step
     task: Array  # (TASK,) what counts, see `records.Task`
     goal: Array  # (GOAL,) the target
-    kept: Array  # (KEPT,) what `counted_error.shape` leaves for `count_column`
-    pose: Array  # (12,) pose at the last `stand`: axes of the last joint by rows, then the tip
+    kept: Array  # (KEPT,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
+    # (12,) pose computed by the last call of `stand`: axes of the last joint by rows, then the tip's position
+    pose: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints
     tp: float  # squared position tolerance
     tr: float  # squared rotation tolerance
-    boxed: bool  # whether limits are kept
-    own: bool  # whether row i is coordinate i
+    boxed: bool  # whether joint limits are kept
+    own: bool  # whether row i of the chain moves coordinate i alone, so that there are no mimic joints
 
     def aim(self, T, orders):
         return take(T, self.ends, self.task, self.goal, orders)
@@ -66,7 +67,7 @@ class Serial(NamedTuple):
         return self.look(axes, tip)
 
     def look(self, axes, tip):
-        """Return the errors for these axes of the last joint and this place of the tip."""
+        """Return the errors for the given axes of the last joint and position of the tip."""
         linear, angular = errors_at(self.task, self.ends, self.goal, self.kept, axes, tip)
         pp, rr = linear.square(), angular.square()
         return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)
@@ -112,7 +113,7 @@ class Serial(NamedTuple):
         return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
 
     def inside(self, i, value):
-        """Return `value`, or the limit of coordinate i that it lies beyond."""
+        """Return `value` clipped to the limits of coordinate i."""
         return min(max(value, self.ends.lower(i)), self.ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
@@ -139,12 +140,12 @@ class Serial(NamedTuple):
         return top / size if size > least else 0.0
 
     def try_out(self, q):
-        """Evaluate q for a rule, at the expense of its budget."""
+        """Return the errors at q (n,) for a rule that tries moves; the evaluation counts towards the budget."""
         self.desk.spent[0] += 1.0
         return self.evaluate(q)
 
     def undo(self, look):
-        """Restore what `try_out` changed after q was put back; only what `shape` keeps is needed again."""
+        """Restore what `try_out` changed, after q was put back: `kept`, which later Jacobian columns need."""
         if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
 
@@ -194,7 +195,7 @@ class Serial(NamedTuple):
         return position, angle_left(int(self.task[WHAT.kind]), errors[place, 0, 1])
 
     def report(self, place, row):
-        """Write nothing: for one tip the `Answer` at the start of the row says all."""
+        """Write nothing, because for one tip the `Answer` at the start of the row has all errors."""
 
 
 @spliced
@@ -204,7 +205,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # the padding must hold valid angles, too
+    for i in range(angles):  # The padding is computed along with the angles, so it must hold valid numbers, too.
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(

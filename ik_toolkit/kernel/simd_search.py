@@ -29,10 +29,11 @@ from .search import END
 from .serial import serial_on
 from .starts import BEST, make_table, rnd, sow
 
-LEFT = -1  # status that leaves a target to the search
+LEFT = -1  # status of a target that is left to the ordinary search (search.py)
 # An attempt is given up when 1 + cos(angle left) is below this: the axis of the rotation is then unknown.
 HALF_TURN = 5e-4
-ATTEMPTS = 32  # attempts at one target before it is left to the search, because all other lanes wait for the last one
+# Number of attempts after which a target is left to the ordinary search, so that other lanes need not wait for it.
+ATTEMPTS = 32
 ALL = (1 << WIDTH) - 1  # bits of a mask in which every lane is set
 
 
@@ -46,8 +47,8 @@ class Lanes(NamedTuple):
     goals: Array  # (12, 8) targets as `kinematics.aim` writes them
     ceiling: Array  # (1, 8) squared error above which the attempt is given up
     decay: Array  # (1, 8) factor on the ceiling in every iteration
-    age: Array  # (1, 8) evaluations of this attempt
-    spent: Array  # (1, 8) evaluations of this target
+    age: Array  # (1, 8) evaluations in this attempt
+    spent: Array  # (1, 8) evaluations in all attempts at this target
     pp: Array  # (1, 8) squared position error of the last evaluation
     rr: Array  # (1, 8) squared rotation error of the last evaluation
     which: Array  # (8,) index of the target, -1 for a lane without one
@@ -75,7 +76,7 @@ def make_lanes(block, n):
     which, tries, starts = cut(block, np.int64, (W, W, (W, BEST)))
     (state,) = cut(block, np.uint64, ((W, 1),))
     s = Lanes(Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr, which, tries, starts, state)
-    for lane in range(W):  # even a lane without a target is computed, so it needs valid numbers
+    for lane in range(W):  # A lane without a target is computed like the others, so it needs valid numbers.
         for i in range(n):
             Q[i, lane] = 0.0
         for i in range(12):
@@ -119,14 +120,14 @@ def limited_step(rows, s, ends, turning, point, linear, angular, damping):
         if ends.turns(i) > 0.0:
             back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
             q = lane_select((q < low) | (q > high), back, q)
-        q = lane_select(q < low, full(low), q)  # a full turn may end just outside by rounding
+        q = lane_select(q < low, full(low), q)  # After a full turn the value may be just outside by rounding.
         q = lane_select(q > high, full(high), q)
         put(s.Q, i, q)
 
 
 @spliced
 def take_target(p, o, ends, table, s, lane, t, call):
-    """Put target t into a lane; return False if it must be left to the search."""
+    """Put target number t into a lane; return False if it must be left to the ordinary search."""
     call.out[t, 0] = LEFT
     excess = p.aim(call.T[t], o)
     given = o.given > 0.0
@@ -180,7 +181,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
         # The target is in reach, so it is aimed at itself, not at the edge of the reach.
         put3(p.goal, 12, at3(p.goal, 9))
         e = p.evaluate(q)
-        if not e.good:  # the full turn's rounding exceeded a tolerance that was just met
+        if not e.good:  # A full turn changes the answer by rounding, which may exceed a tolerance that was just met.
             return
         p.keep(e, BEST_OF_ALL)
         position, rotation = p.left(BEST_OF_ALL)

@@ -13,12 +13,13 @@ from .counted_error import FREE, counts
 from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
-SEEDS = 256  # size of the table: a larger one costs more to scan than it saves in iterations
+SEEDS = 256  # number of configurations in the table of starts; scanning more costs more than it saves in iterations
 BEST = 8  # number of attempts that start from the table before the random ones
 FEATURES = 13  # numbers by which a configuration is compared with a target, see `chain.table`
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
-ROTATION_WEIGHT = 0.05  # weight of |dR|_F^2 against |dp|^2 in that comparison, with lengths divided by the reach
-HOME_WEIGHT = 0.01  # weight there of |q - home|^2 [rad^2], so that starts near home are preferred among about equal ones
+# A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm), and for one tip
+# HOME_WEIGHT |q - home|^2 more, so that of configurations that fit about equally the one nearest home is taken.
+ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
 
 
 @compiled
@@ -26,11 +27,12 @@ class StartTable(NamedTuple):
     """Known configurations that attempts start from, and scratch to rank them for a target."""
 
     seeds: Array  # (N, n) the configurations
-    features: Array  # (FEATURES * tips, N + PAD) what is compared with a target, see `chain.table`
-    score: Array  # (N,) squared distances from the target
-    val: Array  # (BEST,) the least of each group
-    best: Array  # (BEST,) for one tip the rows to start from, nearest first; for several tips the groups
-    choice: Array  # (BEST, tips) row of each group that each tip chooses
+    # The rows of the table are divided into BEST groups, and the nearest of each group is a start.
+    features: Array  # (FEATURES * tips, N + PAD) numbers that are compared with a target, see `chain.table`
+    score: Array  # (N,) squared distance of each configuration from the target
+    val: Array  # (BEST,) the least score of each group
+    best: Array  # (BEST,) for one tip the rows to start from, nearest first; for several tips the groups in that order
+    choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
     state: Array  # (1,) state of the random sequence that gives the later starts
 
@@ -131,7 +133,7 @@ def rank_groups(p, table):
         if int(p.tasks[f, WHAT.kind]) == FREE and int(p.tasks[f, WHAT.other]) < 0:
             p.place(f, p.desk.start)
             copy(p.poses[f], p.goals[f])
-    for _ in range(F):  # a target may depend on another one that is relative too, but no chain is longer than F
+    for _ in range(F):  # A target may be relative to a tip whose target is relative as well, but at most F times over.
         for f in range(F):
             other = int(p.tasks[f, WHAT.other])
             if other >= 0:
@@ -148,7 +150,7 @@ def rank_groups(p, table):
             g = table.best[k] % BEST
             table.choice[g, f] = table.best[k]
             table.total[g] += table.val[k]
-    for k in range(BEST):  # table.best now receives the groups, best first
+    for k in range(BEST):  # The groups are sorted into table.best, the least total first.
         first = 0
         for g in range(BEST):
             if table.total[g] < table.total[first]:
@@ -177,7 +179,7 @@ def draw_some(p, table, k, q):
     some = False
     for f in range(p.tasks.shape[0]):
         some = some or p.arrived(f)
-    some = some and k % 4 > 0  # every fourth start is entirely new
+    some = some and k % 4 > 0  # In every fourth start all joints are drawn anew.
     ends = Ends(p.ends[0], p.desk.q.shape[0])
     for i in range(q.shape[0]):
         a = ends.low(i) + ends.span(i) * rnd(table.state)
@@ -190,11 +192,11 @@ def draw_some(p, table, k, q):
 
 @inner
 def choose_moves(ends, tasks, n, asked, moves, choosers):
-    """Fill `moves` and `choosers` of a Tree; joints that only move a tip without a target have no part in either.
+    """Fill the arrays `moves` and `choosers` of a Tree; joints that only move tips without a target are left out.
 
     asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
     """
-    F, own = ends.shape[0], ends.shape[1] - n  # the last n numbers of a tip's ends say which coordinates move it
+    F, own = ends.shape[0], ends.shape[1] - n  # The last n numbers of a tip's ends say which coordinates move it.
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):

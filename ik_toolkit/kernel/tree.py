@@ -1,4 +1,4 @@
-"""The problem of several tips that share joints. What each of its methods does stands in problem.py.
+"""The problem of several tips that share joints. Its methods are described in problem.py.
 
 Each tip has a chain of its own whose rows name the shared coordinates. Joints common to two chains are evaluated once for each,
 which is cheaper than keeping account of a tree. The errors are stacked, six a tip.
@@ -34,7 +34,8 @@ from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
-ARRIVED = 1e-4  # a tip whose squared error (rad, lengths over reach) is below this keeps its joints in the next attempt
+# In the next attempt a tip keeps its joints if its squared error (rad, lengths over reach) is below this.
+ARRIVED = 1e-4
 
 
 @compiled
@@ -55,16 +56,17 @@ class TreeProblem(NamedTuple):
     tasks: Array  # (F, TASK) what counts at each tip, see `records.Task`
     cut: Array  # (F + 1,) the rows of chain f are rows[cut[f] : cut[f + 1]]
     moves: Array  # (F, n) 1 where a coordinate moves an error of the tip that counts, else 0
-    choosers: Array  # (2, n) the tip whose start a coordinate takes (-1 if there is none), and how many tips it moves
+    choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and number of tips it moves
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see relative.py
-    kept: Array  # (F, KEPT) what `counted_error.shape` leaves for `count_column`
-    poses: Array  # (F, GOAL) pose of each tip at the last `stand`: axes of the last joint by rows, then the tip
+    kept: Array  # (F, KEPT) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
+    # (F, GOAL) pose of each tip computed by the last call of `stand`: axes of the last joint, then the tip
+    poses: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints of one chain at a time
     tips: Array  # (F, 2) by how much each target is out of reach, and its squared error at the last evaluation
     orders: Orders
-    boxed: bool  # whether limits are kept
+    boxed: bool  # whether joint limits are kept
 
     def aim(self, T, orders):
         return aim_tips(self, T, orders)
@@ -201,7 +203,7 @@ class TreeProblem(NamedTuple):
         for f in range(self.tasks.shape[0]):
             ends = Ends(self.ends[f], self.desk.q.shape[0])
             other = int(self.tasks[f, WHAT.other])
-            if other >= 0:  # the motion of a target relative to another tip is given in that tip's axes
+            if other >= 0:  # A target relative to another tip has its motion given in that tip's axes.
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
                 u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
@@ -241,7 +243,7 @@ class TreeProblem(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            # The goal of a tip without a target is only where it starts, so its distance from there is no error.
+            # A tip without a target has its start as goal, but its distance from there does not count as an error.
             free = int(self.tasks[f, WHAT.kind]) == FREE
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
@@ -266,7 +268,7 @@ def aim_tips(p, T, orders):
     worst = 0.0
     for f in range(p.tasks.shape[0]):
         other = int(p.tasks[f, WHAT.other])
-        if other >= 0:  # a target that moves with another tip cannot be proven out of reach
+        if other >= 0:  # A target that moves with another tip cannot be proven out of reach.
             if not rigid(T[f], ORTHONORMAL):
                 return -1.0
             link_to(
@@ -321,7 +323,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # the padding must hold valid angles, too
+    for i in range(angles):  # The padding is computed along with the angles, so it must hold valid numbers, too.
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0

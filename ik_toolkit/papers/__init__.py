@@ -10,7 +10,7 @@ class Paper(NamedTuple):
     """A paper that `ik reproduce` can reproduce."""
 
     target: str  # "module:function" that returns a `report.Report`
-    summary: str  # a line for the list of papers
+    summary: str  # one line on the paper, for the list of papers
 
 
 PAPERS: dict[str, Paper] = {

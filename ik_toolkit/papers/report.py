@@ -106,7 +106,8 @@ class Report:
         write_whole(files[0], text)
         write_whole(files[1], json.dumps(plain(self.data), indent=1) + "\n")
         if pictures:
-            if "matplotlib.pyplot" not in sys.modules:  # a notebook keeps its own backend
+            # If pyplot is already loaded, as in a notebook, its backend is kept.
+            if "matplotlib.pyplot" not in sys.modules:
                 importlib.import_module("matplotlib").use("Agg")
             from ..show.plots import drawing, save
 
@@ -125,7 +126,7 @@ class Report:
         return files
 
 
-WIDEST = 8.0  # inches, largest width of a figure, whose 9-point text is then 12 pixels high on a page of 740 pixels
+WIDEST = 8.0  # largest width of a figure [inches]; its 9-point text is then 12 pixels high on a page 740 pixels wide
 
 
 def _cell(value: Any) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-Work = tuple[Callable[[], Any], int]  # a function to time, and how many solves it makes
+Work = tuple[Callable[[], Any], int]  # a function to time, and the number of solves that one call makes
 
 
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:

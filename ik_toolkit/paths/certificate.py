@@ -1,4 +1,4 @@
-"""What is proven about a motion between the poses."""
+"""What is proven about a motion between the poses of a path: deviation of the tips, clearance, contacts."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 
 
 class Contact(NamedTuple):
-    """A contact: place among the poses (3.5: halfway from pose 3 to pose 4), and the names of the pair."""
+    """A contact: its place among the poses (3.5: halfway from pose 3 to pose 4) and the names of both shapes."""
 
     place: float
     pair: tuple[str, str]
@@ -15,12 +15,14 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Continuity:
-    """What is proven about a motion that is linear in the joints between the knots of a curve (M, n).
+    """What is proven about a motion that is linear in the joints between the M rows of a curve (M, n).
 
-    deviation (M-1,) [m] and turn (M-1,) [rad]: bounds on a tip's deviation from the interpolated pose between two knots, in the
-    components that count; NaN where the motion breaks. lacking (2, M-1): the part of both that an arm leaves because it has fewer
-    directions than the targets, or None. clearance [m]: nothing comes nearer than this anywhere (0: not proven;
-    None: collisions were not checked). contacts; unproven: places where shapes are too close to rule out contact.
+    deviation (M-1,) [m] and turn (M-1,) [rad]: upper bounds on how far a tip leaves the interpolated pose between two
+    rows, in the pose components that count; NaN where the motion breaks.
+    clearance [m]: proven least distance of any two parts (0: not proven; None: collisions were not checked).
+    contacts: where shapes touch. unproven: places among the poses where shapes are too close to rule out contact.
+    lacking (2, M-1): the part of deviation and turn that is inevitable because the arm has too few joints to follow the
+    interpolated poses; None if it was not computed.
     """
 
     deviation: np.ndarray
@@ -32,12 +34,12 @@ class Continuity:
 
     @property
     def largest(self) -> tuple[float, float]:
-        """Largest deviation [m] and turn [rad]; 0 where nothing moves."""
+        """Return the largest deviation [m] and the largest turn [rad] of the whole motion; 0 if nothing moves."""
         return _largest(self.deviation), _largest(self.turn)
 
     @property
     def judged(self) -> tuple[np.ndarray, np.ndarray]:
-        """Deviation (M-1,) [m] and turn (M-1,) [rad] without what the arm can do nothing about."""
+        """Return deviation (M-1,) [m] and turn (M-1,) [rad] less their inevitable part `lacking`."""
         return (
             (self.deviation, self.turn)
             if self.lacking is None

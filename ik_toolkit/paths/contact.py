@@ -1,9 +1,12 @@
-"""Collision check while the joints move linearly from row to row: a proof by tests with a margin, not sampling.
+"""Continuous collision check of a joint motion that is linear from row to row; it proves freedom of contact.
 
-If all pairs are farther apart than their margins at two configurations, nothing touches in between as long as no pair can come
-closer by more than the sum of both margins. That approach is bounded by sum_i |dq_i| W_i, with W_i the longest lever arm of the
-pair's shapes about joint i; joints that move both shapes alike do not count. A pair's margin is a common factor times its own
-longest arm, so that links which are always close to each other (and move little relative to each other) do not spoil the test.
+Suppose all pairs of shapes are farther apart than their margins at two configurations. Then nothing touches in between
+if no pair can approach by more than the sum of both margins. The approach is at most sum_i |dq_i| W_i, where W_i is the
+longest lever arm of the pair's shapes about joint i, and 0 if the joint moves both shapes alike. A pair's margin is a
+common factor [rad] times the pair's longest arm. So links that are always close, and move little relative to each
+other, get a small margin.
+
+`connect` plans a collision-free motion between two configurations by RRT-Connect.
 """
 
 import math
@@ -17,18 +20,25 @@ from ..robot.geometry.distance import Clearance
 from ..robot.joints import Joints
 from .certificate import Contact
 
-# [rad] largest margin tried, and the factor to each smaller one: up to 1.5 cm at one metre, where tests are still cheap.
+# LARGEST is the first margin factor tested [rad], 1.5 cm for a lever arm of a metre.
+# Each further margin factor is FINER times smaller than the one before.
 LARGEST, FINER = 0.015, 4.0
-FLOOR = 1e-4  # [m] margin below which two shapes count as too close to tell
-# Tests allowed per row of a curve, and for any curve; after that the rest counts as not proven.
+FLOOR = 1e-4  # smallest margin [m] of the pair with the longest arm; nearer shapes cannot be proven free of contact
+# Largest number of collision tests per row of a curve, and for a short curve; the rest then counts as not proven.
 EACH, AT_LEAST = 30, 20_000
 
 
 class Margins:
-    """A collision model tested with margins: the same shapes and pairs, with arms W (n, pairs) [m per rad, or m per m]."""
+    """Collision tests of a CollisionModel whose pairs count as touching below a margin.
+
+    arms (n, pairs): by how much a pair's distance changes at most per unit of each joint [m per rad, or m per m]
+    size (pairs,): longest arm of each pair [m]; a pair's margin is a margin factor [rad] times its size
+    levels: the margin factors that are tested, largest first
+    spent: number of tests made so far
+    """
 
     def __init__(self, collision: Any, stroke: np.ndarray) -> None:
-        """stroke (n,): the largest |q| along the curve, for prismatic joints."""
+        """Compute the arms for a CollisionModel; stroke (n,): largest |q| along the motion, which lengthens arms."""
         self.collision = collision
         self.arms = _arms(collision, stroke)
         self.size = np.maximum(self.arms.max(axis=0, initial=0.0), FLOOR)
@@ -40,13 +50,13 @@ class Margins:
         self.spent = 0
 
     def approach(self, dq: np.ndarray) -> np.ndarray:
-        """Margin that moves dq (S, n) can use up."""
+        """Return the margin factor (S,) that joint moves dq (S, n) [rad or m] use up at most, over all pairs."""
         if not self.arms.shape[1]:
             return np.zeros(len(dq))
         return (np.abs(dq) @ (self.arms / self.size)).max(axis=1)
 
     def free(self, q: np.ndarray, margin: float) -> bool:
-        """Whether all pairs are farther apart than margin times their size at q (n,); margin 0: whether nothing touches."""
+        """Return whether all pairs are farther apart than margin * size at q (n,); for margin 0, if nothing touches."""
         self.spent += 1
         if margin == 0.0:
             return not self.collision.collides(q)
@@ -61,7 +71,10 @@ class Margins:
         return not pin.computeCollisions(model, data, boxes, full, True)
 
     def around(self, q: np.ndarray, first: int = 0) -> tuple[float, int]:
-        """Largest margin of levels[first:] that q (n,) keeps, and its index; margin 0: keeps none, -1: touches."""
+        """Return the largest of the margin factors levels[first:] that q (n,) keeps, and its index.
+
+        The factor is 0 if q keeps none of them but touches nothing, and -1 if it touches.
+        """
         for k in range(first, len(self.levels)):
             if self.free(q, self.levels[k]):
                 return self.levels[k], k
@@ -69,19 +82,24 @@ class Margins:
 
 
 def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
-    """Longest arm (n, pairs) of each pair about each joint [m], 1 for a prismatic joint; 0 where it moves both alike."""
+    """Return the longest lever arm (n, pairs) [m] of each pair's shapes about each joint, over all configurations.
+
+    It is 1 for a prismatic joint that moves one shape, and 0 for a joint that moves both alike. stroke (n,): largest
+    |q|.
+    """
     robot, geometry, model = collision.robot, collision.geometry, collision.robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, robot._fill(robot.rest.copy(), robot.home))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
-    moved: dict[int, tuple[int, float, float]] = {}  # joint -> coordinate, rotation and translation per unit of it
+    # The values are a joint's index in q, and its rotation and translation per unit of q.
+    moved: dict[int, tuple[int, float, float]] = {}
     for j in range(1, model.njoints):
         leader = model.joints[lead.get(j, j)]
         if leader.nv == 1 and leader.idx_q in place:
             screw = np.asarray(data.joints[j].S).reshape(6)
             moved[j] = (place[leader.idx_q], float(np.linalg.norm(screw[3:])), float(np.linalg.norm(screw[:3])))
-    # By joint, to leave out joints that both shapes share.
+    # Arms are kept for each joint of the model apart, so that joints which carry both shapes of a pair can be left out.
     own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))
     for k, shape in enumerate(geometry.geometryObjects):
         shape.geometry.computeLocalAABB()
@@ -105,10 +123,17 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
 def find_contacts(
     collision: Any, curve: np.ndarray, at: np.ndarray, moving: np.ndarray, sag: np.ndarray | None = None
 ) -> tuple[float, tuple[Contact, ...], tuple[float, ...]]:
-    """Clearance [m], contacts and places not proven free, over the segments `moving` (M-1,) between rows of a curve (M, n).
+    """Check the motion between the rows of a curve (M, n) [rad or m] for contact.
 
-    sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows; default 0. At most one contact
-    is listed per segment. Rows of NaN are skipped.
+    Args:
+        collision: a CollisionModel.
+        curve: (M, n) [rad or m]; rows of NaN are skipped.
+        at: (M,) places of the rows among the poses of the path.
+        moving: (M-1,) whether the robot moves from each row to the next; other segments are not checked.
+        sag: (M-1, n) upper bound on each joint's deviation from the straight line between two rows; default 0.
+
+    Returns:
+        The proven clearance [m] (0: not proven), contacts (at most one per segment), and places not proven free.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)
@@ -145,9 +170,10 @@ def find_contacts(
 
 
 def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag: np.ndarray | None) -> float:
-    """Lower bound on the distance [m] of any pair along the motion, from distances at the rows less what the moves can use up.
+    """Return a lower bound on the distance [m] of any pair along a motion that is free of contact.
 
-    A pair is measured only where it could be the nearest.
+    It follows from the distances at the rows less the largest approach between them. A pair is measured only at rows
+    where it could be the nearest. Arguments are those of `find_contacts`.
     """
     space = Clearance(margins.collision)
     used = np.abs(np.diff(curve, axis=0)) @ margins.arms
@@ -168,7 +194,7 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
 
 
 class _Stretch(NamedTuple):
-    """Result for a segment: whether it is proven free, the spare margin, and the fraction of it at which it touches, or -1."""
+    """Result for a segment: whether it is proven free, the margin left [rad], the share where it touches (else -1)."""
 
     proven: bool
     spare: float
@@ -178,9 +204,10 @@ class _Stretch(NamedTuple):
 def _between(
     margins: Margins, a: np.ndarray, b: np.ndarray, ends: tuple[float, float], moves: tuple[float, float], most: int
 ) -> _Stretch:
-    """Test the move from a to b (n,), whose ends keep the margins `ends`, by bisection until the margins cover the move.
+    """Test the joint move from a to b (n,) by bisection, until the margins at both ends of every part cover the part.
 
-    moves: margin used by the straight line, which halves with each bisection, and by the deviation from it, which does not.
+    ends: margin factors that a and b keep; moves: margin factor used up by the straight line, which halves with each
+    bisection, and by the deviation from it, which does not; most: largest number of tests in all.
     """
     proven, spare = True, math.inf
     stack = [(0.0, 1.0, *ends)]
@@ -201,17 +228,18 @@ def _between(
     return _Stretch(proven, spare if proven else 0.0, -1.0)
 
 
-SECONDS = 2.0  # time limit of the search
-NODES = 20_000  # most random points, so that a hopeless search also ends early on a fast machine
-STEP = 0.25  # [rad, or fraction of the reach] longest step of a tree towards a point
-SHORTCUTS = 60  # attempts to cut corners
-ALONG = 5_000  # most tests of one straight move
+SECONDS = 2.0  # time limit [s] of the search of `connect`
+NODES = 20_000  # largest number of random points, so that a hopeless search also ends on a fast machine
+STEP = 0.25  # longest step of a tree towards a random point [rad or kernel units]
+SHORTCUTS = 60  # number of attempts to cut corners of the motion found
+ALONG = 5_000  # largest number of collision tests of one straight move
 
 
 def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: int) -> np.ndarray | None:
-    """Corners (K, n) of a piecewise straight motion from a to b (n,), inside the limits and proven collision-free.
+    """Return the corners (K, n) of a piecewise linear joint motion from a to b (n,) that is proven free of contact.
 
-    None if none is found within SECONDS. Kuffner and LaValle, "RRT-Connect", ICRA 2000.
+    Returns None if none is found within SECONDS. collision: a CollisionModel, or None for a straight motion without a
+    check; seed: of the random points. Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000.
     """
     if collision is None:
         return np.array([a, b])
@@ -238,14 +266,17 @@ def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: i
 
 
 def _box(robot: Joints, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Range of the random points: the limits, or half a turn (half the reach) beyond a and b where there are none."""
+    """Return the lower and upper bounds (n,) of the random points of `connect`.
+
+    They are the joint limits. A joint without limits may go half a turn, or half the reach, beyond a and b.
+    """
     around = np.pi * np.where(robot.slides, robot.reach / 6.0, 1.0)
     low = np.where(np.isfinite(robot.lower), robot.lower, np.minimum(a, b) - around)
     return low, np.where(np.isfinite(robot.upper), robot.upper, np.maximum(a, b) + around)
 
 
 def _free(margins: Margins, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the straight move is proven free of contact."""
+    """Return whether the straight joint move from a to b (n,) is proven free of contact."""
     kept = (margins.around(a)[0], margins.around(b)[0])
     if min(kept) < 0.0:
         return False
@@ -254,13 +285,13 @@ def _free(margins: Margins, a: np.ndarray, b: np.ndarray) -> bool:
 
 
 class _Branches:
-    """A tree of configurations connected by collision-free straight moves."""
+    """A tree of RRT-Connect: configurations connected by straight joint moves that are proven free of contact."""
 
     def __init__(self, root: np.ndarray) -> None:
         self.points, self.parents = [root], [-1]
 
     def extend(self, margins: Margins, robot: Joints, target: np.ndarray) -> int | None:
-        """Grow one step from the nearest point towards a target; index of the new point."""
+        """Grow one step from the nearest point towards a target (n,); return the new point's index, None if blocked."""
         points = np.array(self.points)
         near = int(np.argmin((((points - target) / robot.chain.unit) ** 2).sum(axis=1)))
         way = target - points[near]
@@ -273,7 +304,7 @@ class _Branches:
         return len(self.points) - 1
 
     def reach_for(self, margins: Margins, robot: Joints, target: np.ndarray) -> int | None:
-        """Grow towards a target until it is reached; index of the point there, None if something is in the way."""
+        """Grow towards a target (n,) until it is reached; return the index of the point there, None if blocked."""
         while True:
             new = self.extend(margins, robot, target)
             if new is None:
@@ -282,7 +313,7 @@ class _Branches:
                 return new
 
     def way(self, k: int) -> np.ndarray:
-        """Points from index k back to the root."""
+        """Return the configurations (K, n) from the point of index k back to the root."""
         found = []
         while k >= 0:
             found.append(self.points[k])
@@ -291,7 +322,7 @@ class _Branches:
 
 
 def _shortened(margins: Margins, corners: np.ndarray, rng: np.random.Generator, ends: float) -> np.ndarray:
-    """The same motion with fewer corners."""
+    """Cut corners (K, n) of a motion by random shortcuts that are proven free of contact, until the time `ends`."""
     keep = np.append(True, np.abs(np.diff(corners, axis=0)).max(axis=1) > 0.0)
     corners = corners[keep]
     for _ in range(SHORTCUTS):

@@ -1,10 +1,9 @@
-"""Solutions carried along a sequence of poses: from a solution of one pose to one of the next, by continuation.
+"""Numerical continuation: a solution of one pose is followed from pose to pose along the path.
 
-A step is the least joint motion that brings the tip along (the last configuration is the prediction, the steps of
-`null_space.onto_target` the correction). It counts only where the joints move less than they may and the tip, the joints
-being moved in a straight line, stays by the straight line between the poses; otherwise it is halved. So what is joined here is
-one motion, never two solutions that happen to be close. A track is what becomes of one solution: some poses are solved from
-many starts, and each solution is continued along the whole path.
+Each step takes the last configuration as its start and corrects it to the next pose with the least joint motion
+(`null_space.onto_target`). A step is accepted only if no joint moves further than its largest step, and if the tip,
+halfway along the straight joint motion, stays near the interpolated pose; otherwise the step is halved. So two
+solutions that are merely close are never joined. One solution followed along the path is called a track.
 """
 
 import math
@@ -20,13 +19,16 @@ from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import problem
 from .path_problem import Problem
 
-SHORTEST = 1.0 / 256  # share of the distance between two poses below which a step is not halved again
-TURNED = 1e-12  # sine of an angle between two poses below which there is nothing to turn
+SHORTEST = 1.0 / 256  # smallest step, as a share of the distance between two poses; below it continuation stops
+TURNED = 1e-12  # two rotations count as equal if the sine of the angle between them is below this
 
 
 @inner
 def blend(flat, a, b, s, out):
-    """Write to out (F, 16) the poses a share s of the way from flat[a] to flat[b] (N, F, 16): straight, and about one axis."""
+    """Write to out (F, 16) the poses at the share s (0 to 1) of the way from pose a to pose b of flat (N, F, 16).
+
+    Positions lie on the straight line, rotations on the geodesic. The 16 numbers are a 4 x 4 matrix, row by row.
+    """
     for f in range(out.shape[0]):
         A, B, C = flat[a, f], flat[b, f], out[f]
         for k in range(16):
@@ -53,7 +55,7 @@ def blend(flat, a, b, s, out):
 
 @inline
 def within(q, old, most):
-    """Whether no joint has moved further than it may."""
+    """Return whether no joint moved further from `old` to q (n,) than its largest step `most` (n,)."""
     for i in range(q.shape[0]):
         if not abs(q[i] - old[i]) <= most[i]:
             return False
@@ -62,7 +64,11 @@ def within(q, old, most):
 
 @spliced
 def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
-    """Move p.desk.q from a solution of pose a to one of pose b; False where there is no continuous motion."""
+    """Continue p.desk.q (n,), a solution of pose a, to a solution of pose b, in steps that are halved where they fail.
+
+    weights (n,), box: joint weights and Bounds; flat (N, F, 16): all poses; most, deviation: as in `carry_along`. pose
+    and its view sheet (F, 16), old (n,) and new (n,) are scratch. Returns False if no continuous motion was found.
+    """
     q = p.desk.q
     copy(q, old)
     done, part = 0.0, 1.0
@@ -98,11 +104,15 @@ def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation
 
 @cached
 def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
-    """Carry seeds (M, n), solutions of the poses at (M,), along all poses T (N, 4, 4) or (N, F, 4, 4), both ways.
+    """Continue the solutions `seeds` (M, n) of the poses numbered `at` (M,) towards both ends of the path.
 
-    Kernel units throughout: limits (3, n) lower, upper, whether there are both; most (n,): largest step of a joint.
-    deviation (2,) [m], [rad]: of the tip between poses. Track m goes to Q[:, columns[m]] (N, K, n), the first and the last pose
-    it reaches to span[columns[m]].
+    Each solution is followed as far as it goes. Kernel units throughout. rows, ends, orders: arrays of a one-attempt
+    Plan; T (N, 4, 4) or (N, F, 4, 4): the poses;
+    limits (3, n): lower, upper, and 1 where both are finite; most (n,): largest step of each joint from pose to pose;
+    deviation (2,): how far [m], [rad] a tip may leave the interpolated pose halfway between two poses.
+
+    Writes the configurations of seed m to Q[:, columns[m]] (N, n), and the first and last pose reached to
+    span[columns[m]].
     """
     n, N = seeds.shape[1], T.shape[0]
     o = read(Orders, orders)
@@ -132,19 +142,23 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
             Q[start, k, i] = seeds[m, i]
 
 
-MOST = 300  # most tracks of a redundant robot: one state per track and pose
-ISOLATED = 4096  # most tracks of a robot with isolated solutions: all of them, including full turns
-STARTS = 1000  # random starts at a pose that is solved
-POOL = 400  # solutions of a redundant robot from which well-spaced ones are chosen
-SAME = 1e-3  # rad, or kernel unit: isolated solutions closer than this are the same
-THIN = 0.25  # share of a step: tracks of a redundant robot closer than this are not both kept
-CHUNK = 8  # tracks a thread extends at a time
+MOST = 300  # largest number of tracks for a redundant robot, which bounds time and memory
+ISOLATED = 4096  # largest number of tracks for a robot with finitely many solutions: enough for all of them
+STARTS = 1000  # number of random starts from which a pose is solved
+POOL = 400  # number of solutions of a redundant robot from which well-spaced ones are chosen
+SAME = 1e-3  # two solutions whose joints all differ by less than this count as the same [rad or kernel units]
+THIN = 0.25  # a redundant robot gets no new track nearer to another than this share of the largest joint step
+CHUNK = 8  # number of tracks that a thread extends in one task
 
 
 def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.ndarray:
-    """At most `count` of found (M, n), each farther than `least` from have (K, n) and from one another, the farthest first."""
+    """Choose at most `count` well-spaced configurations of found (M, n), each time the one farthest from all others.
+
+    Each is farther than `least` (largest difference of a joint) from those in `have` (K, n) and from those chosen
+    before.
+    """
     gap = np.full(len(found), np.inf)
-    joints = np.ascontiguousarray(found.T)  # the maximum over columns is four times as fast as over rows
+    joints = np.ascontiguousarray(found.T)  # NumPy takes a maximum faster over the first axis than over the last.
 
     def approach(q: np.ndarray) -> None:
         np.minimum(gap, np.abs(joints - q[:, None]).max(axis=0), out=gap)
@@ -162,10 +176,14 @@ def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.
 
 
 class Tracks:
-    """Tracks Q (N, size, n), kernel units, float32; track k is valid from span[k, 0] to span[k, 1]."""
+    """Solutions continued along the N poses of a path, called tracks.
+
+    Q (N, size or more, n) [kernel units, float32] holds their configurations; track k exists from pose span[k, 0] to
+    pose span[k, 1] inclusive. `size` is the number of tracks.
+    """
 
     def __init__(self, problem: Problem, most: int, threads: int, seed: int) -> None:
-        """Start without tracks."""
+        """Start without tracks; most: their largest number, seed: of the random starts."""
         self.problem, self.most, self.threads = problem, most, threads
         self.rng = np.random.default_rng(seed)
         self.size = 0
@@ -176,19 +194,19 @@ class Tracks:
     span = property(lambda self: self._span[: self.size])
 
     def at(self, t: int) -> np.ndarray:
-        """Configurations (m, n) of the tracks that pass pose t."""
+        """Return the configurations (m, n) [kernel units] at pose number t of all tracks that exist there."""
         span = self.span
         return self._Q[t, : self.size][(span[:, 0] <= t) & (t <= span[:, 1])].astype(float)
 
     def alive(self) -> np.ndarray:
-        """Number of tracks that pass each pose (N,)."""
+        """Return the number of tracks that exist at each pose (N,)."""
         steps = np.zeros(len(self._Q) + 1, dtype=int)
         np.add.at(steps, self.span[:, 0], 1)
         np.add.at(steps, self.span[:, 1] + 1, -1)
         return np.cumsum(steps)[:-1]
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
-        """Extend seeds (M, n), solutions of the poses `at` (M,), in both directions, as long as there is room for tracks."""
+        """Continue the solutions `seeds` (M, n) [kernel units] of the poses numbered `at` (M,) while there is room."""
         seeds = np.ascontiguousarray(seeds[: self.most - self.size], dtype=float)
         columns = np.arange(self.size, self.size + len(seeds))
         if self.size + len(seeds) > self._Q.shape[1]:
@@ -210,4 +228,4 @@ class Tracks:
         else:
             for a in starts:
                 carry(a)
-        self.size += len(seeds)  # only now, so that an interrupted search keeps only finished tracks
+        self.size += len(seeds)  # The size grows only now, so that an interrupted search keeps only finished tracks.

@@ -1,8 +1,10 @@
-"""Bound on a tip's deviation from the interpolated pose while the joints move linearly; poses are inserted until it is small.
+"""Bounds on how far a tip leaves the interpolated poses between rows, and the insertion of rows to lower them.
 
-Between two knots dq is constant, so p'' = sum_ij dq_i dq_j d2p/dq_i dq_j, and each second derivative is at most the distance of the
-tip from the axis of the outer of the two joints. A curve with |p''| <= c leaves its chord by at most c / 8. The same holds for a
-rotation relative to the geodesic, with all distances 1 and an extra factor for the curvature of the rotation group.
+Let the joints move linearly from one row of a curve to the next by dq. Then the tip's position p has the second
+derivative p'' = sum_ij dq_i dq_j d2p/dq_i dq_j, where each d2p/dq_i dq_j is at most the distance of the tip from the
+axis of the joint nearer the tip. A curve with |p''| <= c over a unit interval leaves its chord by at most c / 8. The
+same holds for a rotation and its geodesic, with all distances 1 and an extra factor for the curvature of the rotation
+group.
 """
 
 import math
@@ -21,19 +23,21 @@ from .freedom import freedom, missed
 from .interpolate import interpolate_poses
 from .smoothing import settle_rows as settle_rows
 
-ROUNDS = (
-    12  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice
-)
-MOST_PIECES = 256  # per segment between two poses; if that many do not help, the path is not continuous there
-MOST_ROWS = 200_000  # of a curve: twenty for each of ten thousand poses
-LOG_SLOPE = 1.3  # bound on the derivative of the inverse left Jacobian of a rotation vector up to half a turn
-LOG_GAIN = 0.5 * math.pi  # bound on that Jacobian itself
+# Largest number of rounds of inserting rows. Bounds fall with the square of the number of pieces, so few suffice.
+ROUNDS = 12
+# Largest number of pieces per max_step between two poses; a motion that needs more counts as not continuous there.
+MOST_PIECES = 256
+MOST_ROWS = 200_000  # largest number of rows of a curve
+LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for rotation vectors up to half a turn
+LOG_GAIN = 0.5 * math.pi  # bound on the norm of that Jacobian itself
 
 
 class Speeds(NamedTuple):
-    """Bounds over each of S segments of unit length: a tip's speed, p'', its angular speed and the derivative of that.
+    """Upper bounds (M-1,) on a tip's motion over each segment between two rows; its parameter runs from 0 to 1.
 
-    off [m], off_turn [rad]: tip deviation because the joints leave the straight line, see `bounds`.
+    speed, bend: of the tip's first and second derivative [m]; turn, twist: of its angular speed and the derivative of
+    that [rad]; off [m], off_turn [rad]: of the tip's deviation that is due to joints leaving the straight line (`sag`
+    of `bounds`).
     """
 
     speed: np.ndarray
@@ -47,10 +51,13 @@ class Speeds(NamedTuple):
 def check(
     plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray, cut: np.ndarray, collision: Any = None
 ) -> Continuity:
-    """Verify the motion along a curve (M, n) whose rows are at places `at` (M,) among the poses T (N, F, 4, 4).
+    """Bound the tip deviation and test for contact along a motion that is linear between the rows of a curve.
 
-    Every row without NaN must be inside the tolerances of its target, or as near as the arm comes (see freedom.py). cut (M-1,):
-    where the motion breaks. collision: a CollisionModel, or None.
+    Every row without NaN must be inside the tolerances of its target, or as near as an arm with too few joints comes.
+
+    plan, kinds: the solver's Plan and a target kind per tip; curve (M, n) [rad or m]; at (M,): places of its rows among
+    the poses T (N, F, 4, 4); cut (M-1,): whether the motion breaks between two rows; collision: a CollisionModel or
+    None.
     """
     judged = bounds(plan, kinds, curve, at, T)
     deviation, turn = bounds(plan, kinds, curve, at, T, beyond=missed(plan, kinds, curve, at, T))
@@ -71,12 +78,14 @@ def densify(
     max_step: tuple[float, float],
     path_tolerance: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Insert solved poses until no step is longer than max_step (rad, m) and the bounds are below path_tolerance (m, rad).
+    """Insert solved rows until steps are below max_step (rad, m) and deviations below path_tolerance (m, rad).
 
-    q (N, n), rows of NaN where a pose is not reached; breaks: the motion breaks between pose k and the next for k in breaks.
-    Returns the curve (M, n), the places of its rows (M,) and where it is cut (M-1,). Where this fails (no continuous joint motion
-    connects the two sides) the segment is left unchanged and `check` reports the deviation. Raises InvalidOption for a max_step
-    that is far too small.
+    q (N, n) [rad or m] are solutions of the poses T (N, F, 4, 4), NaN where a pose is not reached. The motion breaks
+    between pose k and the next for k in breaks. Between two poses that no continuous joint motion connects, no row is
+    inserted, and `check` reports the deviation.
+
+    Returns the curve (M, n), the places of its rows among the poses (M,), and whether it breaks after each row (M-1,).
+    Raises InvalidOption if max_step is so small that there would be more than MOST_ROWS rows.
     """
     robot = plan.robot
     step = np.where(robot.slides, max_step[1], max_step[0])
@@ -94,7 +103,7 @@ def densify(
     for _ in range(ROUNDS):
         owner = at[:-1].astype(int)
         deviation, turn = bounds(plan, kinds, curve, at, T)
-        # Insertion does not change the end errors; the part due to the motion falls with the square of the number of pieces.
+        # Dividing a segment by k lowers its bound by about k^2, so the root of the excess is the number of pieces.
         excess = [np.sqrt(x / most) for x, most in zip((deviation, turn), path_tolerance, strict=True)]
         wanted = np.max([*excess, (np.abs(np.diff(curve, axis=0)) / step).max(axis=1)], axis=0)
         wanted = np.where(open_[owner] & ~given_up[owner] & (wanted > 1.0), np.ceil(wanted * (1.0 + 1e-9)), 1.0)
@@ -103,14 +112,14 @@ def densify(
         wanted = np.where(crowded[owner], 1.0, wanted).astype(int)
         if not (wanted > 1).any():
             break
-        first = np.repeat(np.arange(len(wanted)), wanted)  # the segment of each piece
+        first = np.repeat(np.arange(len(wanted)), wanted)  # This is the index of the segment that each piece divides.
         share = (np.arange(len(first)) - np.repeat(np.cumsum(wanted) - wanted, wanted)) / wanted[first]
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[~new] = curve  # also those before a row of NaN
+        rows[~new] = curve  # The interpolation turned a row before a row of NaN into NaN, so all old rows are restored.
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
-        # Give up on a segment with an unsolved row.
+        # Where an inserted row is not solved, the segment between its two poses gets no rows at all.
         given_up[np.unique(places[new][~good].astype(int))] = True
         keep = ~new | ~given_up[np.minimum(places, len(q) - 2).astype(int)]
         curve, at = rows[keep], places[keep]
@@ -120,7 +129,10 @@ def densify(
 
 
 def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Move rows q (M, n) onto targets T (M, F, 4, 4) with minimal motion; returns them and whether each is solved (M,)."""
+    """Move rows q (M, n) [rad or m] onto the targets T (M, F, 4, 4) with the least joint motion.
+
+    Returns the rows (M, n) and whether each is inside the tolerances (M,).
+    """
     q, good = np.array(q, dtype=float), np.zeros(len(q), dtype=bool)
     settle_rows(
         *plan.chain[:2], np.ascontiguousarray(T).reshape(-1, *plan.robot.pose_shape), q, plan.orders(kinds, True), good
@@ -129,7 +141,7 @@ def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> 
 
 
 def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `settle_on_targets`, for interpolated poses: an arm that cannot reach them is brought as near as it comes."""
+    """Do the same as `settle_on_targets`, but accept the nearest pose of an arm with too few joints."""
     q, good = settle_on_targets(plan, kinds, q, T)
     return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
 
@@ -144,10 +156,11 @@ def bounds(
     sag: np.ndarray | None = None,
     beyond: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds on the deviation [m] and [rad] of the worst tip, over each segment between rows of a curve (M, n).
+    """Return upper bounds [m] and [rad], each (M-1,), on how far any tip leaves the interpolated pose between two rows.
 
-    sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows; default 0. beyond (2, M-1): by
-    how much [m] and [rad] the rows leave the tolerances; default 0.
+    The rows of the curve (M, n) [rad or m] are solutions at the places `at` (M,) among the poses T (N, F, 4, 4). sag
+    (M-1, n): upper bound on each joint's deviation from the straight line between two rows (default 0). beyond (2,
+    M-1): by how much [m], [rad] the rows themselves exceed the tolerances (default 0).
     """
     robot, o = plan.robot, plan.options
     beyond = np.zeros((2, len(curve) - 1)) if beyond is None else beyond
@@ -172,17 +185,22 @@ def bounds(
 
 
 def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
-    """Bounds for a chain's tip between rows of q (M, n), with joints that leave the straight line by up to sag (M-1, n)."""
+    """Return bounds on the motion of a chain's tip between the rows q (M, n) [rad or m].
+
+    sag (M-1, n) [rad or m]: upper bound on each joint's deviation from the straight line between two rows.
+    """
     rows, move = chain.rows, np.abs(np.diff(q, axis=0)) / chain.unit
     D = np.empty((len(q), len(rows)))
     joint_levers(rows, chain.ends, q, chain.unit, D)
     owner = rows[:, 8].astype(int)
-    ratio, stroke = np.abs(rows[:, 4]), np.abs(rows[:, 6]) * chain.scale  # one is 0: a joint rotates or slides
+    # A joint has either an angle (ratio) or a length [m] (stroke) per kernel unit of its coordinate; the other is 0.
+    ratio, stroke = np.abs(rows[:, 4]), np.abs(rows[:, 6]) * chain.scale
     turns, slides = ratio * move[:, owner], stroke * move[:, owner]
     sag = (sag / chain.unit)[:, owner]
     speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
     for r in range(len(rows) - 1, -1, -1):
-        # The tip moves at most at `speed` in the frame of joint r, and so does its distance from that axis.
+        # Over the segment the joints beyond joint r move the tip by at most `speed`, seen from joint r.
+        # So the tip's distance from its axis is at most the mean of the values at both ends plus half of `speed`.
         arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
         bend += turns[:, r] * (turns[:, r] * arm + 2.0 * speed)
         twist += turns[:, r] * turn
@@ -193,11 +211,16 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
 
 
 class Between:
-    """One tip and its target between knots; other: speeds and poses (M, 4, 4) of the tip the target is relative to."""
+    """Bounds on the errors of one tip between two neighbouring rows of a curve, for each of the M-1 segments."""
 
     def __init__(self, tip: Speeds, poses: np.ndarray, goal: np.ndarray, other: Any, frame: str) -> None:
-        """Bound the second derivatives of the errors in base axes, and the angular speed of the axes of `frame`."""
-        self.swing = angles_between(goal[1:, :3, :3], goal[:-1, :3, :3])  # of two targets
+        """Bound the derivatives of the errors, and the angular speed of the axes in which they are given.
+
+        tip: bounds on the tip's motion; poses, goal (M, 4, 4): the tip's pose and target at the rows; other: None, or
+        the bounds and poses of the tip that the target is relative to; frame: "base", "tip" or "target", the axes of
+        mask and slack.
+        """
+        self.swing = angles_between(goal[1:, :3, :3], goal[:-1, :3, :3])  # angle [rad] between neighbouring targets
         self.tip, self.ref_turn, self.ref_twist = tip, self.swing, np.zeros_like(self.swing)
         self.bend, self.rate, self.twist = tip.bend, tip.turn, tip.twist
         self.off, self.off_turn = tip.off, tip.off_turn
@@ -207,7 +230,7 @@ class Between:
             arm = np.linalg.norm(goal[:, :3, 3], axis=1)
             arm, step = np.maximum(arm[1:], arm[:-1]), np.linalg.norm(np.diff(goal[:, :3, 3], axis=0), axis=1)
             self.bend = tip.bend + carrier.bend + 2.0 * carrier.turn * step + (carrier.twist + carrier.turn**2) * arm
-            self.rate = tip.turn + carrier.turn  # angular speed of the tip in the frame of the other
+            self.rate = tip.turn + carrier.turn  # This bounds the tip's angular speed in the frame of the other tip.
             self.twist = tip.twist + carrier.twist + tip.turn * carrier.turn
             self.off = tip.off + carrier.off + carrier.off_turn * arm
             self.off_turn = tip.off_turn + carrier.off_turn
@@ -223,29 +246,37 @@ class Between:
         }[frame]  # fmt: skip
 
     def position(self, counts: Any) -> np.ndarray:
-        """Contribution of the motion to the position error that counts."""
+        """Return by how much [m] (M-1,) the counted position error may exceed its value at the rows.
+
+        counts: what counts of the error (mask, slack, frame).
+        """
         if counts.mask is None and counts.slack is None:
-            return 0.125 * self.bend + self.off  # a norm is the same in all axes
+            return 0.125 * self.bend + self.off  # The norm of the whole error does not depend on the axes.
         spin, change = self.axes
         second = self.bend + 2.0 * spin * self.drift + (change + spin * spin) * self.away
-        second += 8.0 * (self.off + self.off_turn * (self.away + self.off))  # off_turn rotates the axes, too
+        # A deviation of the joints also rotates the axes in which the error is given; 8 undoes the factor 0.125 below.
+        second += 8.0 * (self.off + self.off_turn * (self.away + self.off))
         return max((counts.mask or (1.0,))[:3]) * 0.125 * second
 
     def rotation(self, counts: Any, axis: bool, tolerance: np.ndarray) -> np.ndarray:
-        """Bound on the rotation error that counts; tolerance (M-1,): on that of the rows."""
+        """Return an upper bound [rad] (M-1,) on the rotation error that counts (`counts`: mask, slack, frame).
+
+        axis: whether only the direction of an axis counts; tolerance (M-1,) [rad]: bound on the errors at the rows.
+        """
         if any(counts.mask or ()) or any((counts.slack or (0.0,))[3:]):
             weight = max((counts.mask or (1.0,))[-3:])
             return tolerance + weight * (0.125 * self._vector() + (LOG_GAIN + math.pi) * self.off_turn)
-        if axis:  # two curves on the sphere, against their chords
+        if axis:  # The axis and its target move on the unit sphere, and each leaves its chord by at most its p'' / 8.
             chord = 2.0 * np.sin(0.5 * np.minimum(tolerance, math.pi)) + 0.125 * (self.rate**2 + self.swing**2)
             return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) + self.off_turn
-        bent = 0.25 * np.maximum(self.rate, self.swing)  # half the angle at the rotation group's curvature of 1/4
+        # The rotation group has the curvature 1/4, so half the rotation over a segment is multiplied by its root, 1/2.
+        bent = 0.25 * np.maximum(self.rate, self.swing)
         secant = np.where(bent < 0.5 * math.pi, 1.0 / np.cos(np.minimum(bent, 1.57)), np.inf)
         grown = np.where(bent > 1e-4, 2.0 * (secant - 1.0) / np.maximum(bent, 1e-4) ** 2, 1.0)
         return np.minimum(tolerance * secant + 0.125 * self.twist * grown + self.off_turn, math.pi)
 
     def _vector(self) -> np.ndarray:
-        """Bound on the second derivative of the remaining rotation vector, in the axes of `frame`."""
+        """Return a bound [rad] (M-1,) on the second derivative of the rotation vector from tip to target."""
         left = self.ref_turn + self.tip.turn
         change = self.tip.twist + left * self.tip.turn + self.ref_twist
         second = LOG_GAIN * change + LOG_SLOPE * LOG_GAIN * left**2

@@ -1,13 +1,13 @@
-"""All solutions of all poses, for two structures: three parallel axes, and six axes of which 2, 3, 4 are parallel and 5, 6 meet.
+"""All solutions of all poses in closed form for two kinds of arm, and the choice of full turns along a path.
 
-The second is that of Universal Robots. Vectorised over poses: a path needs this to prove that it has the fewest
-reconfigurations. Source: the geometry of Hawkins (2013), "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms",
-with screws instead of its tables.
+The arms have three parallel axes, or six axes of which 2, 3, 4 are parallel and 5, 6 meet (Universal Robots). A path
+needs all solutions to prove that it has the fewest reconfigurations. The geometry is that of Hawkins (2013), "Analytic
+inverse kinematics for the Universal Robots UR-5/UR-10 arms", with joint screws instead of its tables.
 
-A joint with more than a full turn has copies of each track on other turns, and a turn is chosen for each piece of a path. Its
-limits apply to a whole continuous piece: the total winding must fit. That cannot be seen from state to state,
-so paths are first searched without these limits. If the best one fits, nothing is lost; if not, the joint's tracks are copied to
-every turn, and its limits are enforced from state to state.
+A joint whose range exceeds a full turn has each solution several times, whole turns apart. Whether a continuous piece
+of a path fits the limits of such a joint depends on how far the joint winds up along the whole piece, which no single
+step shows. So paths are first searched without these limits (see `unwound`). If the best path does not fit, the joint's
+solutions are copied to every turn (see `copies`), and the limits are kept from pose to pose.
 """
 
 from typing import Any
@@ -17,15 +17,17 @@ import numpy as np
 from ..kernel.kinematics import TAU
 from ..solvers.closed_form.geometry import Screws, read_screws
 
-PARALLEL = 1e-6  # sine of the angle, and distance over the reach, that still count as zero
-DOUBTFUL = 1e-7  # nearness of a cosine to 1 or of a length to 0 at which two solutions merge, or a whole family exists
-EXACT = 1e-5  # [m, rad] largest errors of a solution: the precision to which models are written
+PARALLEL = 1e-6  # largest sine of the angle of parallel axes, and largest distance of meeting axes over the reach
+# Two solutions merge, or infinitely many exist, if a cosine is this near 1 or a length this near 0.
+DOUBTFUL = 1e-7
+EXACT = 1e-5  # largest difference of a solution's pose from the target [m, or in a rotation matrix]; models are rounded
 
 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """All solutions (N, K, n) of poses T (N, 4, 4), and whether these are certainly all (N,).
+    """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and where (N,) these are proven to be all.
 
-    Limits and full turns are ignored; NaN where there are fewer. None for a robot of another structure.
+    A pose with fewer than K solutions has rows of NaN. Joint limits and full turns are ignored. Returns None for an arm
+    of another structure.
     """
     s = read_screws(robot.chain)
     if not isinstance(s, Screws) or not s.turns.all():
@@ -50,7 +52,7 @@ def _parallel(axes: np.ndarray) -> bool:
 
 
 def _meeting(s: Screws, reach: float) -> np.ndarray | None:
-    """Point where axes 5 and 6 meet, or None."""
+    """Return the point (3,) [m] at q = 0 where axes 5 and 6 meet, None if they do not; reach [m]: the arm's."""
     across = np.cross(s.axis[4], s.axis[5])
     size = np.linalg.norm(across)
     if size < PARALLEL or abs((s.point[5] - s.point[4]) @ across) > PARALLEL * reach * size:
@@ -60,14 +62,14 @@ def _meeting(s: Screws, reach: float) -> np.ndarray | None:
 
 
 def _turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) about a unit axis."""
+    """Return the rotations (N, 3, 3) about a unit axis (3,) by the angles (N,) [rad]."""
     K = np.cross(axis, np.eye(3)).T
     c, d = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
     return c * np.eye(3) + d * K + (1.0 - c) * np.outer(axis, axis)
 
 
 def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
-    """Transforms (N, 4, 4) of joint i at angles (N,)."""
+    """Return the displacements (N, 4, 4) that joint i makes from q = 0 to the angles (N,) [rad], in base axes."""
     made = np.tile(np.eye(4), (len(angle), 1, 1))
     made[:, :3, :3] = _turn(s.axis[i], angle)
     made[:, :3, 3] = s.point[i] - made[:, :3, :3] @ s.point[i]
@@ -75,7 +77,10 @@ def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
 
 
 def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
-    """Both solutions of a cos q + b sin q = c, NaN where there is none, and where the count is certain."""
+    """Solve a cos q + b sin q = c for N equations.
+
+    Returns both solutions, each (N,) [rad] and NaN where none exists, and where (N,) their number is beyond doubt.
+    """
     size = np.hypot(a, b)
     cosine = c / size
     swing = np.arccos(cosine)
@@ -84,14 +89,20 @@ def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles that rotate start onto end (N, 3) about a unit axis, and where these are certain."""
+    """Return the angles (N,) [rad] about a unit axis (3,) that rotate the vectors `start` into `end` (N, 3).
+
+    Also returns where (N,) the angle is defined: where `start` is not along the axis.
+    """
     x = start - (start @ axis)[:, None] * axis
     y = end - (end @ axis)[:, None] * axis
     return np.arctan2(np.cross(x, y) @ axis, (x * y).sum(axis=1)), (x * x).sum(axis=1) > DOUBTFUL
 
 
 def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solutions (N, 2, 3) of joints k, k + 1, k + 2, whose axes are parallel, for transforms E (N, 4, 4)."""
+    """Solve the joints k, k + 1, k + 2, whose axes are parallel, for the motion E (N, 4, 4) from q = 0 that they make.
+
+    Returns the solutions (N, 2, 3) [rad], NaN where none exists, and where (N,) their number is beyond doubt.
+    """
     a, N = s.axis[k], len(E)
     signs = np.sign(s.axis[k : k + 3] @ a)
     first, second = (v - (v @ a) * a for v in np.diff(s.point[k : k + 3], axis=0))
@@ -110,7 +121,11 @@ def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _arm(s: Screws, w: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solutions (N, 8, 6) of six joints with axes 2, 3, 4 parallel and axes 5, 6 through w (3,)."""
+    """Solve an arm of six joints for poses T (N, 4, 4): axes 2, 3, 4 are parallel, axes 5 and 6 meet in w (3,).
+
+    The point w [m] is given at q = 0. Returns the solutions (N, 8, 6) [rad], NaN where none exists, and where (N,)
+    their number is beyond doubt.
+    """
     a, N = s.axis, len(T)
     D = T @ np.linalg.inv(s.T)
     v = D[:, :3, :3] @ w + D[:, :3, 3] - s.point[0]
@@ -135,11 +150,15 @@ def _arm(s: Screws, w: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return Q, sure
 
 
-ROUNDING = 1e-6  # rad: tracks are stored in single precision
+ROUNDING = 1e-6  # [rad] by which a joint limit may be exceeded, because solutions are stored in single precision
 
 
 def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Which states (N, K) of the tracks Q (N, K, n) exist (spans (K, 2)) and keep the limits (2, n) of the given joints (n,)."""
+    """Return which configurations (N, K) of the tracks Q (N, K, n) exist and keep the limits.
+
+    A track is one solution continued along the poses, from pose span[k, 0] to pose span[k, 1]. limits (2 or more, n):
+    lower and upper; joints (n,): which joints must keep them. All in kernel units.
+    """
     t = np.arange(len(Q))[:, None]
     there = (span[:, 0] <= t) & (t <= span[:, 1])
     for i in np.flatnonzero(joints):
@@ -148,7 +167,11 @@ def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarra
 
 
 def copies(Q: np.ndarray, span: np.ndarray, i: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Tracks and spans with joint i on every turn that lies inside its limits somewhere."""
+    """Copy tracks to every full turn of joint i on which part of them lies inside the joint's limits low, high [rad].
+
+    A track is one solution continued along the poses: Q (N, K, n), from pose span[k, 0] to pose span[k, 1] (K, 2).
+    Returns the new tracks and spans.
+    """
     t = np.arange(len(Q))[:, None]
     there = (span[:, 0] <= t) & (t <= span[:, 1])
     least = np.where(there, Q[:, :, i], np.inf).min(axis=0)
@@ -173,10 +196,22 @@ def unwound(
     ends: tuple[np.ndarray | None, np.ndarray | None],
     fixed: list[bool],
 ) -> set[int]:
-    """Unwrap joints `free` (n,) of a path q (N, n) in place, piece by piece; returns the joints that do not fit their limits.
+    """Choose the full turns of the joints `free` (n,) along a path q (N, n) [kernel units], in place.
 
-    breaks: poses after which it reconfigures; limits (2, n), infinite for continuous joints. Each piece is put on the legal turn
-    nearest to the end of the previous one, the first on that nearest ends[0], the last, if fixed[1], on that of ends[1].
+    Rows of NaN, where a pose is not reached, separate continuous pieces. Each continuous piece is unwrapped and put on
+    the turn inside its limits that is nearest the end of the previous piece; the first piece is put nearest ends[0], or
+    without it nearest the middle of the limits.
+
+    Args:
+        q: (N, n) configurations at the poses, NaN where there is none.
+        free: (n,) whether the full turns of a joint are chosen here.
+        breaks: poses after which the path reconfigures.
+        limits: (2, n) lower and upper, infinite for endless joints.
+        ends: start and end configurations (n,) of the path, None where not given.
+        fixed: whether the path must start at ends[0], and end at ends[1], on exactly the same turn.
+
+    Returns:
+        The joints whose winding does not fit their limits.
     """
     unfit: set[int] = set()
     there = np.flatnonzero(np.isfinite(q[:, 0]))

@@ -1,7 +1,7 @@
-"""Last steps of a path: exact rows, shortened pieces, verification between poses; repeated without the steps that fail.
+"""Last steps of a path search: solve every pose exactly, shorten the joint motion, verify it between the poses.
 
-`smooth` shortens one continuous piece, keeping its poses, its limits and clear of contact. `inserted` puts others between poses far
-apart, so that a path is searched along the way and not only at its corners.
+If a step between two poses fails the verification, the search looks for the best path without that step, and all is
+repeated. `inserted` belongs to the beginning of a search: it puts interpolated poses between poses that are far apart.
 """
 
 from collections.abc import Callable
@@ -19,33 +19,39 @@ from .path_search import Found, Search
 from .result import pieces
 from .smoothing import smooth_rows
 
-TRIES = 12  # runs of the program, each without further steps that are discontinuous or touch
-HELD = 2  # poses kept unchanged on either side of a place where the shortened motion fails
-ROUNDING = 1e-9  # share by which a step may exceed its limit
-SHORTENED = 3  # attempts to shorten a motion, with more poses held each time
+TRIES = 12  # largest number of paths verified; each leaves out the steps that failed in those before
+HELD = 2  # number of poses kept unchanged on either side of a place where the shortened motion fails
+ROUNDING = 1e-9  # share by which a step may exceed max_step, because of rounding
+SHORTENED = 3  # largest number of attempts to shorten a path; each keeps more poses unchanged
 
 
 class ProvenMotion(NamedTuple):
-    """A finished path: rows q (N, n) [rad or m], the curve through them, and what is proven about it."""
+    """A path and what is proven about it.
+
+    found: the path as the search found it; q (N, n) [rad or m]: a solution of each pose, NaN where there is none; curve
+    (M, n): q and the rows inserted between; at (M,): places of the curve's rows among the poses; continuity: what is
+    proven.
+    """
 
     found: Found
     q: np.ndarray
     curve: np.ndarray
     at: np.ndarray
     continuity: Continuity
-    leaps: list[float]  # places among the poses where the motion is not continuous
+    leaps: list[float]  # places among the poses after which a step or the tip's deviation is too large
 
     @property
     def failures(self) -> list[float]:
-        """Places among the poses where the motion is discontinuous, touches, or comes too near to tell."""
+        """Return the places among the poses where the motion is discontinuous or not proven free of contact."""
         return [*self.leaps, *(one.place for one in self.continuity.contacts), *self.continuity.unproven]
 
 
 def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Move rows (N, n), in kernel units, inside the tolerances of their poses; returns them in the robot's units."""
+    """Move the rows q (N, n) [kernel units] onto their poses and return them in [rad or m]; rows of NaN stay."""
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
-    made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]  # tracks are stored in single precision
+    # The search stores configurations in single precision, so held joints get their exact values back.
+    made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]
     made[there] = problem.settled(np.clip(made[there], *problem.limits[:2]), there)[0]
     return made * problem.unit
 
@@ -53,7 +59,11 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
 def proven(
     search: Search, found: Found, q: np.ndarray, step: tuple[float, float], tolerance: tuple[float, float], model: Any
 ) -> ProvenMotion:
-    """The verified motion through rows q (N, n), with poses inserted where needed."""
+    """Insert rows where needed between the rows q (N, n) [rad or m] of a path, and verify the motion.
+
+    found: the path as the search found it; step (rad, m): largest joint step; tolerance (m, rad): largest deviation of
+    a tip between the poses; model: a CollisionModel or None.
+    """
     p = search.problem
     q = p.inside(q)
     curve, at, cut = densify(p.single, p.kinds, q, p.poses, found.breaks, step, tolerance)
@@ -69,7 +79,10 @@ def proven(
 def shorten_pieces(
     search: Search, found: Found, q: np.ndarray, held: np.ndarray, step: tuple[float, float]
 ) -> np.ndarray:
-    """Shorten each continuous piece of q (N, n) without contact; held (N,): poses whose rows stay."""
+    """Shorten and smooth each continuous piece of the rows q (N, n) [rad or m], free of contact at the poses.
+
+    held (N,): poses whose rows do not change; step (rad, m): largest joint step.
+    """
     p, made = search.problem, q.copy()
     fixed = held.copy()
     fixed[0] |= search.fixed[0]
@@ -87,7 +100,11 @@ def shorten_pieces(
 def finished(
     search: Search, step: tuple[float, float], tolerance: tuple[float, float], model: Any, allowed: float, refine: bool
 ) -> ProvenMotion:
-    """The best path of a search as a motion, proven as far as possible."""
+    """Return the best path of a search that passes the verification, or else the best one with breaks where it fails.
+
+    step (rad, m), tolerance (m, rad), model: as in `proven`; allowed: largest number of reconfigurations; refine:
+    whether to shorten the motion of a redundant robot.
+    """
     p = search.problem
     for _ in range(TRIES):
         found = search.found if len(search.found.breaks) <= allowed else search.best(allowed)
@@ -114,13 +131,13 @@ def finished(
     return proven(search, found._replace(breaks=breaks), q, step, tolerance, model)
 
 
-STEPS = 40  # most Gauss-Newton steps; ten usually suffice
-QUADRATIC_BELOW = (
-    0.5  # share of the mean step below which a step's cost is quadratic, so that joints do not stop and start
-)
-SMOOTHNESS = 10.0  # weight of second differences against steps: corners are rounded over its root, some three poses
-ROUNDS = 6  # rounds of refinement, each with more poses held where it touched
-WINDOW = 4  # poses held on either side of one that touches; doubled in each further round
+STEPS = 40  # largest number of Gauss-Newton steps; ten usually suffice
+# The cost of a joint step is quadratic below this share of the mean step, so that joints do not stop and start again.
+QUADRATIC_BELOW = 0.5
+# Weight of squared second differences against steps; corners are rounded over its square root, some three poses.
+SMOOTHNESS = 10.0
+ROUNDS = 6  # largest number of rounds of smoothing; each holds more poses, where the last one touched
+WINDOW = 4  # number of poses held on either side of one that touches, doubled in each further round
 
 
 def smooth(
@@ -134,9 +151,10 @@ def smooth(
 ) -> np.ndarray:
     """Shorten and smooth a motion q (N, n) [rad or m] through poses T (N, F, 4, 4), staying inside the tolerances.
 
-    max_step (rad, m): no step grows beyond it (or beyond the longest in q). fixed (N,): poses whose joints stay. bad: function of
-    a motion (N, n) that returns the poses where it is not acceptable, such as those that touch; these are held at q, and the rest
-    is refined again. Returns q itself if nothing better is found.
+    max_step (rad, m): no step grows beyond it, or beyond the longest step of q. fixed (N,): poses whose rows stay.
+    bad: a function of a motion (N, n) that returns the numbers of the poses where it is not acceptable, such as those
+    in contact; these and their neighbours are held at q, and the rest is smoothed again. Returns q itself if nothing
+    better is found.
     """
     robot = plan.robot
     held = np.zeros(len(q), dtype=bool) if fixed is None else np.array(fixed, dtype=bool)
@@ -164,13 +182,18 @@ def smooth(
     return q
 
 
-FAR = (0.015, np.radians(3.0))  # [fraction of the reach], [rad] between poses: joints then mostly stay within max_step
-MOST = 1000  # most inserted poses, a second's work; a path that needs more gets wider spacing
-WIDER = 1.5  # factor on the spacing until they are few enough
+# Spacing of poses for the search [share of the reach], [rad]; joints then mostly move less than max_step per pose.
+FAR = (0.015, np.radians(3.0))
+MOST = 1000  # largest number of inserted poses, to bound the search's time; longer paths get a wider spacing
+WIDER = 1.5  # factor by which the spacing grows until there are at most MOST inserted poses
 
 
 def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-    """Poses T (N, F, 4, 4) with others inserted (M, F, 4, 4), and the place of each (3.5: halfway from 3 to 4)."""
+    """Insert interpolated poses between poses T (N, F, 4, 4) that are farther apart than FAR.
+
+    kinds: a target kind per tip. Returns all poses (M, F, 4, 4) and their places (M,) among T (3.5: halfway from pose 3
+    to pose 4).
+    """
     gaps = np.zeros(len(T) - 1)
     for f, (arm, kind) in enumerate(zip(robot.arms, kinds, strict=True)):
         if kind == FREE:
@@ -191,14 +214,18 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
 
 
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
-    """Requested poses after which a path breaks; breaks: the same among all poses, whose places are `at` (M,)."""
+    """Return the requested poses after which a path breaks.
+
+    breaks: the same as indices of all M poses, inserted ones included; at (M,): their places among the requested poses.
+    """
     return sorted({int(at[k]) for k in breaks})
 
 
 def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
-    """Turn a motion through poses at places `at` (M,) into one through the requested poses; inserted ones become knots.
+    """Express a motion through M poses, at places `at` (M,) among the requested ones, by the requested poses alone.
 
-    If it breaks between two requested poses, it stops at the first and continues at the second.
+    Inserted poses become rows of the curve only. A motion that breaks between two requested poses stops at the first
+    and continues at the second.
     """
     asked = np.flatnonzero(at == np.round(at))
     if len(asked) == len(at):

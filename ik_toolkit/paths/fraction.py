@@ -1,4 +1,4 @@
-"""How far along a path one continuous motion goes, from its start."""
+"""The share of a path's length that one continuous motion can follow from its start."""
 
 import numpy as np
 
@@ -12,13 +12,17 @@ from .interpolate import interpolate_poses
 from .path_search import Search
 from .result import pieces
 
-PARTS = 400  # of the path's length, in which it is followed: 0.25 % each
-HALVINGS = 5  # of the last part, which is not followed whole
-STARTS = 16  # most configurations at the first pose from which it is tried
+PARTS = 400  # The path is followed in steps of 1/400 of its length (0.25 %).
+HALVINGS = 5  # number of step lengths tried, each half the one before, so that the end is found to 1/16 of a step
+STARTS = 16  # largest number of configurations at the first pose from which the path is followed
 
 
 def lengths(poses: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Length of the way (N,) to each pose (N, F, 4, 4), of all tips: in metres, or in radians where nothing moves, from 0 to 1."""
+    """Return the share (N,) of the path's length up to each of the poses (N, F, 4, 4), from 0 to 1.
+
+    The length is the sum of the tips' travel, without tips whose kind in `kinds` is FREE; if no position changes, the
+    sum of their rotation angles.
+    """
     moves = np.linalg.norm(np.diff(poses[..., :3, 3], axis=0), axis=2)
     moves[:, [kind == FREE for kind in kinds]] = 0.0
     if not moves.any():
@@ -29,10 +33,11 @@ def lengths(poses: np.ndarray, kinds: tuple) -> np.ndarray:
 
 
 def fraction(search: Search, motion: ProvenMotion) -> float:
-    """Share of the path's length that one motion follows from the start, to some 0.1 %: without a jump, contact or gap.
+    """Return the share (0 to 1, to better than 0.1 %) of the path's length that one motion follows from the start.
 
-    The motion found is followed on from where it first ends; so is every configuration at the first pose, where the start is not
-    given. What is found is a lower bound: another posture of a redundant arm may go further.
+    It ends at the first jump, contact or pose out of reach. The motion found is continued step by step from where it
+    first ends. If no start q0 is fixed, motions from other configurations at the first pose are tried as well. The
+    result is a lower bound: another posture of a redundant arm may go further.
     """
     p = search.problem
     way, at = lengths(p.poses, p.kinds), p.at
@@ -43,10 +48,10 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
         return 1.0
     reached = 0.0 if first is None else float(np.interp(motion.at[first.stop - 1], at, way))
     if freedom(p.single, p.kinds).lacks:
-        return reached  # between the poses there is nothing to reach
+        return reached  # The arm cannot reach interpolated poses, so it cannot be followed further between two poses.
 
     def follow(q: np.ndarray, begin: float) -> float:
-        """The share of the way that is followed from q (n,) [rad or m], which is at the share `begin`."""
+        """Return the share of the path's length reached from q (n,) [rad or m], a solution at the share `begin`."""
 
         def step(s: float) -> np.ndarray | None:
             T = interpolate_poses(p.poses, np.array([np.interp(s, way, np.arange(len(way)))]), p.kinds)

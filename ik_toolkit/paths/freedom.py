@@ -1,7 +1,7 @@
-"""The directions in which an arm can move its tip: with fewer than the targets have, it cannot follow the straight line.
+"""The degrees of freedom of an arm's tips: with fewer than the targets need, interpolated poses cannot be followed.
 
-Between two poses that it reaches, such an arm takes the motion that keeps nearest the interpolated pose. Only what it can do
-about the distance left is judged there; at the poses themselves everything counts.
+Between two poses that it reaches, such an arm moves as near to the interpolated poses as it can. The error that it
+cannot avoid is not counted there against the path tolerance; at the poses themselves every error counts.
 """
 
 from typing import Any, NamedTuple
@@ -13,19 +13,24 @@ from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part
 from .interpolate import interpolate_poses
 
-SAMPLES = 8  # random configurations that show the directions
-FLAT = 1e-5  # singular value (lengths over the reach) below which a direction is none: descriptions are rounded
+SAMPLES = 8  # number of random configurations whose Jacobians are examined
+# Singular values of the Jacobian (lengths over the reach) below this count as zero: robot descriptions are rounded.
+FLAT = 1e-5
 
 
 class Freedom(NamedTuple):
-    """rank: directions of the task in which the joints move the tips; lacks: whether interpolated poses cannot be followed."""
+    """What the joints can do about the targets of a path.
+
+    rank: number of independent components of the targets that the joints can move (generic rank of the task Jacobian).
+    lacks: whether that is too few to follow the interpolated poses between two poses.
+    """
 
     rank: int
     lacks: bool
 
 
 def freedom(plan: Any, kinds: tuple) -> Freedom:
-    """What the joints of a plan that are not held can do about targets of these kinds."""
+    """Return what the joints of a plan, but for those of weight 0, can do about targets of these kinds, one per tip."""
     key = "freedom", kinds
     if key not in plan.memo:
         plan.memo[key] = _freedom(plan, kinds)
@@ -51,8 +56,8 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 
     own = max((rank(one.reshape(-1, len(moving))) for one in J), default=0)
     everywhere = np.moveaxis(J, 0, 2).reshape(len(blocks), 3, -1)
-    # Where the directions are the same everywhere, and none of a line is tied to one of a rotation, straight lines and
-    # rotations about one axis stay among them: planar arms, gantries, SCARA arms.
+    # Planar arms, gantries and SCARA arms have the same directions everywhere, uncoupled translations and rotations.
+    # So the interpolation between two poses that such an arm reaches uses only directions that it has.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows
     plain = all(kind in (POSE, POSITION, FREE) for kind in kinds) and not counts_in_part(kinds, plan.options)
@@ -61,15 +66,19 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 
 
 def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """By how much [m] and [rad] (2, M-1) rows leave the tolerances because the arm lacks directions: 0 if it lacks none.
+    """Return by how much [m], [rad] (2, M-1) the rows of a curve exceed the tolerances for lack of joints.
 
-    Of each segment of a curve (M, n), whose rows are at places `at` (M,) among the poses T (N, F, 4, 4), the larger of both ends.
+    The result is 0 for an arm with enough joints. Of each segment between two rows of the curve (M, n), the larger
+    value of both ends is taken. at (M,): places of the rows among the poses T (N, F, 4, 4).
     """
     return off_the_poses(plan, kinds, curve, at, T) if freedom(plan, kinds).lacks else np.zeros((2, len(curve) - 1))
 
 
 def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """By how much [m] and [rad] (2, M-1) the rows of a curve leave the tolerances, whatever the arm; arguments as of `missed`."""
+    """Return by how much [m], [rad] (2, M-1) the rows of a curve exceed the tolerances at the interpolated poses.
+
+    As in `missed`, of each segment the larger value of both ends, but for every arm.
+    """
     left, goals, o = np.zeros((2, len(curve))), interpolate_poses(T, at, kinds), plan.options
     for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
         errors = counted_errors(plan.robot, curve[k], goals[k], kinds, o)

@@ -1,4 +1,4 @@
-"""Poses between poses: straight in position, and rotating about one axis."""
+"""Interpolation between poses: straight lines in position, rotations about one fixed axis (geodesics)."""
 
 import numpy as np
 import pinocchio as pin
@@ -8,7 +8,11 @@ from ..motion.reference import exp
 
 
 def interpolate_poses(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Targets (M, F, 4, 4) at places among the poses T (N, F, 4, 4): straight in position, rotations along the geodesic."""
+    """Return poses (M, F, 4, 4) at places `at` (M,) among the poses T (N, F, 4, 4).
+
+    Place 3.5 is halfway from pose 3 to pose 4. Positions lie on the straight line, rotations on the geodesic. kinds: a
+    target kind per tip; the rotation of a tip whose orientation is free is copied from the pose before.
+    """
     k = np.minimum(at.astype(int), max(len(T) - 2, 0))
     share = at - k
     made = T[k].copy()

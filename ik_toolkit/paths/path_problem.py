@@ -1,4 +1,4 @@
-"""The path problem: poses, what counts, limits and steps, as arrays in kernel units."""
+"""The input of a path search: poses, their kinds, joint limits and largest steps, packed as arrays in kernel units."""
 
 from typing import Any
 
@@ -14,21 +14,30 @@ from ..solvers.protocol import Asked
 from .continuity import settle_on_targets
 from .freedom import freedom
 
-# [rad], [m] from CppFlow; also the shortest step in which tracks are followed: shorter ones prove nothing.
+# Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow.
+# The search itself uses at least these steps, because a smaller max_step is met at the end by inserting rows.
 STEP = (np.radians(7.0), 0.02)
-# For an arm that cannot follow the interpolated poses: a step of a joint [rad], [m], and a deviation [m], [rad], of any size.
+# An arm with too few joints to follow interpolated poses is searched without bounds, by values that never occur:
+# These are the largest step of a joint [rad], [m] and the largest deviation of a tip [m], [rad].
 ANY_STEP, ANY_DEVIATION = (1e3, 1e6), (1e9, 1e9)
 
 
 class Problem:
-    """Poses T (N, 4, 4), for a Tree (N, F, 4, 4), of `kinds` for a bound solver, ready for the kernels of a path.
+    """Poses T (N, 4, 4), or (N, F, 4, 4) for F tips, of the target kinds `kinds`, ready for the compiled path search.
 
-    most (n,): largest step of a joint, in kernel units, or STEP if that is longer (the rows that max_step requires are inserted
-    at the end); deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T by tip, at places `at` (N,) among the
-    requested poses (default: those themselves). stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single:
-    plan for one attempt of the general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether both
-    exist; room: the same without those of joints whose full turns are added later. redundant: whether there are more joints than
-    needed, so that solutions are not isolated.
+    Kernel units are radians for a revolute joint, and metres divided by the robot's scale for a prismatic one.
+
+    most (n,): largest step of each joint between two poses [kernel units], at least STEP
+    deviation (2,): how far [m], [rad] a tip may leave the interpolated pose between two poses
+    poses (N, F, 4, 4): T with one axis for the tips
+    at (N,): place of each pose among the requested ones (3.5 is halfway from pose 3 to pose 4)
+    stand (n,): values at which joints of weight 0 are held, from q0 or else home [kernel units]
+    plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
+    rows, ends, orders: the arrays of `single` that compiled functions take
+    limits (3, n): lower limit, upper limit [kernel units], and 1 where both are finite
+    endless (n,), turning: revolute joints without limits; indices of limited ones whose range exceeds a full turn
+    redundant: whether there are more joints than the targets need, so that solutions are not isolated
+    room (3, n): limits in the search, which has none for `turning` joints if not redundant: their turns come later
     """
 
     def __init__(
@@ -41,7 +50,7 @@ class Problem:
         q0: np.ndarray | None = None,
         at: np.ndarray | None = None,
     ) -> None:
-        """Pack the kernel arrays."""
+        """Pack the arrays; max_step (rad, m), deviation (m, rad), q0 (n,) [rad or m] and `at` as described above."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
         self.poses = T.reshape(len(T), -1, 4, 4)
@@ -54,7 +63,7 @@ class Problem:
         self.stand = (robot.home if q0 is None else q0) / self.unit
         able = freedom(self.single, kinds)
         turn, slide = ANY_STEP if able.lacks else np.maximum(max_step, STEP)
-        if able.lacks:  # between the poses there is nothing to reach: the steps are judged when they are known
+        if able.lacks:  # Interpolated poses cannot be reached, so the motion between poses is judged when it is known.
             self.deviation = np.array(ANY_DEVIATION)
         self.most = np.where(robot.slides, slide, turn) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
@@ -69,10 +78,10 @@ class Problem:
             self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf
 
     def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
-        """Solutions (m, n) of pose t in kernel units, found by one attempt from each of Q0 (M, n) [rad, m].
+        """Search pose number t once from each start Q0 (M, n) [rad or m].
 
-        Joints with more than a full turn are on the turn nearest the middle of their limits. Also returns the proven distance of
-        the pose out of reach [m], 0: not proven.
+        Returns the solutions found (m, n) [kernel units], with revolute joints on the full turn nearest the middle of
+        their limits, and the distance [m] by which the pose is proven out of reach (0 if it is not proven).
         """
         single, n = self.single, self.robot.n
         T, out = np.repeat(self.T[t : t + 1], len(Q0), axis=0), np.zeros((len(Q0), single.width))
@@ -88,7 +97,7 @@ class Problem:
         return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Q (m, n) with joints that have more than a full turn on the turn nearest the middle of their limits."""
+        """Return Q (m, n) [kernel units] with joints that wrap on the full turn nearest the middle of their limits."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False
@@ -99,10 +108,10 @@ class Problem:
         return Q
 
     def inside(self, q: np.ndarray) -> np.ndarray:
-        """Rows q (M, n) [rad or m] moved back inside limits exceeded by rounding in kernel units."""
+        """Return q (M, n) [rad or m] clipped to the joint limits, which rounding in kernel units may exceed."""
         return np.clip(q, self.robot.lower, self.robot.upper) if self.plan.options.limits else q
 
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Q (m, n) in kernel units moved onto the poses t (m,), and whether each is reached (m,)."""
+        """Move Q (m, n) [kernel units] onto the poses numbered t (m,); return them and whether each is reached (m,)."""
         rows, good = settle_on_targets(self.single, self.kinds, Q * self.unit, self.poses[t])
         return rows / self.unit, good

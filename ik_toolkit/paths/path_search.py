@@ -1,7 +1,8 @@
-"""The search for a path: solve anchors, link their tracks by dynamic programming, test contact, add anchors at the breaks.
+"""The search for a path: solve some poses, continue their solutions along the path, link them by dynamic programming.
 
-An anchor is a pose solved from many starts; a track is one of its solutions continued along the path. "Program" always means
-the dynamic program over the tracks.
+An anchor is a pose that is solved from many random starts. A track is one of its solutions, continued along the path as
+far as it goes. The dynamic program over the tracks (`shortest_path.Program`) finds the best path; where that still
+reconfigures, the poses around the break become anchors, too, and the program is run again.
 """
 
 from collections.abc import Callable
@@ -19,48 +20,59 @@ from .path_problem import Problem
 from .result import Unreachable
 from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_first
 
-EVERY = 20  # poses between two anchors of a robot with isolated solutions: cheap, and none may be missed
-ANCHORS = 13  # first anchors of a redundant robot: tracks reach far; with 9 a short path was missed in one of 25 runs
-SHARE = 40  # most tracks an anchor of a redundant robot may add
-TRIED = 3  # seeds tested for contact per track an anchor may add: next to an obstacle one in two touches
-PATIENCE = 2  # rounds of further anchors at the breaks that may fail to help
-# [rad] first contact margin over a pair's longest arm: 3 mm at one metre, cheap to prove free between poses
+# For a robot with finitely many solutions every 20th pose is an anchor, because no solution may be missed.
+EVERY = 20
+# Number of first anchors for a redundant robot. Few suffice, because its tracks reach far.
+ANCHORS = 13
+SHARE = 40  # largest number of tracks that an anchor of a redundant robot adds
+TRIED = 3  # number of solutions tested for contact for each track that an anchor may add
+PATIENCE = 2  # number of successive rounds of further anchors without a gain after which the search ends
+# The first search keeps a margin of this angle [rad] times a pair's longest lever arm: 3 mm for an arm of a metre.
+# With such a margin the motion between poses is easily proven free of contact.
 NEAR = 0.003
-PROBES = 9  # poses of a gap without a solution: if its middle and quarters have none, the rest is unlikely to
-LEAST, BUDGET = 20_000, 200  # contact tests allowed: for any path, and per pose; usually some 15 per pose are used
+PROBES = 9  # After this many poses without a solution, the others in a gap between tracks are given up.
+LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.
 
 
 def _runs(places: np.ndarray) -> list[np.ndarray]:
-    """Split ascending indices into runs without gaps."""
+    """Split ascending indices into runs of consecutive ones."""
     return [run for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if len(run)]
 
 
 def model_near(model: Any, limits: np.ndarray) -> Callable[[Any], bool]:
-    """Contact test of a CollisionModel with margin NEAR; limits (2, n) [rad, m]."""
+    """Return a function of q (n,) that says whether any two parts of a CollisionModel are nearer than the margin NEAR.
+
+    limits (2, n) [rad or m]: lower and upper; they bound the lever arms.
+    """
     margins = Margins(model, np.where(np.isfinite(limits), np.abs(limits), 0.0).max(axis=0))
     return lambda q: not margins.free(q, NEAR)
 
 
 def _within(best: tuple[int, int], allowed: float) -> bool:
-    """Whether there is a path with at most `allowed` reconfigurations."""
+    """Return whether `best`, the result of `Program.best`, is a path with at most `allowed` reconfigurations."""
     return best[0] >= 0 and best[1] % CONTACT <= allowed
 
 
 class Found(NamedTuple):
-    """Best path found: q (N, n) in kernel units, NaN where there is none; tracks (N,), -1 there.
+    """A path found: q (N, n) [kernel units], NaN at poses that it does not pass, and its tracks (N,), -1 there.
 
-    breaks: poses after which it reconfigures; contacts: poses at which it touches.
+    breaks: poses after which it reconfigures; contacts: number of poses at which it is in contact.
     """
 
     q: np.ndarray
     tracks: np.ndarray
     breaks: list[int]
     contacts: int
-    verified: bool  # whether the state at every pose was tested
+    verified: bool  # False if the collision tests ended before the path was tested at every pose
 
 
 class Search:
-    """Tracks of a problem and the program over them, refined round by round; `found` is the best path so far."""
+    """A path search: the tracks of a Problem and the dynamic program over them, refined round by round.
+
+    A track is one solution continued along the path. `found` is the best path so far, `lower_bound` the proven least
+    number of reconfigurations (None: not proven), and `fixed` says whether the path starts exactly at q0, and ends
+    exactly at q_end.
+    """
 
     def __init__(
         self,
@@ -72,9 +84,11 @@ class Search:
         seed: int,
         progress: Callable[[float, str], None],
     ) -> None:
-        """q0, q_end (n,) in kernel units: start and end of the path, or configurations near which it starts and ends.
+        """Take the options of a search.
 
-        model: CollisionModel or None.
+        model: a CollisionModel or None; q0, q_end (n,) [kernel units] or None: start and end of the path, or
+        configurations near which it starts and ends; seed: of the random starts; progress: function of a share and a
+        text.
         """
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
         self.collides: Any = None
@@ -82,24 +96,27 @@ class Search:
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
-        self.anchored: dict[int, float] = {}  # anchor -> proven distance out of reach [m], 0: not proven
+        self.anchored: dict[int, float] = {}  # for each anchor, the distance [m] it is proven out of reach, else 0
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        self.sure: np.ndarray | None = None  # poses (N,) whose solutions are all known ...
-        self.legal = np.empty((0, 0), dtype=bool)  # ... and which of those (N, K) the limits allow
-        self.copied: set[int] = set()  # joints with more than a full turn whose turns must be distinguished
+        self.sure: np.ndarray | None = None  # (N,) poses whose solutions are proven to be all known
+        self.legal = np.empty((0, 0), dtype=bool)  # (N, K) which of the K solutions of a pose keep the joint limits
+        self.copied: set[int] = set()  # joints with a range of over a full turn whose tracks are copied to every turn
         self.wound = problem.endless
-        self.fixed = [False, False]  # whether the path starts exactly at q0, ends exactly at q_end
+        self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
 
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
-        """Test contact with collides(q) (n,) [rad, m] from now on and forget earlier results."""
+        """Test contact by the function collides(q), q (n,) [rad or m], from now on, and forget earlier results."""
         self.collides = collides
         self.tester = Tester(collides, self.problem.unit, max(BUDGET * len(self.problem.T), LEAST))
 
     # ---------------------------------------------------------------------------------------------------------- anchors
     def anchor(self, t: int, count: int) -> int:
-        """Solve pose t from many starts and extend its new solutions; returns the number of tracks added."""
+        """Solve pose t from many starts, and continue its new solutions along the path as tracks.
+
+        count: largest number of new tracks of a redundant robot. Returns the number of tracks added.
+        """
         p, tracks = self.problem, self.tracks
         Q0 = p.robot.random_q(tracks.rng, STARTS)
         for q in self.ends:
@@ -120,7 +137,10 @@ class Search:
         return len(seeds)
 
     def without_contact(self, seeds: np.ndarray, count: int) -> np.ndarray:
-        """The first `count` of seeds (m, n) that touch nothing or, if all touch, the first few of them."""
+        """Return the first `count` of the configurations seeds (m, n) [kernel units] that are free of contact.
+
+        If all are in contact, return the first quarter of `count`, so that a path in contact can still be found.
+        """
         free = []
         for q in seeds:
             if not self.collides(q * self.problem.unit):
@@ -130,7 +150,7 @@ class Search:
         return np.array(free) if free else seeds[: max(1, count // 4)]
 
     def first_anchors(self) -> None:
-        """Solve poses spread over the path; given ends become tracks, too."""
+        """Solve poses spread over the path; q0 and q_end become tracks, too, if they reach the first and last pose."""
         p, N = self.problem, len(self.problem.T)
         for k, (q, t) in enumerate(zip(self.ends, (0, N - 1), strict=True)):
             if q is not None and self.solves(q, t):
@@ -147,14 +167,14 @@ class Search:
         self.fill()
 
     def solves(self, q: np.ndarray, t: int) -> bool:
-        """Whether q (n,) reaches pose t."""
+        """Return whether q (n,) [kernel units] reaches pose number t."""
         moved, good = self.problem.settled(q[None], np.array([t]))
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses that no track passes: ends and middle of each gap, then of what is left, until PROBES of it had no solution.
+        """Solve poses at which no track exists: in each gap in bisection order, until PROBES poses had no solution.
 
-        Given poses come before inserted ones: an arm with fewer joints than the task has may reach those, and none in between.
+        Requested poses come before inserted ones, because an arm with too few joints may reach only the former.
         """
         alive = self.tracks.alive()
         for gap in _runs(np.flatnonzero(alive == 0)):
@@ -171,16 +191,16 @@ class Search:
 
     # ----------------------------------------------------------------------------------------------------------- linking
     def link(self) -> None:
-        """Build the program over the current tracks and take its best path."""
+        """Build the dynamic program over the current tracks and take its best path as `found`."""
         self.progress(0.7, "linking them")
         self.build()
         self.found = self.best()
 
     def build(self) -> None:
-        """Build the program, with copies of the tracks on all turns of the joints in `copied`."""
+        """Build the dynamic program, with copies of the tracks on all full turns of the joints in `copied`."""
         p, tracks = self.problem, self.tracks
         Q, span = tracks.Q[:, : tracks.size], tracks.span
-        self.wound = p.endless.copy()  # joints whose full turns do not count in the program
+        self.wound = p.endless.copy()  # (n,) joints whose full turns do not count in the dynamic program
         if not p.redundant and len(span):
             self.wound[[i for i in p.turning if i not in self.copied]] = True
             for i in self.copied:
@@ -198,7 +218,10 @@ class Search:
             self.tester = self.tester.of(program)
 
     def best(self, allowed: float | None = None) -> Found:
-        """The best path to the last pose, or to the farthest pose reached with at most `allowed` reconfigurations."""
+        """Return the best path to the last pose; with `allowed`, to the farthest pose by that many reconfigurations.
+
+        Tracks are copied to all turns of a joint whose winding along the best path does not fit its limits.
+        """
         while True:
             found, unfit = self.made(allowed)
             if not unfit:
@@ -207,7 +230,10 @@ class Search:
             self.build()
 
     def made(self, allowed: float | None) -> tuple[Found, set[int]]:
-        """Best path through the current program, and the joints whose turns do not fit the limits."""
+        """Return the best path through the current program, and the joints whose winding does not fit their limits.
+
+        allowed: None, or the largest number of reconfigurations; the path then ends at the farthest pose they lead to.
+        """
         p, program = self.problem, self.program
         N, K = program.state.shape
         last, verified = N - 1, True
@@ -226,9 +252,10 @@ class Search:
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
         breaks = []
-        for t in np.flatnonzero(jumps).tolist():  # only between neighbouring poses, not across unreached ones
+        # A jump across poses that are not reached is no reconfiguration, unless all of these are inserted poses.
+        for t in np.flatnonzero(jumps).tolist():
             before = int(on[np.searchsorted(on, t) - 1])
-            if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():  # except across inserted poses only
+            if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():
                 breaks.append(before)
         limits = np.where(p.endless, [[-np.inf], [np.inf]], p.limits[:2])
         fixed = [self.fixed[0], self.fixed[1] and last == N - 1]
@@ -238,10 +265,10 @@ class Search:
 
     # -------------------------------------------------------------------------------------------------------------- whole
     def run(self) -> Found:
-        """Search until the path has no reconfiguration, or further anchors do not help."""
+        """Search until the path has no reconfiguration or contact, or more anchors do not help; return the path."""
         self.first_anchors()
         self.link()
-        if self.worth() and self.model is not None:  # without the extra margin: a narrow passage may be free
+        if self.worth() and self.model is not None:  # A narrow passage may be free without the extra margin NEAR.
             self.keep_away(self.model.collides)
             self.link()
         left = PATIENCE
@@ -258,7 +285,10 @@ class Search:
 
     # ------------------------------------------------------------------------------------------------------------- proof
     def prove(self) -> None:
-        """Set `lower_bound` if the number of reconfigurations is provably minimal: every solution of every pose is on a track."""
+        """Set `lower_bound` if the number of reconfigurations is proven to be the least.
+
+        That is so if it is 0, or if every solution of every pose, from a closed form, lies on a track.
+        """
         p = self.problem
         if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
             self.lower_bound = 0
@@ -287,7 +317,7 @@ class Search:
             self.lower_bound = len(self.found.breaks)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Which solutions Q (N, K, n) lie on some track, ignoring full turns (N, K)."""
+        """Return which of the solutions Q (N, K, n) [kernel units] lie on some track (N, K), full turns aside."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):
@@ -300,11 +330,14 @@ class Search:
     # ---------------------------------------------------------------------------------------------------------- verdicts
 
     def worth(self) -> int:
-        """Cost of the best path: contacts first, then reconfigurations."""
+        """Return the cost of the best path: its reconfigurations, plus CONTACT for each pose in contact; 0 is best."""
         return self.found.contacts * CONTACT + len(self.found.breaks)
 
     def without(self, found: Found, steps: list[int]) -> bool:
-        """Find the best path again without these steps (from pose k to the next); False if there are none to exclude."""
+        """Exclude steps of the path `found`, from pose k to the next for k in steps, and find the best path again.
+
+        Returns False if there is no step to exclude.
+        """
         program = self.program
         before = len(program.blocked)
         for k in steps:
@@ -318,7 +351,7 @@ class Search:
         return True
 
     def unreachable(self) -> list[Unreachable]:
-        """Poses for which no solution was found, and why."""
+        """Return the requested poses for which no solution was found, with the reason."""
         missing = (
             np.flatnonzero(~(self.program.state != DEAD).any(axis=1))
             if self.tracks.size
@@ -327,10 +360,10 @@ class Search:
         said = []
         for t in missing:
             place = self.problem.at[t]
-            if place != round(place):  # an inserted pose
+            if place != round(place):  # Inserted poses are not reported.
                 continue
             beyond = self.anchored.get(int(t))
-            if beyond is None:  # a gap is probed, not solved at every pose
+            if beyond is None:  # Not every pose in a gap between tracks is solved.
                 beyond = self.problem.solutions(int(t), self.problem.robot.home[None])[1]
                 reason = "no solution at a neighbouring pose leads to it"
             else:

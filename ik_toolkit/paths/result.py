@@ -1,4 +1,4 @@
-"""Result of `solve_path`: a joint motion through the poses, what is proven of it, where it breaks, and a sentence with advice."""
+"""The result of `solve_path`: a joint motion through poses, what is proven of it, and a sentence with advice."""
 
 import json
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from .certificate import Continuity
 
 
 class PathStatus(Enum):
-    """How a path ended; the first two are successes."""
+    """How a path search ended; FOLLOWED and RECONFIGURES are successes."""
 
     FOLLOWED = "every pose, one continuous motion"
     RECONFIGURES = "every pose, with reconfigurations, no more than allowed"
@@ -27,9 +27,9 @@ class PathStatus(Enum):
 
 
 class Reconfiguration(NamedTuple):
-    """Between pose `index` and the next the robot changes to another branch of solutions.
+    """A change to another branch of solutions between pose `index` and the next one.
 
-    move (n,): the smallest joint move [rad or m] found from one side to the other.
+    move (n,): difference of the joint values after and before it [rad or m].
     """
 
     index: int
@@ -37,7 +37,7 @@ class Reconfiguration(NamedTuple):
 
 
 class Unreachable(NamedTuple):
-    """A pose that is not reached, why, and whether that is proven (or just no solution was found)."""
+    """A pose that is not reached: its index, the reason, and whether that is proven (else no solution was found)."""
 
     index: int
     reason: str
@@ -48,14 +48,21 @@ class Unreachable(NamedTuple):
 class PathResult:
     """A joint motion through N poses (read-only).
 
-    q (N, n) [rad or m], one row per pose, NaN where a pose is not reached; status; message (one sentence, with what to try);
-    reconfigurations, and lower_bound, the proven minimum (None: not proven); unreachable poses. position_error (N,) [m] and
-    orientation_error (N,) [rad] (None: free): the errors that count at the poses, the largest over the tips, by Pinocchio.
-    The motion is linear in the joints between the rows of curve (M, n): q and the inserted poses; at (M,) is their place
-    among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it.
-    fraction: share of the path's length that one motion follows from its start (1 where it is FOLLOWED). robot,
-    targets (N, F, 4, 4) [m] by tip, kinds and options: the request; max_step (rad, m), path_tolerance (m, rad),
-    collision (model or None), seed; elapsed [s].
+    Attributes:
+        robot, targets, kinds, options: the request; targets (N, F, 4, 4) [m] for F tips, kinds: a target kind per tip.
+        q: (N, n) [rad or m], a solution of each pose, NaN where a pose is not reached.
+        status, message: how the search ended, and one sentence that says what to try.
+        position_error: (N,) [m], the counted error at each pose, the largest of all tips, computed with Pinocchio.
+        orientation_error: (N,) [rad], likewise; None if every orientation is free.
+        curve: (M, n) [rad or m], q and the rows inserted between; the motion is linear in the joints from row to row.
+        at: (M,) place of each row of curve among the poses (3.5 is halfway from pose 3 to pose 4).
+        continuity: what is proven about the motion between the poses.
+        reconfigurations, lower_bound: changes of branch, and their proven least number (None: not proven).
+        unreachable: the poses that are not reached.
+        max_step, path_tolerance, collision, seed: the options: (rad, m), (m, rad), a CollisionModel or None, a seed.
+        elapsed: time of the search [s].
+        fraction: share of the path's length that one motion can follow from the start; 1 if FOLLOWED.
+        tolerance_given: whether the caller gave path_tolerance.
     """
 
     robot: Any
@@ -83,33 +90,36 @@ class PathResult:
 
     @property
     def success(self) -> bool:
-        """Whether every pose is reached, with no more reconfigurations than allowed, without contact or an open loop."""
+        """Return whether all poses are reached, without contact, open loops or too many reconfigurations."""
         return self.status in (PathStatus.FOLLOWED, PathStatus.RECONFIGURES)
 
     @property
     def deviation(self) -> tuple[float, float]:
-        """Bound on the deviation of a tip [m] and [rad] from the interpolated poses, anywhere between the poses."""
+        """Return upper bounds [m] and [rad] on how far a tip leaves the interpolated poses, anywhere on the path."""
         return self.continuity.largest
 
     @property
     def clearance(self) -> float | None:
-        """Proven clearance [m] of all parts along the whole path; None if collisions were not checked."""
+        """Return the proven least distance [m] of any two parts on the path; None if collisions were not checked."""
         return self.continuity.clearance
 
     @property
     def pieces(self) -> list[slice]:
-        """Continuous pieces of the motion, as rows of `curve`: it breaks at reconfigurations and at poses not reached."""
+        """Return the continuous pieces of the motion, each as a slice of the rows of `curve`.
+
+        The motion breaks at reconfigurations and at poses that are not reached.
+        """
         return pieces(self.curve, self.at, [one.index for one in self.reconfigurations])
 
     @property
     def largest_step(self) -> tuple[float, float]:
-        """Largest step of a joint between neighbouring rows of `curve`, within the pieces: revolute [rad] and prismatic [m]."""
+        """Return the largest joint step between rows of a piece: of revolute joints [rad], of prismatic joints [m]."""
         moves = [np.abs(np.diff(self.curve[piece], axis=0)).max(axis=0, initial=0.0) for piece in self.pieces]
         return self._apart(np.max(moves, axis=0) if moves else np.zeros(self.robot.n), np.max)
 
     @property
     def length(self) -> tuple[float, float]:
-        """Sum of |dq| over neighbouring rows of q: revolute joints [rad] and prismatic joints [m]."""
+        """Return the sum of |dq| from pose to pose over all revolute joints [rad] and all prismatic joints [m]."""
         moves = np.abs(np.diff(self.q, axis=0))
         return self._apart(np.nansum(moves, axis=0), np.sum)
 
@@ -118,13 +128,13 @@ class PathResult:
         return float(of(values[~slides], initial=0.0)), float(of(values[slides], initial=0.0))
 
     def raise_for_status(self) -> "PathResult":
-        """Return self, or raise NotSolved with the message if the path was not followed."""
+        """Return self if the path was followed. Raises NotSolved, with the message, if not."""
         if not self.success:
             raise NotSolved(self)
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON; rows of poses that are not reached contain nulls."""
+        """Return plain numbers, strings and lists, ready for JSON; rows of poses that are not reached contain None."""
         return plain(
             {
                 "success": self.success,
@@ -158,7 +168,15 @@ class PathResult:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write .csv (one row per pose: joints, then errors), .npz (the arrays) or .json (`to_dict`). Raises InvalidOption."""
+        """Write the result to a file and return its path.
+
+        Args:
+            path: a name that ends in .csv (a row per pose: joints [rad or m], then errors), .npz (the arrays) or .json
+                (`to_dict`).
+
+        Raises:
+            InvalidOption: another ending.
+        """
         file = as_path(path, "path")
         suffix = file.suffix.lower()
         if suffix == ".json":
@@ -191,19 +209,24 @@ class PathResult:
         path_tolerance: Any = None,
         tip_speed: float | None = None,
     ) -> Trajectory:
-        """Time-optimal motion within joint speed and acceleration limits, see `Trajectory`.
+        """Return the time-optimal motion along the path within joint speed and acceleration limits.
 
-        The poses are samples of a motion: a smooth curve goes through them. It stops only where it must, which the result says
-        (`Trajectory.stops`). At a reconfiguration the robot stops and moves freely from one branch to the other.
+        The poses are taken as samples of a motion, and a smooth curve goes through them. It stops only where no smooth
+        curve keeps the tolerance (`Trajectory.stops`). At a reconfiguration the robot stops and moves freely to the
+        other branch.
 
         Args:
-            velocity: one number, or one per joint (n,) [rad/s or m/s]; default the robot's own limits.
-            acceleration: the same [rad/s^2 or m/s^2]; must be given.
-            rate: of the samples [1/s].
-            seed: of the search for a free motion.
-            path_tolerance: how far (m, rad) a tip may leave the chords between the poses. Default: the one given to `solve_path`;
-                where none was, its default or the chords' own sagitta, which is how far an arc through the poses leaves them.
-            tip_speed: speed [m/s] of the tip along the path, kept wherever the limits allow (`Trajectory.slower` says where not).
+            velocity: largest joint speeds [rad/s or m/s], one number or one per joint (n,); default the robot's own.
+            acceleration: largest joint accelerations [rad/s^2 or m/s^2], likewise; must be given.
+            rate: samples per second.
+            seed: of the random search for a free motion from one branch to another.
+            path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the one
+                given to `solve_path`. If none was given, the larger of that function's default and the chord's sagitta,
+                which is how far an arc through the poses leaves it.
+            tip_speed: speed [m/s] of the fastest tip, kept wherever the limits allow (see `Trajectory.slower`).
+
+        Returns:
+            The sampled motion.
 
         Raises:
             InvalidOption: limits are missing or not positive.
@@ -215,16 +238,20 @@ class PathResult:
         return retime(self, velocity, acceleration, rate, seed, path_tolerance, tip_speed)
 
     def __repr__(self) -> str:
-        """One line."""
+        """Return one line: the status and the most important numbers."""
         turn, slide = self.length
         parts = [f"{len(self.q)} poses", f"{len(self.reconfigurations)} reconfigurations", f"length {turn:.4g} rad"]
         return f"PathResult({self.status.name}, {', '.join(parts)}{f' and {slide:.4g} m' if slide else ''})"
 
 
 def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
-    """Runs of rows of a curve (M, n) without NaN or a break (between pose k and the next, for k in breaks)."""
+    """Return the continuous pieces of a curve (M, n), each as a slice of its rows.
+
+    A piece contains no NaN and no break; breaks are between pose k and the next, for k in breaks. at (M,): places of
+    the rows among the poses.
+    """
     finite = np.asarray(np.isfinite(curve).all(axis=1))
-    cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion stops between two rows
+    cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion breaks between two rows
     for k in breaks:
         cut[np.searchsorted(at, k)] = True
     starts = np.flatnonzero(np.append(True, cut))
@@ -233,7 +260,10 @@ def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
 
 
 def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
-    """One sentence. needed: reconfigurations of the best path found through all poses; allowed: largest number allowed."""
+    """Return the sentence that says how a path search ended and, if it failed, what to try.
+
+    needed: number of reconfigurations of the best path found through all poses; allowed: the largest number allowed.
+    """
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:
         reached = np.flatnonzero(np.isfinite(path.q[:, 0]))

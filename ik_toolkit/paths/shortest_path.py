@@ -1,8 +1,10 @@
-"""The path through tracks of solutions with the fewest reconfigurations, and of these the cheapest: a dynamic program.
+"""The joint path with the fewest reconfigurations, and of these the cheapest, by dynamic programming.
 
-A state is a track at a pose. From one pose to the next a path stays on its track, changes to one within reach of a step, or
-reconfigures: to any state at all, from the best of the pose before. So a layer costs the near pairs, not all pairs.
-Contacts are tested lazily: the best path is tested, what touches is excluded, and the search is repeated.
+A track is one solution continued along the poses, and a state is the configuration of a track at a pose; the states of
+a pose form a layer. From one layer to the next a path stays on its track, changes to a track that is within the largest
+joint step, or reconfigures: any state may follow the best state of the layer before. So only near pairs of states are
+compared, not all. Collision tests are lazy: only states on the best path are tested, those in contact are penalised,
+and the program is run again.
 """
 
 import itertools
@@ -14,22 +16,25 @@ import numpy as np
 from ..compile.jit import cached, inline, inner
 from ..kernel.kinematics import TAU
 
-DEAD, UNTESTED, FREE, TOUCHING = range(4)  # what is known of a state
-NONE = -1  # no parent; below that -2 - parent: a reconfiguration
-CONTACT = 1 << 20  # a pose in contact counts as this many reconfigurations: any number of them is better
+# A state does not exist or violates a limit (DEAD), or it is not tested for contact yet, or free, or in contact.
+DEAD, UNTESTED, FREE, TOUCHING = range(4)
+# A state's parent is the track k of the state before it, -2 - k if it is reached by a reconfiguration, or NONE.
+NONE = -1
+CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, which is more than any path has.
 
 
 @inline
 def shortest_difference(d, endless):
-    """A coordinate, or a difference of two; of an endless joint without full turns."""
+    """Return d [rad] less its full turns if endless > 0, else d itself; d is a joint value or a difference of two."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 
 @inner
 def step(Q, t, a, u, b, most, endless, price, near, enough):
-    """Cost of moving from state a to b; inf where that is `enough` or more.
+    """Return the cost of the joint move from track a at pose t to track b at pose u; infinite from `enough` on.
 
-    Where these are not near states (near > 0), a joint moves further than it may.
+    A joint that moves further than `most` (n,) makes the cost infinite if near > 0, and adds price[2, 0] if near is 0.
+    Other arguments are those of `link_layers`.
     """
     total, over = 0.0, 0.0
     for i in range(most.shape[0]):
@@ -46,7 +51,7 @@ def step(Q, t, a, u, b, most, endless, price, near, enough):
 
 @inner
 def barred(blocked, low, high, a, b):
-    """Whether the edge from a to b is among blocked[low:high]."""
+    """Return whether the step from track a to track b is among the excluded steps blocked[low:high]."""
     for k in range(low, high):
         if blocked[k, 1] == a and blocked[k, 2] == b:
             return True
@@ -55,7 +60,7 @@ def barred(blocked, low, high, a, b):
 
 @inner
 def window(keys, size, low):
-    """First place in keys[:size], ascending, that is not below `low`."""
+    """Return the first index at which the ascending keys[:size] are not below `low` (binary search)."""
     a, b = 0, size
     while a < b:
         m = (a + b) // 2
@@ -68,13 +73,18 @@ def window(keys, size, low):
 
 @cached
 def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis, first, counts, costs, parents, prior):
-    """Fill counts (N, K), costs (N, K), parents (N, K) and prior (N,) from layer `first` on; those before stand.
+    """Run the dynamic program over K tracks and N poses (layers) from layer `first` on, with the results before it.
 
-    Q (N, K, n): tracks, whole from span[k, 0] to span[k, 1]; state (N, K): DEAD, UNTESTED, FREE, TOUCHING; most (n,): largest
-    step; endless (n,): 1 where full turns do not count; price (3, n): of a joint's move, of its square, and (first) of a step
-    longer than it may be; begin (2, K): count and cost of starting on a track; toll (N, K): cost of a state; blocked (B, 3): edges
-    (pose they lead to, from, to) that are none, by pose; axis: the joint by which near states are looked up. prior[t]
-    is the layer the parents of t are in, -1 where t is the first with states; a layer without states has none.
+    Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]
+    state (N, K): DEAD, UNTESTED, FREE or TOUCHING
+    most (n,): largest step of each joint; endless (n,): 1 if full turns of a joint do not count
+    price (3, n): per unit of a joint's move; per unit of its square; [2, :2]: of a too long step, of a reconfiguration
+    begin (2, K): number of reconfigurations and cost of starting on each track; toll (N, K): extra cost of a state
+    blocked (B, 3): excluded steps, as pose they lead to, track before, track after; sorted
+    axis: index of the joint by whose value near states are looked up
+
+    Written are counts (N, K) and costs (N, K), the reconfigurations (contacts as CONTACT each) and the cost of the best
+    path to each state; parents (N, K), see NONE; prior (N,), the last layer before with states, -1 if there is none.
     """
     N, K, _ = Q.shape
     keys, order = np.empty(K), np.empty(K, np.int64)
@@ -135,7 +145,7 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
                     at = shortest_difference(float(Q[t, b, axis]), round)
                     low = window(keys, size, shortest_difference(at - reach, round))
                     for j in range(low, size if round == 0.0 else low + size):
-                        j -= size if j >= size else 0  # on an endless joint the first comes after the last
+                        j -= size if j >= size else 0  # The values of an endless joint form a ring.
                         if shortest_difference(keys[j] - at, round) > reach:
                             break
                         a = order[j]
@@ -155,27 +165,30 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
         bar = stop
 
 
-LONG = 1e3  # cost of a step longer than allowed: more than the length of any path
-LEAP = 1.0  # cost of a reconfiguration in addition to its count; the move itself is not part of the path
-SUSPECT = 50.0  # toll on an untested state between two touching ones of its track, so that it is tried last
-HITS = 4  # touching states found before the program is run again for the first time
-SAMPLED, PAIRED = 5, 64  # poses and tracks sampled to choose the joint by which nearby states are looked up
-COARSE = 16  # every so many poses of a track are tested first
+LONG = 1e3  # cost of a step longer than allowed, above the length of any path [kernel units]
+LEAP = 1.0  # cost of a reconfiguration in addition to its count; its joint move costs nothing, as it is not on the path
+SUSPECT = 50.0  # extra cost of an untested state between two in contact on the same track, so that it is tried last
+HITS = 4  # number of states found in contact after which the program is run again, for the first time
+SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint by which near states are looked up
+COARSE = 16  # After a first contact every track is tested at every 16th pose.
 
 
 class Program:
-    """Tracks Q (N, K, n) in kernel units, whole over span (K, 2), and the best path through them.
+    """The dynamic program over K tracks and N poses; a track is one solution continued along the poses.
 
-    state (N, K): see kernel.path_link; begin, end (2, K): count and cost for a path that begins or ends on each track.
+    Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]. state (N,
+    K): what is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of reconfigurations and
+    cost that a path pays for beginning, or ending, on each track.
     """
 
     def __init__(self, Q: np.ndarray, span: np.ndarray, most: np.ndarray, endless: np.ndarray) -> None:
-        """Start with every state untested."""
+        """Start with every state untested; most (n,): largest steps; endless (n,): joints whose turns do not count."""
         N, K, _ = Q.shape
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        self.price = np.zeros((3, max(Q.shape[2], 2)))  # the last row holds two prices, whatever the number of joints
+        # The last row holds two prices, even for a robot with one joint.
+        self.price = np.zeros((3, max(Q.shape[2], 2)))
         self.price[0] = 1.0
         self.price[1] = 1.0 / most
         self.price[2, :2] = LONG, LEAP
@@ -184,11 +197,11 @@ class Program:
         self.blocked: set[tuple[int, int, int]] = set()
         self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
         self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
-        self.changed = 0  # first layer that must be run again
+        self.changed = 0  # index of the first layer whose results are out of date
         self.axis = self._telling()
 
     def _telling(self) -> int:
-        """The joint in which the fewest sampled pairs of states are near each other."""
+        """Return the joint that separates states best: the one in which the fewest sampled pairs are within a step."""
         N, K, n = self.Q.shape
         some = np.unique(np.linspace(0, N - 1, SAMPLED).astype(int))[:, None]
         Q = self.Q[some, np.unique(np.linspace(0, K - 1, PAIRED).astype(int))] if K else np.zeros((1, 1, n))
@@ -197,7 +210,7 @@ class Program:
         return int(np.argmin((np.abs(d) <= self.most).mean(axis=(0, 1, 2))))
 
     def run(self) -> None:
-        """Bring the program up to date."""
+        """Run the dynamic program over the layers whose results are out of date."""
         if self.changed >= len(self.Q):
             return
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
@@ -208,13 +221,16 @@ class Program:
         self.changed = len(self.Q)
 
     def mark(self, t: int, k: int, touching: bool) -> None:
-        """Store the result of a contact test."""
+        """Store whether track k is in contact at pose t."""
         self.state[t, k] = TOUCHING if touching else FREE
         if touching:
             self.changed = min(self.changed, t)
 
     def best(self, t: int) -> tuple[int, int]:
-        """Track and count of the best path to layer t; -1 if there is none."""
+        """Return the track on which the best path to pose t ends (-1: none), and its number of reconfigurations.
+
+        Each pose in contact counts as CONTACT reconfigurations.
+        """
         alive = self.state[t] != DEAD
         if not alive.any():
             return -1, 0
@@ -225,7 +241,10 @@ class Program:
         return k, int(counts[k])
 
     def path(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """Tracks (t + 1,) of the best path to layer t, -1 for a layer without one; and where it reconfigures, (t + 1,) bool."""
+        """Return the tracks (t + 1,) of the best path to pose t, -1 at a pose without one, and where it reconfigures.
+
+        A reconfiguration is marked at the pose after it.
+        """
         tracks, jumps = np.full(t + 1, -1), np.zeros(t + 1, dtype=bool)
         while t >= 0 and not (self.state[t] != DEAD).any():
             t -= 1
@@ -241,7 +260,7 @@ class Program:
 
 
 def middle_first(size: int) -> np.ndarray:
-    """Indices 0 ... size - 1 in bisection order: the ends first, then the middles in between."""
+    """Return the indices 0 ... size - 1 in bisection order: the ends first, then the middles of the gaps, and so on."""
     if size < 1:
         return np.empty(0, dtype=int)
     step, seen, order = 1 << max(0, (size - 1).bit_length()), np.zeros(size, dtype=bool), []
@@ -255,17 +274,18 @@ def middle_first(size: int) -> np.ndarray:
 
 
 class Tester:
-    """Contact tests of a program's states, each at most once, within a budget of `left` tests."""
+    """Collision tests of the states of a Program, each at most once; `left` is the number of tests that remain."""
 
     def __init__(self, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
-        """Test with collides(q) (n,) [rad, m]."""
+        """Test with the function collides(q), q (n,) [rad or m], at most `budget` times; unit (n,): kernel units."""
         self.collides, self.unit, self.left = collides, unit, budget
         self.program: Any = None
-        self.looked = False  # whether contact occurred and all tracks were looked over
+        self.looked = False  # whether a contact was found and all tracks were then tested at every 16th pose
 
     def of(self, program: Program) -> "Tester":
-        """Reuse the tester for a program whose first tracks are those of the previous one, whose results stay valid."""
-        if self.program is not None and np.shares_memory(self.program.Q, program.Q):  # otherwise the columns differ
+        """Use the tester for another program, and return it; results are kept if its first tracks are the same."""
+        # Only programs that share the memory of their tracks have the same track in the same column.
+        if self.program is not None and np.shares_memory(self.program.Q, program.Q):
             K = self.program.state.shape[1]
             known = self.program.state >= FREE
             program.state[:, :K][known] = self.program.state[known]
@@ -275,7 +295,7 @@ class Tester:
         return self
 
     def touches(self, t: int, k: int) -> bool:
-        """Whether state k of layer t touches."""
+        """Return whether track k is in contact at pose t; False if that is unknown and no test is left."""
         p = self.program
         if p.state[t, k] == UNTESTED and self.left > 0:
             self.left -= 1
@@ -283,7 +303,7 @@ class Tester:
         return p.state[t, k] == TOUCHING
 
     def look_over(self) -> None:
-        """Test every COARSE-th state of every track; states between two that touch are suspect."""
+        """Test every track at every COARSE-th pose; states between two in contact get the extra cost SUSPECT."""
         program, self.looked = self.program, True
         for k, (low, high) in enumerate(program.span):
             before = -1
@@ -295,7 +315,10 @@ class Tester:
         program.changed = 0
 
     def grow(self, t: int, k: int) -> None:
-        """After a hit, find how far along the track contact extends: by doubling steps, then by bisection."""
+        """Find how far contact extends along track k on both sides of pose t: by doubling steps, then by bisection.
+
+        Untested states in that range get the extra cost SUSPECT.
+        """
         p = self.program
         for way in (-1, 1):
             edge = p.span[k, 0 if way < 0 else 1]
@@ -321,10 +344,14 @@ class Tester:
 
 
 def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
-    """Best path whose states are all tested, or the best so far when the budget runs out; see `Program.path`."""
+    """Return the best path whose states are all tested for contact, as `Program.path` does.
+
+    When the tester's budget runs out, the best path so far is returned.
+    """
     N = len(program.Q)
     order = middle_first(N)
-    for most in itertools.count(HITS):  # more hits per round the longer it takes
+    # Each round accepts one contact more, because running the program again takes time.
+    for most in itertools.count(HITS):
         program.run()
         tracks, jumps = program.path(N - 1)
         hits = 0

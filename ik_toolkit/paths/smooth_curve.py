@@ -1,9 +1,9 @@
-"""A smooth joint curve through the rows of a path, verified between them, and where it has to stop instead.
+"""A smooth joint curve through the rows of a path, with a proof of how far the tips leave the path between them.
 
-The poses of a path are samples of a motion. Between them the tip may leave the straight chord, by the path tolerance or by
-the chords' own sagitta, which is how far an arc through the poses leaves them. So a cubic spline goes through the rows at the
-poses; where it leaves the chord by more, solved rows on an arc through the poses are inserted. Where that does not help, the
-motion stops at corners.
+The poses of a path are taken as samples of a motion. Between two poses a tip may leave the straight chord by the path
+tolerance, or by the chord's sagitta: the height above the chord of an arc through the poses. A cubic spline goes
+through the rows at the poses. Where it leaves a chord too far, solved rows on an arc through the poses are inserted.
+Where that does not help, there is no smooth curve, and `timing` stops the motion at corners.
 """
 
 import functools
@@ -24,21 +24,21 @@ from .continuity import bounds, settle_between
 from .freedom import off_the_poses
 from .interpolate import interpolate_poses
 
-ROUNDS = 12  # rounds of inserting rows: each halves the amount by which corners are cut
-LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are merged
-FINE = 0.0125  # [rad, or reaches] by which a joint moves at most between two places at which a spline is looked at ...
-FEWEST, MOST = 4, 64  # ... with at least and at most so many of them from row to row
-CORNER = math.radians(
-    60.0
-)  # turn of the chords at a pose from which it is a corner, and not a sample of a smooth curve
-ARC = 1.25  # times the sagitta of an arc: how far a spline through the poses may leave their chords
+ROUNDS = 12  # largest number of rounds of inserting rows; each halves the distance between the rows
+LEAST = 1e-9  # rows of a curve nearer than this are merged [rad or m]
+FINE = 0.0125  # largest move of a joint between two points at which a spline is examined [rad or kernel units]
+FEWEST, MOST = 4, 64  # least and largest number of these points from one row to the next
+# A pose at which the path turns by more than this angle is a corner, and not a sample of a smooth curve.
+CORNER = math.radians(60.0)
+ARC = 1.25  # factor on the sagitta of an arc, because a spline leaves the chords further than an arc
 
 
 class Curve(NamedTuple):
-    """A spline, and what is proven of it.
+    """A cubic spline of the joints over a path coordinate s, and what is proven of it.
 
-    knots (M,), cubics (4, M-1, n) between them, at (M,) the place of each knot among the poses; deviation [m], turn [rad]: bounds
-    on how far a tip leaves the chords; clearance [m].
+    knots (M,): values of s; cubics (4, M-1, n): coefficients between two knots, in s - knot, highest power first; at
+    (M,): place of each knot among the poses; deviation [m], turn [rad]: bounds on how far a tip leaves the chords
+    between the poses; clearance [m]: proven least distance of any two parts, infinite if collisions are not checked.
     """
 
     knots: np.ndarray
@@ -50,10 +50,11 @@ class Curve(NamedTuple):
 
 
 def smooth_curve(plan: Plan, result: Any, allowed: np.ndarray, run: slice) -> Curve | None:
-    """A verified spline along a continuous piece of a path; None where none was found.
+    """Return a verified spline along a continuous piece of a path, or None if none was found.
 
-    allowed (2, N-1): how far [m] and [rad] a tip may leave each chord. run: rows of the path's curve. Rows between the poses are
-    left out at first, and taken where that fails.
+    result: the PathResult; allowed (2, N-1): how far [m] and [rad] a tip may leave each chord between two poses; run:
+    the rows of result.curve that make up the piece. The spline goes through the rows at the poses alone or, if that
+    fails, through all rows.
     """
     curve, at = result.curve[run], result.at[run]
     ends = np.zeros(len(at), dtype=bool)
@@ -67,7 +68,11 @@ def smooth_curve(plan: Plan, result: Any, allowed: np.ndarray, run: slice) -> Cu
 
 
 def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.ndarray) -> Curve | None:
-    """The spline through rows of a curve (M, n) at places (M,), with rows inserted where it is not yet near enough or free."""
+    """Fit a spline through rows of a curve, and insert rows until it is near enough to the chords and free of contact.
+
+    curve (M, n) [rad or m]; at (M,): places of its rows among the poses; arcs: gives the poses for the inserted rows.
+    Returns None if an inserted row cannot be solved, or ROUNDS do not suffice.
+    """
     curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
     if len(curve) < 2:
         return None
@@ -89,7 +94,11 @@ def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.nda
 def _judged(
     plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at: np.ndarray
 ) -> tuple[Curve, np.ndarray]:
-    """The spline through rows (M, n), and between which of them (M-1,) it leaves the chords too far or touches."""
+    """Return the spline through the rows `curve` (M, n) [rad or m], and where (M-1,) it is not acceptable.
+
+    Between two rows it is not acceptable if a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or if
+    the motion is not proven free of contact. at (M,): places of the rows among the poses.
+    """
     robot = plan.robot
     knots = coordinate(curve, robot.chain.unit)
     parts, knots, cubics = _subdivided(curve / robot.chain.unit, knots, _cubics(robot, curve, knots))
@@ -112,7 +121,11 @@ def _judged(
 
 
 def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How many parts (M-1,) each interval of a spline is divided into; knots and cubics of the same spline with these parts."""
+    """Divide the intervals of a spline so finely that no joint moves further than about FINE within a part.
+
+    curve (M, n) [kernel units]: the joint values at the knots. Returns the number of parts of each interval (M-1,), and
+    the knots and cubics of the same spline over all parts.
+    """
     steps = np.abs(np.diff(curve, axis=0)).max(axis=1) / FINE
     parts = np.clip(np.ceil(steps), FEWEST, MOST).astype(int)
     k = np.repeat(np.arange(len(parts)), parts)
@@ -124,7 +137,11 @@ def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tup
 
 
 def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """The place among the poses of each row (M,): the foot of the tips' positions on the chord between two rows of the curve."""
+    """Return the place among the poses of each row of a spline: where the tips are nearest the chord there.
+
+    rows (K, n) [rad or m]: the spline at the ends of all parts; at (M,): places of the rows that were interpolated;
+    parts (M-1,): number of parts between two of these. The result (K,) never decreases.
+    """
     share = np.concatenate([np.arange(k) / k for k in parts] + [[1.0]])
     k = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
     ends = interpolate_poses(result.targets, at, result.kinds)[..., :3, 3]
@@ -145,7 +162,7 @@ def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np
 
 
 def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
-    """At which poses (N,) of T (N, F, 4, 4) the chords of a tip turn by more than CORNER; ends are none."""
+    """Return at which of the poses T (N, F, 4, 4) a tip's path turns by more than CORNER (N,); never at the ends."""
     found = np.zeros(len(T), dtype=bool)
     for f, kind in enumerate(kinds):
         chords = np.diff(T[:, f, :3, 3], axis=0)
@@ -157,7 +174,10 @@ def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
 
 
 def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
-    """How far [m] and [rad] (2, N-1) an arc through the poses T (N, F, 4, 4) leaves each chord; corners are no part of an arc."""
+    """Return how far [m] and [rad] (2, N-1) an arc through the poses T (N, F, 4, 4) leaves each chord.
+
+    An arc ends at a corner. kinds: a target kind per tip; tips whose kind is FREE are left out.
+    """
     found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)
     for f, kind in enumerate(kinds):
         if kind == FREE or len(T) < 3:
@@ -173,13 +193,14 @@ def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
 
 
 class Arcs:
-    """Poses between poses T (N, F, 4, 4): on cubic splines from corner to corner, where these may leave the chords so far.
+    """Interpolation between poses T (N, F, 4, 4) by cubic splines from corner to corner.
 
-    allowed (2, N-1): how far [m] and [rad] a tip may leave each chord; on others, and between two corners, the poses are on it.
+    On a chord that a tip may not leave as far as an arc does (`allowed` (2, N-1) [m], [rad]), and on one between two
+    neighbouring corners, the interpolation is linear instead.
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, allowed: np.ndarray) -> None:
-        """Find the chords that may be left as far as an arc leaves them."""
+        """Find the chords that the tips may leave as far as an arc does; arguments as of the class."""
         self.T, self.kinds, self.allowed = T, kinds, allowed
         self.wide = np.ones(allowed.shape[1], dtype=bool)
         if len(T) > 1:
@@ -187,7 +208,11 @@ class Arcs:
 
     @functools.cached_property
     def _splines(self) -> list[tuple[int, int, int, np.ndarray, Any, Any]]:
-        """Of each tip between two corners, poses a to b: a, b, its number, its way (b - a + 1,), positions and rotations."""
+        """Return the splines between two corners, which are the poses a and b.
+
+        Of each: a, b, the tip's index, the tip's path length (b - a + 1,) [m] at the poses, and the splines of position
+        and rotation (None if only the position counts) over that length.
+        """
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -205,7 +230,7 @@ class Arcs:
         return made
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
-        """Poses (M, F, 4, 4) at places (M,)."""
+        """Return the interpolated poses (M, F, 4, 4) at the places `at` (M,) among the poses."""
         made = interpolate_poses(self.T, at, self.kinds)
         wide = self.wide[at.astype(int).clip(0, len(self.wide) - 1)]
         for a, b, f, way, places, turns in self._splines if wide.any() else ():
@@ -220,20 +245,25 @@ class Arcs:
 
 
 def _distinct(curve: np.ndarray, at: np.ndarray, since: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, their places, and the places where the motion to them begins, without rows equal to the one before."""
+    """Leave out the rows of a curve (M, n) that equal the row before.
+
+    at (M,): places of the rows among the poses; since (M,): places where the motion to each row begins. Both are
+    returned, too.
+    """
     moved = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
     return curve[moved], at[moved], since[moved]
 
 
 def coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Path length in joint space up to each row."""
+    """Return the path length in joint space [kernel units] up to each row (M,); unit (n,): kernel unit [rad or m]."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)))
 
 
 def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Coefficients (4, M-1, n) of the cubic spline through the rows of a curve (M, n), bent at its ends as it is beside them.
+    """Return the coefficients (4, M-1, n) of the cubic spline through the rows of a curve (M, n) at knots (M,).
 
-    A joint that would overshoot its limits gets the monotone spline, which stays between neighbouring rows.
+    Its end conditions are "not-a-knot", or natural for up to three rows. A joint that would overshoot its limits gets a
+    monotone cubic (PCHIP), which stays between neighbouring rows.
     """
     try:
         from scipy.interpolate import CubicSpline, PchipInterpolator
@@ -241,7 +271,7 @@ def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
         raise MissingExtra("scipy", "paths") from None
     cubics = CubicSpline(knots, curve, bc_type="not-a-knot" if len(curve) > 3 else "natural").c
     a, b, c, d = cubics
-    with np.errstate(divide="ignore", invalid="ignore"):  # turning points: the roots of 3 a x^2 + 2 b x + c
+    with np.errstate(divide="ignore", invalid="ignore"):  # Turning points are the roots of 3 a x^2 + 2 b x + c.
         root = np.sqrt(b * b - 3.0 * a * c)
         turning = np.nan_to_num([(-b - root) / (3.0 * a), (-b + root) / (3.0 * a), -0.5 * c / b])
     x = np.where((turning > 0.0) & (turning < np.diff(knots)[:, None]), turning, 0.0)
@@ -253,7 +283,7 @@ def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 
 def _sag(knots: np.ndarray, cubics: np.ndarray) -> np.ndarray:
-    """Upper bound (M-1, n) on each joint's deviation of a spline from the straight line between two knots."""
+    """Return an upper bound (M-1, n) on how far each joint of a spline leaves the straight line between two knots."""
     h = np.diff(knots)[:, None]
     bend = np.maximum(np.abs(2.0 * cubics[1]), np.abs(2.0 * cubics[1] + 6.0 * cubics[0] * h))
     return 0.125 * h * h * bend

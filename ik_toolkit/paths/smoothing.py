@@ -1,12 +1,12 @@
-"""A whole joint path at once: every pose kept exactly, the path between them short and smooth.
+"""Shorten and smooth a whole joint path at once, with every pose kept on its target.
 
-Gauss-Newton on all poses together. The task is linearised with a weight far above everything else, so a step keeps it to first
-order, and each pose is brought back onto its target after the step. First and second differences couple neighbours: the system
-is a band of twice the number of joints, solved in time linear in the number of poses. Limits are bounds, held as an active set.
+The method is Gauss-Newton for all poses together. The task errors are linearised and get a weight far above all other
+costs, so a step keeps every pose on its target to first order; after the step each pose is corrected exactly. First and
+second differences couple only neighbouring poses. So the system is banded, with a half width of twice the number of
+joints, and takes time linear in the number of poses. Joint limits are bounds, handled by an active set.
 
-The banded system is solved by Cholesky, in place, allocating nothing. A band of half width b keeps
-row i of the lower half as A[i, k - i + b] for the columns k = i - b ... i, so that the sums below run
-through memory in order.
+The banded system is solved by Cholesky decomposition in place. Of a symmetric matrix of half width b the lower half is
+stored by rows: element (i, k), for k = i - b ... i, is A[i, k - i + b], so that sums run through memory in order.
 """
 
 import math
@@ -18,23 +18,23 @@ from ..kernel.null_space import REFERENCE, make_bounds, onto_target
 from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
 from ..kernel.search import problem
 
-TASK_WEIGHT = (
-    1e7  # of the task against a squared difference: what is left of 1e-2 rad is 1e-9, corrected exactly afterwards
-)
-RIDGE = 1e-9  # keeps the system definite where no difference reaches
-ARRIVED = 1e-24  # squared error (lengths over reach) below which a correction is rounding
-PASSES = 4  # solves of a step with ever more joints held at their limits
-GAIN = 1e-4  # a relative improvement below this ends the search
-GROW, SHRINK = 1.6, 0.3  # of the longest move, after a step that was taken and one that was not
-SHORTEST = 1e-4  # [rad or kernel unit] longest move below which the search ends
-ON_LIMIT = 1e-12  # this near to a limit a joint stands on it
+# Weight of squared task errors against squared differences: a step leaves 1e-9 rad of 1e-2 rad, corrected afterwards.
+TASK_WEIGHT = 1e7
+RIDGE = 1e-9  # added to the diagonal, so that the system is positive definite even if no difference involves a pose
+ARRIVED = 1e-24  # A correction onto a target ends below this squared error (lengths over the reach), which is rounding.
+PASSES = 4  # largest number of times a step is solved, each time with more joints held at their limits
+GAIN = 1e-4  # The iteration ends when a full step improves the cost by less than this share.
+GROW, SHRINK = 1.6, 0.3  # factors on the largest allowed joint move after an accepted and after a rejected step
+SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below this [rad or kernel units].
+ON_LIMIT = 1e-12  # A joint nearer a limit than this counts as being at the limit [rad or kernel units].
 
 
 @inner
 def cost_of(Q, first, second, rounding, longest):
-    """Cost of a path (N, n): `first` times lengths, `second` times squared second differences; and its largest step over `longest`.
+    """Return the cost of a path Q (N, n) [kernel units], and its largest joint step as a multiple of `longest` (n,).
 
-    A length is sqrt(x^2 + rounding^2), per joint: like |x| for long steps and like x^2 for short ones.
+    The cost is `first` times the length plus `second` / 2 times the sum of squared second differences. The length of a
+    joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for short ones.
     """
     N, n = Q.shape
     total, worst = 0.0, 0.0
@@ -51,7 +51,7 @@ def cost_of(Q, first, second, rounding, longest):
 
 @inner
 def differences(Q, first, second, rounding, H, g):
-    """Hessian H (N n, 2 n + 1), as a band, and gradient g (N n,) of what `cost_of` measures."""
+    """Write the gradient g (N n,) and the banded Hessian H (N n, 2 n + 1) of the cost that `cost_of` returns."""
     N, n = Q.shape
     b = 2 * n
     for r in range(N * n):
@@ -85,7 +85,7 @@ def differences(Q, first, second, rounding, H, g):
 
 @inner
 def held_system(H, g, held, A, x):
-    """Copy the system to A and x = -g, without the coordinates that are held."""
+    """Write to A and x the system H x = -g without its held coordinates (`held` (N n,)), whose steps become 0."""
     M, b = H.shape[0], H.shape[1] - 1
     for r in range(M):
         x[r] = 0.0 if held[r] else -g[r]
@@ -98,7 +98,10 @@ def held_system(H, g, held, A, x):
 
 @spliced
 def linearise(p, o, T, now, fixed, H, g):
-    """Add the task at every pose of a path to the system; the path itself is in `now` (N, n)."""
+    """Add the linearised task errors at every pose of the path `now` (N, n) to the Hessian H and gradient g.
+
+    T (N, ...): the targets; poses marked in `fixed` (N,) are left out, because they do not move.
+    """
     s, n, m = p.desk, now.shape[1], p.width()
     b = 2 * n
     for k in range(now.shape[0]):
@@ -123,7 +126,11 @@ def linearise(p, o, T, now, fixed, H, g):
 
 @spliced
 def newton_step(H, g, now, fixed, weights, box, held, A, x):
-    """Solve for the step x (N n,), with the joints held that stand on a limit and would leave it."""
+    """Solve H x = -g for the step x (N n,) of the path `now` (N, n), within the joint limits.
+
+    Fixed poses and joints of weight 0 are held. Joints at a limit that the step would push beyond are held as well, and
+    the step is solved again. held (N n,) and A are scratch.
+    """
     N, n = now.shape
     for k in range(N):
         for i in range(n):
@@ -146,7 +153,10 @@ def newton_step(H, g, now, fixed, weights, box, held, A, x):
 
 @spliced
 def moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
-    """Write to trial (N, n) the path a step further, every pose back on its target; False when one cannot be."""
+    """Write to trial (N, n) the path now + factor * x, clipped to the limits and corrected onto every target.
+
+    good (N,): whether each pose was on its target before. Returns False if such a pose cannot be corrected.
+    """
     s, n = p.desk, now.shape[1]
     fine = True
     for k in range(now.shape[0]):
@@ -164,11 +174,11 @@ def moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
 
 @cached
 def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, steps, good):
-    """Shorten and smooth a path Q (N, n) [rad or m] in place; returns the steps taken, and its cost before and after.
+    """Shorten and smooth a path Q (N, n) [rad or m] in place; return the steps taken, and the cost before and after.
 
-    rows, ends, orders as of `search.entry`; T (N, ...): the targets. fixed (N,): poses whose joints stay. first, second,
-    rounding: see `cost_of`; longest (n,) [rad or m]: no step between neighbours grows beyond it. good (N,): whether each is
-    inside its tolerances.
+    rows, ends, orders: arrays of a Plan; T (N, ...): the targets; fixed (N,): poses whose joints do not move;
+    first, second, rounding: as in `cost_of`; longest (n,) [rad or m]: largest joint step between neighbouring poses;
+    steps: largest number of Gauss-Newton steps. Writes to good (N,) whether each pose was on its target at first.
     """
     N, n = Q.shape
     o = read(Orders, orders)
@@ -227,7 +237,10 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
 
 @cached
 def settle_rows(rows, ends, T, Q, orders, good):
-    """Bring each of Q (N, n) [rad or m] onto its target, in place; rows, ends, T, orders, good as of `smooth_rows`."""
+    """Move each row of Q (N, n) [rad or m] onto its target T (N, ...) with the least joint motion, in place.
+
+    Writes to good (N,) whether each row reached its target; rows, ends, orders: arrays of a Plan.
+    """
     N, n = Q.shape
     o = read(Orders, orders)
     begin = HEAD + TASK * (ends.size // ends.shape[-1])
@@ -245,7 +258,7 @@ def settle_rows(rows, ends, T, Q, orders, good):
 
 @inner
 def band_cholesky(A, least):
-    """Factor a band A (M, b + 1) in place; pivots below `least` are raised to it."""
+    """Replace a banded symmetric matrix A (M, b + 1) by its Cholesky factor; squared pivots are at least `least`."""
     b = A.shape[1] - 1
     for i in range(A.shape[0]):
         first = max(0, i - b)
@@ -257,12 +270,12 @@ def band_cholesky(A, least):
         s = A[i, b]
         for k in range(first, i):
             s -= A[i, k - i + b] * A[i, k - i + b]
-        A[i, b] = 1.0 / math.sqrt(max(s, least))  # the diagonal is kept inverted: divisions are slow
+        A[i, b] = 1.0 / math.sqrt(max(s, least))  # The diagonal is stored inverted, because divisions are slow.
 
 
 @inner
 def band_solve(A, x):
-    """Replace x (M,) by the solution of the system whose factor `band_cholesky` left in A."""
+    """Replace the right-hand side x (M,) by the solution of the system whose factor `band_cholesky` left in A."""
     b = A.shape[1] - 1
     for i in range(A.shape[0]):
         s = x[i]

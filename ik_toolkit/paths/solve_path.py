@@ -1,7 +1,7 @@
 """`solve_path`: from poses to one joint motion.
 
-Between orientations 180 degrees apart there are two shortest rotations, and one must be chosen: the second pose is rotated by far
-less than its tolerance, so that everything else finds one shortest way.
+Between orientations 180 degrees apart there are two shortest rotations. `HalfTurns` chooses one of them by rotating the
+second pose by far less than its tolerance, so that the interpolation everywhere else is unique.
 """
 
 import math
@@ -32,10 +32,11 @@ from .path_problem import STEP, Problem
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
-TOLERANCE = (1e-3, math.radians(1.0))  # [m], [rad] deviation of a tip between poses
-OTHER_WAYS = 4  # more searches, with rotations of 180 degrees taken the other way round where the path breaks there
-DT = 0.01  # [s] sampling interval of a Reference
-EXACT = 1e-13  # largest deviation from orthonormal columns in an exact rotation: rounding is 1e-15
+TOLERANCE = (1e-3, math.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
+# Largest number of further searches, in which rotations of 180 degrees go the other way round where the path breaks.
+OTHER_WAYS = 4
+DT = 0.01  # sampling interval of a Reference [s]
+EXACT = 1e-13  # Columns of an exact rotation matrix deviate less than this from orthonormal ones; rounding is 1e-15.
 NOT_HERE = (
     "closest",
     "objective",
@@ -51,10 +52,10 @@ NOT_HERE = (
 
 
 class PathInterrupted(Portable, KeyboardInterrupt):
-    """Ctrl-C during a path search; `result` is the PathResult of the best path so far."""
+    """Raised at Ctrl-C during a path search; `result` is the PathResult of the best path so far."""
 
     def __init__(self, result: PathResult) -> None:
-        """Keep what was found."""
+        """Take the result of the interrupted search."""
         super().__init__(f"interrupted: {result.message}")
         self.result = result
 
@@ -76,16 +77,31 @@ def solve_path(
 ) -> PathResult:
     """Find one joint motion through poses, with the fewest reconfigurations and then the shortest found.
 
-    poses: (N, 4, 4), or (N, 3) with orientation free [m]; for a Tree of F tips (N, F, 4, 4), (N, F, 3) or a dict by tip; or a
-    Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: start and end of the path if they reach the first and the last
-    pose; otherwise configurations to start and end near. max_step: the longest step of a joint between rows, (rad, m) or one
-    number for both; default 7 deg and 20 mm. Longer steps are divided by inserting poses, at most 200,000. path_tolerance (m,
-    rad): how far a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances at
-    the poses. avoid_collisions: as for `solve`. reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of
-    the random starts; threads: default all cores. progress(fraction, text) is called regularly. Options as for `solve`:
-    tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights. Ctrl-C raises PathInterrupted, whose
-    `result` is the best path so far (KeyboardInterrupt if there is no solution yet). Raises InvalidTarget (naming the pose),
-    InvalidConfiguration, InvalidOption; a path that cannot be followed is a status.
+    Args:
+        robot: a Robot, or a Tree of F tips.
+        poses: (N, 4, 4), or (N, 3) with free orientation [m, base frame]; for a Tree (N, F, 4, 4), (N, F, 3) or a
+            dict by tip; or a Reference, which is sampled every 0.01 s.
+        q0: (n,) [rad or m], the start of the path if it reaches the first pose, else a configuration to start near.
+        q_end: (n,) [rad or m], likewise for the end and the last pose.
+        max_step: largest step of a joint between rows, (rad, m) or one number for both; default 7 deg and 20 mm.
+            Longer steps are divided by inserted rows, up to 200,000 rows in all.
+        path_tolerance: how far (m, rad) a tip may leave the interpolated pose between two poses. Default: 1 mm and
+            1 deg, or twice the tolerances at the poses if that is more.
+        avoid_collisions: as for `solve`.
+        reconfigurations: 'fewest', 'none', or the largest number of changes of branch.
+        seed: of the random starts.
+        threads: number of threads; default all cores.
+        progress: function (fraction, text) that is called regularly.
+        options: as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.
+
+    Returns:
+        The best motion found. That a path cannot be followed is a status of the result.
+
+    Raises:
+        InvalidTarget: a pose is not valid; the message names it.
+        InvalidConfiguration: q0 or q_end is not valid.
+        InvalidOption: an option is not valid.
+        PathInterrupted: Ctrl-C; its `result` is the best path so far (KeyboardInterrupt if there is none yet).
     """
     began = perf_counter()
     require_robot(robot)
@@ -98,7 +114,7 @@ def solve_path(
     check_progress(progress, "a fraction and a text")
     poses, options = with_free_turns(robot, poses, options)
     solver = Solver(robot, seed=seed, **options)
-    robot = solver.robot  # the variant with narrower limits, where they are given
+    robot = solver.robot  # If options narrow the limits, this is a copy of the robot with these limits.
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     asked = avoided(avoid_collisions)
@@ -127,7 +143,7 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # not every choice of rotation directions was tried
+            search.lower_bound = None  # Directions of half turns that were not tried may need fewer.
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
         return replace(made, tolerance_given=path_tolerance is not None)
@@ -141,19 +157,19 @@ def solve_path(
 
 
 def _silent(share: float, words: str) -> None:
-    """Ignore progress."""
+    """Ignore a report of progress."""
 
 
 # --------------------------------------------------------------------------------------------------------------- reading
 def _allowed(value: str | int) -> float:
-    """The largest number of reconfigurations."""
+    """Return the largest number of reconfigurations allowed, infinite for 'fewest'. Raises InvalidOption."""
     if isinstance(value, str) and value in ("fewest", "none"):
         return math.inf if value == "fewest" else 0.0
     return whole(value, "reconfigurations must be 'fewest' or 'none', or", 0)
 
 
 def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
-    """Angle and length of an option, or length and angle. Raises InvalidOption."""
+    """Return the two positive numbers of option `name`; one number counts for both. Raises InvalidOption."""
     if value is None:
         return default
     pair = floats(value, f"{name} must be one number, or two", InvalidOption)
@@ -164,7 +180,7 @@ def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, f
 
 
 def _between(value: Any, options: Options) -> tuple[float, float]:
-    """Tolerance [m] and [rad] between the poses, which must exceed that at the poses. Raises InvalidOption."""
+    """Return path_tolerance [m], [rad] or its default. Raises InvalidOption if not above the poses' own tolerance."""
     at = (options.position_tolerance, options.orientation_tolerance)
     pair = _pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
     for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
@@ -176,7 +192,10 @@ def _between(value: Any, options: Options) -> tuple[float, float]:
 
 
 def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
-    """Poses (N, 4, 4), for a Tree (N, F, 4, 4), and their kinds. Raises InvalidTarget naming the pose."""
+    """Read the caller's poses; return them as (N, 4, 4), or (N, F, 4, 4) for a Tree, with their kind for each tip.
+
+    Raises InvalidTarget, which names the pose.
+    """
     if isinstance(poses, Reference):
         made = poses.at(poses.times(DT))[0]
         poses = made[:, :3, 3] if poses.position_only else made
@@ -194,9 +213,9 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
 
 
 def _exact(T: np.ndarray) -> np.ndarray:
-    """Which poses (..., 4, 4) are rigid to rounding and within bounds, so that they need neither correction nor rejection."""
+    """Return which of the poses T (..., 4, 4) are rigid to rounding and nearer than FAR, so need no correction."""
     R = T[..., :3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):  # non-finite poses are not exact
+    with np.errstate(invalid="ignore", over="ignore"):  # Poses that are not finite compare as not exact.
         off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
         there = np.abs(T[..., :3, 3]).max(axis=-1) < FAR
         return there & (off < EXACT) & (np.linalg.det(R) > 0.0) & (T[..., 3, :] == LAST).all(axis=-1)
@@ -213,13 +232,17 @@ def _result(
     began: float,
     refine: bool = True,
 ) -> PathResult:
-    """Result for the best path of a search, refined and checked."""
+    """Return the PathResult for the best path of a search, verified and, if `refine`, shortened.
+
+    allowed: largest number of reconfigurations; step (rad, m); tolerance (m, rad); model: a CollisionModel or None;
+    began: start of the search by `perf_counter` [s].
+    """
     problem = search.problem
     motion = collapsed(finished(search, step, tolerance, model, allowed, refine), problem.at)
     found, kept, q = search.found, motion.found, motion.q
     asked = problem.at == np.round(problem.at)
     poses, T = problem.poses[asked], problem.T[asked]
-    # Several breaks between the same two poses count as one, so a bound of 1 is all that stays certain.
+    # Several breaks between the same two requested poses count as one, so only "at least one" is proven.
     least = search.lower_bound
     least = least if least is None or asked.all() else min(least, 1)
     errors = np.full((len(q), 2), np.nan)
@@ -252,18 +275,19 @@ def _result(
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
 
 
-DOUBT = 0.1  # share of the tolerance: a rotation this close to half a turn may go either way
-SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than half a turn: rounding is 1e-16
+DOUBT = 0.1  # A rotation nearer half a turn than this share of the orientation tolerance may go either way.
+SHORT = 1e-10  # angle [rad] by which the chosen rotation is shorter than half a turn, well above rounding (1e-16)
 
 
 class HalfTurns:
-    """Half turns between poses T (N, F, 4, 4): gaps (P,), each from pose k to the next; tips (P,); axes (P, 3), base axes.
+    """The P rotations of 180 degrees between neighbouring poses, each of which may go either way round.
 
-    The first choice alternates: each half turn undoes the direction of the previous one.
+    gaps (P,): the pose before each; tips (P,): the tip that it belongs to; axes (P, 3): the chosen unit axis in base
+    axes. At first each half turn is opposite to the one before.
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, tolerance: float) -> None:
-        """Find them among the poses; tolerance [rad] of their orientation."""
+        """Find the half turns among poses T (N, F, 4, 4) of these kinds; tolerance [rad]: of the orientation."""
         self._T = T
         gaps, tips, axes = [], [], []
         for f, kind in enumerate(kinds):
@@ -275,7 +299,8 @@ class HalfTurns:
             )
             before = np.zeros(3)
             for k in np.flatnonzero((sine <= DOUBT * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
-                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)  # outer product of the axis with itself
+                # For a half turn this is the outer product of its axis.
+                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)
                 axis = square[:, np.argmax(np.diag(square))]
                 before = axis * ((-1.0 if axis @ before > 0.0 else 1.0) / np.linalg.norm(axis))
                 gaps.append(k)
@@ -284,13 +309,13 @@ class HalfTurns:
         self.gaps, self.tips, self.axes = np.array(gaps, dtype=int), tips, np.array(axes).reshape(-1, 3)
 
     def turn_round(self, gaps: list[int]) -> bool:
-        """Rotate the other way at these gaps; False if none of them is a half turn."""
+        """Reverse the half turns that follow the poses in `gaps`; return False if there are none."""
         meant = np.isin(self.gaps, gaps)
         self.axes[meant] *= -1.0
         return bool(meant.any())
 
     def poses(self) -> np.ndarray:
-        """The poses (N, F, 4, 4) with a unique shortest rotation between neighbours."""
+        """Return the poses (N, F, 4, 4), rotated a little where the shortest rotation to the next was not unique."""
         T = self._T.copy() if len(self.gaps) else self._T
         for p in np.argsort(self.gaps, kind="stable").tolist():
             k, f = self.gaps[p], self.tips[p]

@@ -1,4 +1,4 @@
-"""Time-optimal motion along a path: the time law on exactly the curve that is verified (see `smooth_curve`)."""
+"""Time-optimal motion along a path: the time law of the smooth joint curve that `smooth_curve` verified."""
 
 import itertools
 import math
@@ -16,21 +16,21 @@ from ..validate import positive
 from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
-GRID = 200  # least number of grid points of the time law
-FINER = 3  # how often the grid may be doubled when limits are exceeded between its points by more than TOO_FAST
-TOO_FAST = 1.02
+GRID = 200  # least number of grid points of the time law of a smooth piece
+FINER = 3  # largest number of times the grid is doubled, while limits are exceeded between its points
+TOO_FAST = 1.02  # The grid is doubled if a limit is exceeded by more than this factor between two grid points.
 ROUNDED = 1e-9  # share by which the time law is slowed down to allow for rounding
-MOST_SAMPLES = 1e7
-NOWHERE = np.full(2, np.nan)  # places among the poses during a free motion: none
-KEPT = 0.99  # share of the tip speed asked for, from which it counts as kept
-NUDGE = 1e-6  # share of a curve by which its coordinate is moved to measure the speed of a tip
-TOLD = 3  # places listed in a message
+MOST_SAMPLES = 1e7  # largest number of samples of a trajectory, so that a far too high rate is an error
+NOWHERE = np.full(2, np.nan)  # NaN as the place of both ends of a free motion, which is nowhere among the poses
+KEPT = 0.99  # The tip speed asked for counts as kept from this share of it.
+NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
+TOLD = 3  # number of places that a message lists
 
 
 def retime(
     result: Any, velocity: Any, acceleration: Any, rate: float, seed: int, path_tolerance: Any, tip_speed: Any
 ) -> Trajectory:
-    """See `PathResult.retime`."""
+    """Return the time-optimal Trajectory of a PathResult; see `PathResult.retime` for arguments and errors."""
     robot = result.robot
     limits = _limits(robot, velocity, acceleration)
     rate, seed = positive(rate, "rate [1/s]"), whole(seed, "seed", 0)
@@ -61,7 +61,7 @@ def retime(
             deviation, turn, clearance = max(deviation, off), max(turn, turned), min(clearance, free)
             made.append(piece)
     pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
-    if not pieces:  # a single pose
+    if not pieces:  # A path of a single pose has no motion.
         pieces = (_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits),)
     total = sum(piece.duration for piece in pieces)
     if total * rate > MOST_SAMPLES:
@@ -84,7 +84,7 @@ def retime(
 
 
 def _listed(places: list[Any]) -> str:
-    """The first of some places, and how many more there are."""
+    """Return the first TOLD of some places as text, and the number of the others."""
     more = len(places) - TOLD
     return ", ".join(f"{one:g}" if isinstance(one, float) else one for one in places[:TOLD]) + (
         f" and {more} more" if more > 0 else ""
@@ -92,7 +92,10 @@ def _listed(places: list[Any]) -> str:
 
 
 def _allowed(result: Any, path_tolerance: Any) -> np.ndarray:
-    """How far [m] and [rad] (2, N-1) a tip may leave each chord between poses. Raises InvalidOption."""
+    """Return how far [m] and [rad] (2, N-1) a tip may leave each chord between two poses of a PathResult.
+
+    path_tolerance: (m, rad) for all chords, or None for the default of `PathResult.retime`. Raises InvalidOption.
+    """
     count = max(len(result.targets) - 1, 1)
     if path_tolerance is None and result.tolerance_given:
         path_tolerance = result.path_tolerance
@@ -108,7 +111,13 @@ def _allowed(result: Any, path_tolerance: Any) -> np.ndarray:
 def _pieces(
     plan: Plan, result: Any, allowed: np.ndarray, run: slice, limits: tuple[np.ndarray, np.ndarray], tip_speed: float
 ) -> list[tuple[Curve | None, Piece, slice]]:
-    """Smooth pieces, from rest to rest, of a continuous run of rows: one if possible, else between the corners, else every row."""
+    """Divide a continuous run of rows of a path's curve into as few pieces as possible, each from rest to rest.
+
+    The result is one smooth curve if there is one within the bounds `allowed` (2, N-1) [m], [rad] on leaving the
+    chords. Else the run is divided at its corners, and a part without corners becomes straight lines from row to row.
+    limits: joint speeds and accelerations (n,); tip_speed [m/s]. Returns of each piece its verified Curve (None if
+    straight), its timed Piece, and its rows.
+    """
     if run.stop - run.start < 2:
         return []
     found = smooth_curve(plan, result, allowed, run)
@@ -127,7 +136,7 @@ def _pieces(
 
 
 def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
-    """Path length [m] of the fastest tip per unit of the coordinate of a piece, at s (G,)."""
+    """Return how fast (G,) [m per unit of s] the fastest tip moves along a piece, at the path coordinates s (G,)."""
     h = NUDGE * (piece.knots[-1] - piece.knots[0])
     low, high = np.maximum(s - h, piece.knots[0]), np.minimum(s + h, piece.knots[-1])
     rates = []
@@ -138,7 +147,10 @@ def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
 
 
 def _slower(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[float, float], ...]:
-    """From which place to which the tip is slower than asked for; free motions are not looked at."""
+    """Return the ranges (first, last place among the poses) where the fastest tip is slower than `asked` [m/s].
+
+    Free motions between two branches of solutions are left out.
+    """
     found: list[tuple[float, float]] = []
     for piece in pieces:
         if np.isnan(piece.at).any():
@@ -152,7 +164,11 @@ def _slower(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tup
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Limits (n,) of speeds and accelerations. Raises InvalidOption, naming the joint."""
+    """Return the joint limits of speed and of acceleration, each (n,), per s and s^2 [rad or m].
+
+    velocity: one number, one per joint, or None for the robot's own; acceleration: one number or one per joint. Raises
+    InvalidOption, naming the joint.
+    """
     if acceleration is None:
         raise InvalidOption(
             "acceleration= is required: one number, or one per joint [rad/s^2 or m/s^2]; a URDF does not define it"
@@ -176,7 +192,10 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 
 # ------------------------------------------------------------------------------------------------------------- the times
 def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
-    """Time-optimal motion along a curve; the limits also hold between the grid points."""
+    """Return the time-optimal motion along a curve, from rest to rest; limits also hold between the grid points.
+
+    limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
+    """
     knots = found.knots
     piece = Piece(knots, found.cubics, knots, knots, knots, found.at)
     between = max(1, math.ceil(GRID / (len(knots) - 1)))
@@ -196,17 +215,17 @@ def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], 
 
 
 def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
-    """Factor by which a piece must be slowed down for its limits to hold at every instant.
+    """Return the factor (1 or more) by which a piece must be slowed down to keep its joint limits at every instant.
 
-    Between two grid points the squared path speed is linear in s and the curve is cubic, so accelerations are quadratic: their
-    extrema, and the points where they vanish and a speed is extreme, are known exactly.
+    Between two grid points the squared path speed is linear in s and the curve is cubic, so joint accelerations are
+    quadratic in s. So their extrema, and their zeros, where joint speeds are extreme, are known in closed form.
     """
     k = np.searchsorted(piece.knots, 0.5 * (piece.s[1:] + piece.s[:-1]), side="right") - 1
     step, squares = np.diff(piece.s), piece.speed**2
     gain = 0.5 * np.diff(squares) / step
 
     def motion(share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rates and accelerations (G-1, n) at shares (G-1, n) of the intervals."""
+        """Return joint rates and accelerations (G-1, n) at these shares (0 to 1, (G-1, n)) of the grid intervals."""
         x = (piece.s[:-1] - piece.knots[k])[:, None] + share * step[:, None]
         a, b, c, _ = piece.coefficients[:, k]
         slope, bend = (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
@@ -226,7 +245,11 @@ def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
 
 
 def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> Piece:
-    """Time-optimal straight line from a to b (n,), rest to rest: full acceleration, full speed, full braking."""
+    """Return the time-optimal straight joint motion from a to b (n,) [rad or m], from rest to rest.
+
+    It accelerates fully, keeps the highest speed and brakes fully. at (2,): places of a and b among the poses; limits:
+    joint speeds and accelerations (n,).
+    """
     way = b - a
     length = float(np.abs(way).max())
     if length <= LEAST:

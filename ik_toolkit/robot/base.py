@@ -87,7 +87,7 @@ def _size(block: UnfoldedJoint) -> int:
 
 
 def _packed(kind: str, x: np.ndarray) -> np.ndarray:
-    """Convert a joint's coordinates to Pinocchio's representation."""
+    """Convert the coordinates x of a joint with several degrees of freedom to Pinocchio's representation."""
     if kind == "JointModelPlanar":
         return np.array([x[0], x[1], math.cos(x[2]), math.sin(x[2])])
     if kind in ("JointModelFreeFlyer", "JointModelSpherical"):
@@ -96,7 +96,7 @@ def _packed(kind: str, x: np.ndarray) -> np.ndarray:
 
 
 def _unpacked(kind: str, q: np.ndarray) -> np.ndarray:
-    """Convert Pinocchio's representation of a joint to its coordinates."""
+    """Convert Pinocchio's representation q of a joint with several degrees of freedom to its coordinates."""
     if kind == "JointModelPlanar":
         return np.array([q[0], q[1], math.atan2(q[3], q[2])])
     if kind in ("JointModelFreeFlyer", "JointModelSpherical"):
@@ -106,7 +106,7 @@ def _unpacked(kind: str, q: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- models
 def _add(model: pin.Model, parent: int, prefix: str, part: str, placement: pin.SE3, pitch: float) -> int:
-    """Append the joint PREFIX_PART of one coordinate to a model and return its index."""
+    """Append a joint of one coordinate, whose name is PREFIX_PART ('base_x'), to a model and return its index."""
     name = f"{prefix}_{part}"
     if model.existJointName(name):
         raise ModelError(f"the robot already has a joint '{name}', a name that its base needs")

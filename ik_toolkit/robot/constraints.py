@@ -17,8 +17,8 @@ from .formats.mimic import mimic_limits
 from .probe import JointPath, limits
 
 STEPS, TRIES = 40, 5  # Number of Gauss-Newton steps, and of starts, for closing a loop with the joints off the path.
-CLOSED = 1e-10  # Closing ends at this residual [m or rad].
-SLOW = 1e-4  # A step must remove this share of the residual, or it is the last one.
+CLOSED = 1e-10  # The iteration that closes a loop ends below this residual [m or rad].
+SLOW = 1e-4  # The iteration also ends after a step that reduces the residual by less than this share.
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
@@ -39,10 +39,10 @@ class Loop(NamedTuple):
 
 
 class LinearLength(NamedTuple):
-    """A number that depends on q: the sum of joint values times factors, and of distances between points times factors.
+    """A length or angle that depends on q: a sum of joint values and distances of points, each times a factor.
 
-    It counts from `zero` and is in metres or radians. It is not `known` for a tendon around a shape, whose length is
-    not computed.
+    `zero` [m or rad] is subtracted from the sum. `known` is False for a tendon around a shape, whose length is not
+    computed.
     """
 
     joints: tuple[tuple[str, float], ...]
@@ -53,7 +53,7 @@ class LinearLength(NamedTuple):
 
 
 class Relation(NamedTuple):
-    """A relation low <= y - (c0 + c1 x + c2 x^2 + ...) <= high, where y and x count from their zero; without x, y - c0."""
+    """A relation low <= y - (c0 + c1 x + c2 x^2 + ...) <= high between two lengths y and x; x may be missing."""
 
     name: str
     y: LinearLength
@@ -67,14 +67,14 @@ Constraint = Loop | Relation
 
 
 class Kept(NamedTuple):
-    """Whether constraints hold at a q within the tolerances, and part of a sentence on each that the joints of q can break."""
+    """Whether all constraints hold at a configuration, and text on those that its joints can break."""
 
     holds: bool
     text: str
 
 
 def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: float) -> Kept:
-    """Return what q (n,) does to the constraints of its robot, with tolerances `position` [m] and `orientation` [rad]."""
+    """Return whether the constraints of a robot hold at q (n,), within `position` [m] and `orientation` [rad]."""
     if not robot.constraints:
         return Kept(True, "")
     closure = robot.memo.get("closure")
@@ -84,7 +84,10 @@ def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: floa
 
 
 def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -> tuple[int, str] | None:
-    """Return the number of the first row of Q (N, n) that breaks a constraint, and what it does, or None; NaN rows are skipped."""
+    """Return the index of the first row of Q (N, n) that breaks a constraint, and a text that says how.
+
+    The result is None if no row does. Rows of NaN are skipped. Tolerances: position [m], orientation [rad].
+    """
     if robot.constraints:
         for k in np.flatnonzero(np.isfinite(Q).all(axis=1)):
             kept = constraints_at(robot, Q[k], position, orientation)
@@ -94,7 +97,7 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
 
 
 class CoupledConstraints(NamedTuple):
-    """Constraints that share joints off the path, and those joints: ids, limits (m,)."""
+    """Constraints that depend on common joints off the path; ids and limits (m,) of those m joints."""
 
     constraints: list[Constraint]
     joints: list[int]
@@ -135,7 +138,7 @@ class Closure:
         path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
             lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
-        except ModelError:  # A joint that has no legal position cannot help.
+        except ModelError:  # A joint that has no legal position cannot help to close a loop.
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
         return CoupledConstraints(constraints, joints, lower, upper)
 
@@ -163,7 +166,7 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> Kept:
-        """Evaluate the constraints (see `constraints_at`); in full (nq,) joints off the path move to where they close the loops."""
+        """Move joints off the path in `full` (nq,) to where they close the loops, and evaluate the constraints."""
         holds, said = True, []
         for group in self.groups:
             moved = self._close(group, full, min(position, orientation))
@@ -177,7 +180,7 @@ class Closure:
         return Kept(holds, "; ".join(said))
 
     def _open(self, constraint: Constraint, off: np.ndarray, position: float, orientation: float) -> str:
-        """Say how far a constraint is open, or '' if it is within the tolerances."""
+        """Return as text how far a constraint is violated, '' if it is within the tolerances."""
         if np.isnan(off).any():
             return "unknown"
         length = isinstance(constraint, Loop) or constraint.y.metres
@@ -204,7 +207,7 @@ class Closure:
         return np.concatenate([off, turn]), np.vstack([slope, pin.Jlog3(S.T @ R) @ R.T @ (J[3:] - K[3:])])
 
     def _point(self, end: End) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the place of a point, its Jacobian (6, nv), and its rotation, in the axes of the model."""
+        """Return position (3,) [m], Jacobian (6, nv) and rotation (3, 3) of a frame on a link, in root axes."""
         data, i = self.robot.arms[0].data, self._frame(end)
         at = pin.updateFramePlacement(self.model, data, i)
         J = pin.getFrameJacobian(self.model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1).copy()
@@ -244,7 +247,7 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- closing
     def _close(self, group: CoupledConstraints, full: np.ndarray, tolerance: float) -> list[tuple[str, float]]:
-        """Move the joints of a group in `full` (nq,) so that its constraints are open the least; return name and value of each."""
+        """Move a group's joints in `full` (nq,) so that its constraints are violated least; return names and values."""
         if not group.joints:
             return []
         rest = np.array([self._value(j, full) for j in group.joints]).clip(group.lower, group.upper)
@@ -305,7 +308,7 @@ class Closure:
 
 
 def _scaling(model: pin.Model, j: int) -> tuple[float, float]:
-    """Return ratio and offset of a joint that follows another, 1 and 0 for one that does not."""
+    """Return ratio and offset of joint j if it follows another (q_j = ratio q_leader + offset), else 1 and 0."""
     if j not in list(model.mimicking_joints):
         return 1.0, 0.0
     joint = model.joints[j].extract()
@@ -319,7 +322,10 @@ def _kind(constraint: Constraint) -> str:
 
 
 def _state(constraint: Constraint, open_by: str, moved: Sequence[tuple[str, float]]) -> str:
-    """Describe a constraint that is open by so much, or kept ('')."""
+    """Return the end of a sentence on a constraint: whether it is kept, and the joints that were moved to close it.
+
+    open_by: text that says how far it is violated, '' if it is kept, 'unknown' if it cannot be computed.
+    """
     values = ", ".join(f"{name} = {value:.6g}" for name, value in moved)
     if open_by == "unknown":
         return "may not be kept: a tendon around a shape is not computed here"

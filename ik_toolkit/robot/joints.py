@@ -97,7 +97,7 @@ class Joints(ReadOnly):
     _path: JointPath
     _given: Given | None
     _original: pin.Model | None
-    _wide: Any = None  # The robot of which this is a variant with narrower limits.
+    _wide: Any = None  # For a variant with narrower limits, this is the robot it was made from.
 
     def _note(self, notes: Iterable[str]) -> None:
         """Store notes on the description, and log those that are new."""
@@ -149,11 +149,11 @@ class Joints(ReadOnly):
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
-        """What is given for the tips (a target, what `fk` returns) by tip: a tree's is, a Robot's is that of its tip."""
+        """Return targets or poses as a dict by tip: a Robot's become {tip: given}, a Tree's are a dict already."""
         return given if self.by_tip else {self.tips[0]: given}
 
     def for_tips(self, each: Mapping[str, Any]) -> Any:
-        """The other way round: what belongs to each tip in the form that calls take for this robot."""
+        """Return the inverse of `each_tip`: for a Robot the value of its only tip, for a Tree the dict itself."""
         return each if self.by_tip else each[self.tips[0]]
 
     def tip_poses(self, q: np.ndarray) -> list[pin.SE3]:
@@ -162,7 +162,7 @@ class Joints(ReadOnly):
 
     @functools.cached_property
     def mobility(self) -> Any:
-        """What the tip can never do, however the joints stand: a `Mobility`; of a Tree a dict of them by tip."""
+        """Motions that the tip cannot make in any configuration, as a `Mobility`; for a Tree a dict of them by tip."""
         found = {arm.tip: mobility_of(arm) for arm in self.arms}
         return self.for_tips(found)
 
@@ -226,7 +226,7 @@ class Joints(ReadOnly):
         raise NotImplementedError
 
     def narrowed(self, limits: Any) -> Self:
-        """Return a variant with narrower limits, the one that the option `limits=` of a call makes and keeps.
+        """Return a variant of the robot with narrower limits, the same one that the option `limits=` of a call uses.
 
         A collision model made for the robot serves its variants too.
 

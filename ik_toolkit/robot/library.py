@@ -145,7 +145,10 @@ def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
 
 @functools.cache
 def data_files() -> dict[str, Path]:
-    """Map names to all other files of example-robot-data: a file's name, after its folder's name if it is taken."""
+    """Map names to the files of example-robot-data that are not in DATA_ROBOTS.
+
+    A name is the file's; if two files have the same name, the folder's name precedes it.
+    """
     root = _data_root()
     if root is None:
         return {}

@@ -22,8 +22,9 @@ LOG = logging.getLogger("ik_toolkit")
 class Urdf(NamedTuple):
     """The URDF text of a source.
 
-    `file` is the base of relative paths; `notes`, `states` and `constraints` are contents of MJCF (see `mjcf.Read`).
-    `made` tells that the text, and so the lines that findings give, is not the file's own (xacro, MJCF).
+    Relative paths in it start from the folder of `file`. `notes`, `states` and `constraints` come from an MJCF file
+    (see `mjcf.Read`). `made` tells whether the text was made from xacro or MJCF, so that line numbers are not those of
+    the file.
     """
 
     text: str
@@ -43,13 +44,13 @@ def urdf_of(
 ) -> Urdf:
     """Return the URDF text of a URDF, xacro or MJCF source. Raises what `Robot.load` raises.
 
-    `elsewhere` tells that another file may use the xacro arguments.
+    elsewhere: whether another file (the SRDF) may use the xacro arguments, so that a plain URDF need not refuse them.
     """
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
         text = safe_read(entry.source)
         if entry.path is not None and entry.path.suffix == ".xacro" and "<xacro:" in text:
-            # A file that says it is a URDF may have a call of a macro left over, other files may not.
+            # In a .urdf file a leftover call of a macro is ignored, but a .xacro file must be expanded.
             raise HasMacros("it calls macros")
         if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
@@ -103,9 +104,10 @@ def read_both(
 def default_base(
     entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Return the base frame to use: the one given, the known one, or a link above the tip on a free joint without limits.
+    """Return the base frame to use: the one given, or the robot's known one, or the link that a free joint carries.
 
-    `made` is the result of `read`, whose notes then say that the joint is held.
+    The last is for a tip below a floating or planar joint without base_limits: the joint is held, and a note on that is
+    added to `made`, the result of `read`.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)

@@ -1,13 +1,14 @@
-"""What an arm can never do, however its joints stand: turns and moves that none of its configurations allows."""
+"""Motions that an arm cannot make in any configuration: rotations and translations of its tip."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-SAMPLES = 24  # random configurations that are looked at: what never happens in them is taken as what cannot happen
-ROUNDING = 1e-5  # of the largest singular value, below which one is 0: axes in files have five or six digits
-DOUBTLESS = 1e-3  # [rad, or reaches] by which a target must be off before it is called impossible
+SAMPLES = 24  # number of random configurations; a motion that is possible in none of them is taken as impossible
+# Singular values below this share of the largest count as 0, because axes in files have five or six digits.
+ROUNDING = 1e-5
+DOUBTLESS = 1e-3  # A target must be off by this [rad, or share of the reach] before it is called impossible.
 NAMES = "xyz"
 
 
@@ -40,7 +41,7 @@ class Mobility:
     reach: float
 
     def never(self, T: np.ndarray, tolerances: tuple[float, float]) -> list[str]:
-        """What of a pose T (4, 4), or a position (3,), the tip never has, beyond tolerances [m], [rad]: sentences."""
+        """Return sentences on why the tip never has a pose T (4, 4) or position (3,), within tolerances [m], [rad]."""
         position, angle = (
             max(given, DOUBTLESS * size) for given, size in zip(tolerances, (self.reach, 1.0), strict=True)
         )
@@ -69,7 +70,7 @@ class Mobility:
         return found
 
     def __str__(self) -> str:
-        """One sentence."""
+        """Describe the mobility in one sentence."""
         text = f"{self.joints} joint{'s' * (self.joints != 1)}, {self.directions} of 6 directions at once"
         if self.axis is not None and self.tip_axis is not None:
             text += f"; the tip's {named(self.tip_axis)} axis always points along {named(self.axis)} of the base"
@@ -81,7 +82,7 @@ class Mobility:
 
 
 def named(axis: np.ndarray) -> str:
-    """An axis (3,) in words: 'z', '-z' or its numbers."""
+    """Return an axis (3,) as text: 'z', '-z' or its numbers."""
     k = int(np.abs(axis).argmax())
     if abs(abs(axis[k]) - 1.0) < 1e-6:
         return ("-" if axis[k] < 0.0 else "") + NAMES[k]
@@ -93,7 +94,7 @@ def _length(metres: float) -> str:
 
 
 def mobility_of(arm: Any) -> Mobility:
-    """The freedoms of a robot's tip."""
+    """Compute the mobility of a robot with one tip from random configurations."""
     rng = np.random.default_rng(0)
     jacobians, poses = [], []
     for q in arm.random_q(rng, SAMPLES):
@@ -112,7 +113,7 @@ def mobility_of(arm: Any) -> Mobility:
     tip_axis = None
     if axis is not None:
         tip_axis = T[0, :3, :3].T @ axis
-        if tip_axis[np.abs(tip_axis).argmax()] < 0.0:  # said of the positive axis of the tip
+        if tip_axis[np.abs(tip_axis).argmax()] < 0.0:  # Signs are chosen so that the tip's axis is positive.
             axis, tip_axis = -axis, -tip_axis
     normals = ways[:, moves:].T
     normals = (

@@ -23,7 +23,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
         else:
             key = tuple((x.dtype, x.shape, x.tobytes()) for x in limits)
         found = kept.get(key)
-    except (AttributeError, TypeError):  # A list of numbers instead of arrays raises one of these and is not kept.
+    except (AttributeError, TypeError):  # Lists of numbers, unlike arrays, raise these errors: no key is made of them.
         key = found = None
     if found is None:
         lower, upper = _ends(robot, limits)

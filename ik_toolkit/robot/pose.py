@@ -14,7 +14,8 @@ from .ros import read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
-PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
+# A rotation matrix is projected to the nearest rotation if its singular values differ from 1 by at most this.
+PROJECT_WITHIN = 1e-2
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 AXES |= {f"-{name}": tuple(-x for x in axis) for name, axis in AXES.items()}
 FORMS = "a 4x4 pose, a pin.SE3, a ROS pose or a position of 3 numbers"
@@ -53,7 +54,10 @@ def _unit(value: Any, name: str) -> np.ndarray:
 
 
 def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
-    """The axis (3,) that 'x', 'y', 'z', '-x', '-y' or '-z' names; anything but a text as it is. Raises `error`."""
+    """Return the axis (3,) that the text 'x', 'y', 'z', '-x', '-y' or '-z' names, and other values unchanged.
+
+    Raises `error` for any other text; name: of the argument, for the message.
+    """
     if not isinstance(value, str):
         return value
     if value.strip().lower() not in AXES:
@@ -160,7 +164,7 @@ def approach(target: Any, distance: float, axis: Numbers | str | None = None) ->
 
     Args:
         target: T_base_tip (4, 4), a pin.SE3 or ROS pose, or an AxisTarget.
-        distance: how far [m] the tip stands back, against the direction of the axis; negative: beyond the target.
+        distance: how far [m] the tip is backed off against the direction of the axis; negative: beyond the target.
         axis: of the tip, "z" or three numbers; default that of an AxisTarget, else z.
 
     Returns:
@@ -226,7 +230,7 @@ def errors(
     if free_turn is not None and target.ndim == 2:
         now, wanted = T[:3, :3] @ free_turn, target[:3, :3] @ free_turn
         across, cosine = np.cross(now, wanted), float(now @ wanted)
-        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # 180 degrees, about any perpendicular axis
+        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # For 180 degrees any perpendicular axis will do.
             across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))])
             angle = math.pi
         else:
@@ -260,7 +264,7 @@ def as_matrix(pose: Any) -> np.ndarray:
 
 
 def as_array(target: Any, base: str = "") -> Any:
-    """The array of a pin.SE3 or of a ROS message, see `ros.read_pose`; anything else as it is. Raises InvalidTarget."""
+    """Return the array of a pin.SE3 or ROS message (see `ros.read_pose`), other values as is. Raises InvalidTarget."""
     if isinstance(target, np.ndarray | list | tuple):
         return target
     if hasattr(target, "homogeneous"):
@@ -272,7 +276,7 @@ def as_array(target: Any, base: str = "") -> Any:
     if quat is None:
         return position
     if not np.isfinite([*position, *quat]).all():
-        return np.full((4, 4), np.nan)  # a pose that its reader refuses: a tracker goes on without it
+        return np.full((4, 4), np.nan)  # NaN marks a pose that cannot be read, so that a tracker can go on without it.
     return pose(position, quat_xyzw=quat)
 
 
@@ -315,7 +319,7 @@ def check_target(target: Any, base: str = "") -> tuple[np.ndarray, str]:
 
 
 def corrected(target: Any) -> np.ndarray:
-    """The target of `check_target`, whose notice goes to the log "ik_toolkit": for calls that return nothing but the target."""
+    """Return the target that `check_target` returns, and write its notice to the log "ik_toolkit"."""
     T, notice = check_target(target)
     if notice:
         logging.getLogger("ik_toolkit").warning("%s", notice)

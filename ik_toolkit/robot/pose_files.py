@@ -25,21 +25,23 @@ from ..errors import FEW_TURNS, InvalidOption, InvalidTarget, doubt_angles, near
 from ..files import NAMES, NUMBERS, check_arrays, read_json, without_mark
 from .rotation import euler_matrix
 
-LINES = 16384  # rows read at a time
+LINES = 16384  # number of rows read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-ABOUT, IN_ORDER = ("rx", "ry", "rz"), ("a", "b", "c")  # other names of angles: about x, y and z, or one after another
+# Column names of angles: for rotations about the axes x, y and z, or for the first, second and third rotation.
+ABOUT, IN_ORDER = ("rx", "ry", "rz"), ("a", "b", "c")
 ORIENTATIONS = (QUAT, RPY, ABOUT, IN_ORDER)
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m] of a unit
-MARKS = (",", ";", "\t")  # what may separate columns
+MARKS = (",", ";", "\t")  # characters that may separate columns
 ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w
-LONGEST_LINE = 2**20  # characters
+LONGEST_LINE = 2**20  # largest number of characters in a line
 
 
 class Convention(NamedTuple):
-    """In what a file gives its numbers.
+    """The units and the order of angles in a file of poses.
 
-    length_unit: of positions, one of LENGTHS. deg: angles are in degrees, not radians. euler: the axes about which the three
-    angles turn one after another, each about the axes as they then are; None is "zyx" (the roll, pitch and yaw of URDF).
+    length_unit: unit of positions, one of LENGTHS. deg: whether angles are in degrees, else radians. euler: the axes of
+    the three rotations, which follow one another about the already rotated axes; None means "zyx" (roll, pitch and yaw
+    as in URDF).
     """
 
     length_unit: str = "m"
@@ -47,7 +49,7 @@ class Convention(NamedTuple):
     euler: str | None = None
 
     def check(self) -> "Convention":
-        """The same. Raises InvalidOption for an unknown unit or sequence of axes."""
+        """Return the convention itself. Raises InvalidOption for an unknown unit or sequence of axes."""
         if self.length_unit not in LENGTHS:
             raise InvalidOption(f"the unit of length is {', '.join(LENGTHS)}, not {self.length_unit!r:.20}")
         axes = self.euler
@@ -68,10 +70,11 @@ class PoseRows(NamedTuple):
 def read_poses(
     path: Path, what: str, *, times: bool = False, given: Convention = Convention(), tips: Sequence[str] = ()
 ) -> tuple[int, Iterator[PoseRows]]:
-    """Number of rows and the blocks of a file: one block for NPZ, many for CSV. `what` names the contents in messages.
+    """Read a file of poses: return its number of rows and its blocks of rows, one for NPZ and JSON, many for CSV.
 
-    times: t is required as well. given: units and angles of the file. tips: names of the tips whose poses the file holds; none:
-    poses without a name. Raises InvalidTarget naming the line, for a CSV also while its blocks are read; InvalidOption.
+    what: name of the contents, for messages. times: whether the file must have times t. given: units and angles of the
+    file. tips: names of the tips whose poses the file holds; without names it holds poses of one tip. Raises
+    InvalidTarget, which names the line (for a CSV also while blocks are read), and InvalidOption.
     """
     scale = LENGTHS[given.check().length_unit]
     if not path.is_file():
@@ -95,12 +98,13 @@ def read_poses(
         return rows, _read_csv(path, columns, len(header), mark, times, given)
     except InvalidTarget:
         raise
-    except Exception as error:  # damaged files raise many types: zip, zlib, lzma, npy and csv errors
+    # Damaged files raise many types of errors, such as those of zip, zlib, lzma, npy and csv.
+    except Exception as error:
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
 
 
 def _scaled(poses: np.ndarray, scale: float) -> np.ndarray:
-    """Poses (N, ..., 4, 4) or positions (N, ..., 3) in metres."""
+    """Multiply the positions in poses (N, ..., 4, 4), or positions (N, ..., 3), by `scale` [m per unit], in place."""
     if scale != 1.0:
         (poses[..., :3, 3] if poses.shape[-2:] == (4, 4) else poses)[...] *= scale
     return poses
@@ -124,7 +128,7 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
         content = content if isinstance(content, dict) else {"targets": content}
         yield {name: _array(path, name, content[name]) if name in names else None for name in content}
         return
-    if not zipfile.is_zipfile(path):  # numpy would suggest unpickling it
+    if not zipfile.is_zipfile(path):  # numpy's own error would suggest unpickling the file, which is unsafe.
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     check_arrays(path, names, ("tips",), InvalidTarget)
     with np.load(path, allow_pickle=False) as file:
@@ -137,7 +141,7 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
         if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < NAMES // 4 for one in value):
             raise InvalidTarget(f"'{path.name}': tips must be a list of names")
         return np.array(value, dtype=object)
-    with suppress(TypeError, ValueError, OverflowError):  # `floats` would look for masked entries in millions of lists
+    with suppress(TypeError, ValueError, OverflowError):  # The function `floats` would be slow here.
         if (array := np.array(value)).dtype.kind in NUMBERS:
             return array.astype(float)
     raise InvalidTarget(f"'{path.name}': {name} must be lists of numbers, not {' '.join(repr(value).split())[:120]}")
@@ -169,7 +173,7 @@ def _read_arrays(path: Path, times: bool) -> PoseRows:
 
 
 def _read_tip_arrays(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
-    """Targets (N, 4, 4) or (N, 3) of each tip."""
+    """Read the targets (N, 4, 4) or (N, 3) [unit of the file] of each tip from an NPZ or JSON file."""
     with _arrays(path, ("targets", "tips", *tips)) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
         order = file["tips"].tolist() if "tips" in file else list(tips)
@@ -212,7 +216,7 @@ def _lines(stream: TextIO, name: str) -> Iterator[str]:
 
 
 def _first_line(path: Path) -> tuple[list[str], str]:
-    """Names of the columns, and what separates them."""
+    """Return the column names in the first line of a CSV file, and the character that separates them."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
         line = next(_lines(stream, path.name), "")
     mark = max(MARKS, key=line.count)
@@ -220,7 +224,10 @@ def _first_line(path: Path) -> tuple[list[str], str]:
 
 
 def _header(name: str, header: list[str], times: bool, given: Convention) -> list[int]:
-    """Indices of the columns used: t if requested, then 3, 7 (with quaternion) or 6 (with angles, in the order of their turns)."""
+    """Return the indices of the columns to read: t if `times`, then x, y, z, then a quaternion or angles if any.
+
+    Angles are in the order in which the rotations follow one another.
+    """
     return _places([cell.lower() for cell in header], name, ["t"] if times else [], "", given)
 
 
@@ -237,7 +244,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
         )
     found = {names: have for names in kinds if (have := [name for name in names if name in header])}
     if kinds[3] in found and given.euler is None and len(found[kinds[3]]) < 3:
-        del found[kinds[3]]  # a column that happens to be called a, b or c
+        del found[kinds[3]]  # A single column a, b or c is no angle.
     turned = next(iter(found), ())
     if len(found) > 1 or (found and len(found[turned]) < len(turned)):
         every = ", ".join(name for have in found.values() for name in have)
@@ -310,7 +317,10 @@ def _read_csv(
 
 
 def _part(values: np.ndarray, lines: list[int], name: str, given: Convention, prefix: str) -> np.ndarray:
-    """Positions (m, 3), or poses from them and a quaternion or angles (m, 7 or 6); `prefix` of the column names."""
+    """Return positions (m, 3), or poses (m, 4, 4) if values (m, 7 or 6) also have a quaternion or angles.
+
+    lines: numbers of the lines, and prefix: of the column names, both for messages.
+    """
     xyz, turned = LENGTHS[given.length_unit] * values[:, :3], values[:, 3:]
     if not turned.shape[1]:
         return xyz
@@ -325,11 +335,15 @@ def _part(values: np.ndarray, lines: list[int], name: str, given: Convention, pr
 
 
 def _numbers(texts: list[str], columns: list[int], width: int, mark: str, lines: list[int], name: str) -> np.ndarray:
-    """Finite numbers (m, columns) from lines of text, each with `width` columns separated by `mark`."""
+    """Read finite numbers (m, columns) from m lines of text with `width` columns each, which `mark` separates.
+
+    columns: indices of the columns to read; lines: numbers of the lines. Raises InvalidTarget, which names the line.
+    """
     if mark != ",":
         texts = [text.replace(",", ".") for text in texts]
     try:
-        if any(text.count(mark) != width - 1 for text in texts):  # or a separator in quotes
+        # A quoted cell with a separator also fails here; the slow reader below accepts it.
+        if any(text.count(mark) != width - 1 for text in texts):
             raise ValueError
         values = np.loadtxt(texts, delimiter=mark, usecols=columns, ndmin=2, comments=None, quotechar='"')
         if len(values) == len(texts) and np.isfinite(values).all():
@@ -337,7 +351,7 @@ def _numbers(texts: list[str], columns: list[int], width: int, mark: str, lines:
     except ValueError:
         pass
     rows = []
-    for k, text in zip(lines, texts, strict=True):  # find the line at fault
+    for k, text in zip(lines, texts, strict=True):  # Reading line by line finds the one at fault.
         try:
             row = next(csv.reader([text], delimiter=mark, strict=True))
         except csv.Error as error:
@@ -360,7 +374,7 @@ def _numbers(texts: list[str], columns: list[int], width: int, mark: str, lines:
 def _poses(
     xyz: np.ndarray, quat: np.ndarray, lines: Sequence[int], name: str, word: str, prefix: str = ""
 ) -> np.ndarray:
-    """Poses (m, 4, 4) from positions and quaternions x, y, z, w (m, 4)."""
+    """Make poses (m, 4, 4) of positions xyz (m, 3) and quaternions x, y, z, w (m, 4)."""
     length = np.linalg.norm(quat, axis=1)
     bad = ~(np.abs(length - 1.0) < 1e-2)
     if bad.any():

@@ -19,13 +19,14 @@ from .formats.urdf_values import reversed_advice
 from .rotation import turn_onto
 
 SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
-# Pinocchio's rounding of lengths is up to AGREE times FAR times the distance from the model's origin.
+# For comparisons with Pinocchio a robot's size is at least this share of its distance from the model's origin.
+# The reason is that Pinocchio's rounding grows with that distance.
 FAR = 1e-5
-# A chain may differ from Pinocchio by this [rad, or of the robot's size]: a thousandth of the default tolerance.
+# A chain may differ from Pinocchio by this [rad, or share of the robot's size], a thousandth of the default tolerance.
 AGREE = 1e-9
 # Relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed.
 HELD = 2.5e-16
-# A limit of 1e15 or more [m, rad or per s] is no limit: files write 1e16 or 1e308 for "none", and so do we (ENDLESS).
+# A limit of 1e15 or more [m, rad or per s] counts as none, because files write 1e16 or 1e308 for "no limit".
 NO_LIMIT = 1e15
 # A limit beyond 1e6 [rad or m] is read as 1e6, which the notes say.
 # Near 1e7 rad one ulp of an angle reaches AGREE.
@@ -123,9 +124,9 @@ def limits(
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Return the limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
-    They are what the description says, whatever the size of the robot. Each of `followers` (see `mimic_limits`) keeps
-    its leader inside its own limits, on the path or off it, because it moves in either case. Raises ModelError if that
-    leaves a joint no legal position.
+    They are those of the description. The limits of a leader are narrowed so that each of its `followers` (see
+    `mimic_limits`), on the path or off it, stays inside the follower's own limits. Raises ModelError if that leaves a
+    joint no legal position.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -170,7 +171,7 @@ def limits(
 
 
 def mid_range(lower: np.ndarray, upper: np.ndarray, centred: np.ndarray) -> np.ndarray:
-    """Return mid-range (n,), or as near 0 as the limits allow for joints without two limits and those not `centred` (n,)."""
+    """Return the middle of the limits (n,); for joints without two limits or not `centred`, the value nearest 0."""
     found = np.clip(0.0, lower, upper)
     bounded = np.isfinite(lower) & np.isfinite(upper) & centred
     found[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
@@ -190,7 +191,7 @@ def kinds(chain: Chain) -> tuple[str, ...]:
 def speed_limits(model: pin.Model, path: JointPath, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
     """Return the velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
 
-    Each of `followers` (see `mimic_speeds`) keeps its leader slow enough for its own limit.
+    The limit of a leader is lowered so that each of its `followers` (see `mimic_speeds`) keeps its own limit.
     """
     own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
     most = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
@@ -220,7 +221,7 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
-    """Return whether a joint turns (or slides), its motion per unit of its coordinate [rad or m], and its axis in its frame."""
+    """Return whether joint j turns (else slides), its motion per unit of coordinate [rad or m], and its axis (3,)."""
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
     if slides and turns:
@@ -308,10 +309,9 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
 def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far: float) -> float:
     """Return the largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q).
 
-    Lengths are divided by the robot's size, the largest of its reach, its largest offset and FAR times the distance
-    `far` [m] of its base from the model's origin (a wrist's offsets may be rounding); a Jacobian column is divided by
-    the ratio of its joints. The result is at least the compiled kernel's rounding error at the largest angle, HELD
-    times that angle.
+    Lengths are divided by the robot's size: the largest of its reach, its largest offset, and FAR times the distance
+    `far` [m] of its base from the model's origin. A Jacobian column is divided by the ratio of its joints. The result
+    is at least the compiled kernel's rounding error at the largest angle, which is HELD times that angle.
     """
     Q = configurations(chain, slides)
     poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)
@@ -329,9 +329,9 @@ def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far:
 
 
 def good_start(chain: Chain, lower: np.ndarray, upper: np.ndarray, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Return mid-range (n,) or, if that is singular, the first of some fixed offsets from it that is well conditioned.
+    """Return the configuration `middle` (n,) or, if it is singular, the first of some fixed offsets that is not.
 
-    moves (n,) is 1 for joints that may be offset.
+    moves (n,) is 1 for joints that may be offset, else 0.
     """
     span = np.where(np.isfinite(upper - lower), upper - lower, 2.0)
     offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, len(middle))) * np.minimum(span, 2.0) * moves

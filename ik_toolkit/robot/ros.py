@@ -7,14 +7,14 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidTarget
 
-LARGEST_NANOSEC = 999_999_999  # so that rounding does not give a whole second
+LARGEST_NANOSEC = 999_999_999  # largest valid value of nanosec; rounding must not reach a whole second
 
 
 POINT, QUATERNION = "xyz", "xyzw"  # fields of geometry_msgs/Point, Vector3 and Quaternion
 
 
 def has_fields(message: Any, names: Sequence[str]) -> bool:
-    """Whether an object has attributes of these names: messages are recognised by them, without importing ROS."""
+    """Return whether an object has all attributes in `names`, which is how messages are recognised without ROS."""
     return all(hasattr(message, name) for name in names)
 
 
@@ -51,7 +51,7 @@ def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | No
 
 
 def _numbers(message: Any, names: str) -> np.ndarray:
-    """The fields of a message as an array."""
+    """Return the fields `names` of a message as an array."""
     try:
         return np.array([float(getattr(message, name)) for name in names])
     except (TypeError, ValueError):

@@ -12,7 +12,7 @@ from ..errors import InvalidTarget, floats
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return a rotation (3, 3) that takes one unit vector onto another."""
     cos = float(axis @ direction)
-    if cos < 0.0:  # 1 + cos loses its digits near 180 degrees: use two reflections through a third vector instead
+    if cos < 0.0:  # Near 180 degrees 1 + cos is inexact, so two reflections through a third vector are used.
         between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
         u, v = axis - between, direction - between
         return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
@@ -28,7 +28,7 @@ def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def finite_numbers(value: Any, size: int, name: str) -> np.ndarray:
-    """Finite numbers (size,). Raises InvalidTarget."""
+    """Return `value` as an array (size,) of finite numbers. Raises InvalidTarget, which names the argument `name`."""
     array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
     if array.shape != (size,):
         raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
@@ -56,7 +56,7 @@ def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) of angles (N, 3) [rad] about the axes of `order`, one after another and each about the axes then.
+    """Return the rotations (N, 3, 3) by angles (N, 3) [rad] about the axes in `order`, each already rotated.
 
     "zyx" with (yaw, pitch, roll) is URDF's roll, pitch, yaw.
     """
@@ -76,7 +76,8 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
     degrees.
     """
     cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding error
+    # With a smaller cosine the yaw is only rounding error.
+    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])

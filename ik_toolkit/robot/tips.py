@@ -17,8 +17,8 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# SCENE has words for sensors and things of a scene, which are no tips while an arm is there.
-# OTHERS also has words for parts of a hand, legs and the like, on which no tool is mounted.
+# SCENE has words for sensors and objects of a scene, which are taken as a tip only if there is no arm.
+# OTHERS has these words and those for parts of a hand, legs and the like, on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
     "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()
@@ -52,7 +52,7 @@ def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
 
 
 def other(said: Iterable[str], names: frozenset[str] = OTHERS) -> bool:
-    """Return whether words name something else than a tool, such as 'camera' or 'camera2'."""
+    """Return whether words of a frame's name contain one of `names`, such as 'camera' or 'camera2'."""
     return any(word.rstrip("0123456789") in names for word in said)
 
 
@@ -90,7 +90,7 @@ def guess_tip(model: pin.Model) -> Guess:
         (kept for names in (OTHERS, SCENE) if (kept := [f for f in far if not other(words(f.name), names)])), ends
     )
     most = max((joints[f.name] for f in plain), default=0)
-    # Of the frames on one joint only the first counts.
+    # Of several frames on one joint only the first is a candidate.
     longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
 
@@ -130,7 +130,7 @@ def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
 
 
 def one_word(tip: str | None, ee_link: str | None) -> str | None:
-    """Return the tip, given as either tip or ee_link. Raises InvalidOption if they differ."""
+    """Return the tip's name, which the caller gives as `tip` or as `ee_link`. Raises InvalidOption if they differ."""
     if tip is not None and ee_link is not None and tip != ee_link:
         raise InvalidOption(
             f"tip and ee_link are two names for one frame, not {tip!r} and {ee_link!r}; give one of them"

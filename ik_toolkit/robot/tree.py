@@ -48,9 +48,9 @@ def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
 
 
 def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot:
-    """Return an arm of a tree in which `names` move, with those as coordinates that move the base's branch.
+    """Return an arm of a tree whose joints `names` move: joints on the base's branch become coordinates of the arm.
 
-    home has all joints by name [rad or m]. It is the arm itself if nothing is added.
+    home: values of all joints by name [rad or m]. If no coordinate is added, the arm itself is returned.
     """
     model = arm.model
     locked = {model.getJointId(joint) for joint in arm.locked_joints}

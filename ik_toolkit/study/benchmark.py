@@ -20,8 +20,8 @@ from ..validate import one_of, solver_list
 from .statistics import wilson
 
 BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
-NEAR = 0.1  # rad or m, distance in each joint up to which a near start lies from a solution
-RESTARTS = 99  # restarts of every solver, so that each has 100 attempts
+NEAR = 0.1  # largest distance of a start 'near' from a solution, in each joint [rad or m]
+RESTARTS = 99  # default number of restarts of every solver, so that each has 100 attempts
 STARTS = ("none", "home", "random", "near")
 TASKS = ("pose", "position")
 
@@ -177,7 +177,8 @@ def benchmark(
     asked = [row.name for row in list_rows()] if solvers is None else solver_list(solvers)
     for solver in asked:
         if not is_auto(solver):
-            find_row(solver)  # an unknown name raises here; a solver that does not apply to a robot is only skipped
+            # An unknown name raises here, but a solver that does not apply to a robot is only skipped.
+            find_row(solver)
     if not arms or not asked:
         raise InvalidOption("a benchmark needs at least one robot and one solver")
     rows: list[BenchmarkRow] = []
@@ -235,7 +236,7 @@ def _bind(
     for solver in asked:
         try:
             one, many = Solver(robot, solver, **without), Solver(robot, solver, **options)
-            one(T[0], None if Q0 is None else Q0[0])  # the first call compiles, which must not be timed
+            one(T[0], None if Q0 is None else Q0[0])  # The first call compiles, which must not be timed.
         except IKError as error:
             if not every and not isinstance(error, InvalidOption | UnknownSolver):
                 raise
@@ -262,7 +263,8 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        table = run_block(*job[1:]) if futures is None else futures[k].result()  # Ctrl-C mostly comes here
+        # Most of the time is spent here, so Ctrl-C mostly arrives here.
+        table = run_block(*job[1:]) if futures is None else futures[k].result()
         parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)
 

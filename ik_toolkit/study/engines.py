@@ -23,7 +23,7 @@ class Swarm:
         return self.x
 
     def tell(self, costs: np.ndarray) -> None:
-        """Move the swarm, given the costs (population,) of the candidates."""
+        """Take the costs (population,) of the candidates that `ask` returned, and move the particles."""
         better = costs < self.cost
         self.own[better], self.cost[better] = self.x[better], costs[better]
         leader = self.own[np.argmin(self.cost)]
@@ -43,7 +43,7 @@ class Evolution:
 
         options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
         self.size = len(start)
-        if self.size == 1:  # the package fails in one dimension, so a second one is added that has no effect
+        if self.size == 1:  # The package `cma` fails in one dimension, so a second one without effect is added.
             start = np.append(start, 0.5)
         self.engine = cma.CMAEvolutionStrategy(start, spread, options)
 
@@ -53,5 +53,5 @@ class Evolution:
         return np.array(self.asked)[:, : self.size]
 
     def tell(self, costs: np.ndarray) -> None:
-        """Update the distribution, given the costs (population,) of the candidates."""
+        """Take the costs (population,) of the candidates that `ask` returned, and update the distribution."""
         self.engine.tell(self.asked, list(costs))

@@ -13,7 +13,7 @@ from ..solvers.registry import find_row
 from ..solvers.solve import Solver
 from .statistics import wilson
 
-STUCK = 1e-9  # rad or reaches, a run that never moves a joint farther than this counts as stuck
+STUCK = 1e-9  # A run that never moves a joint farther than this [rad, or share of the reach] counts as stuck.
 
 
 @dataclass(frozen=True)

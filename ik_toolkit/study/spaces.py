@@ -12,7 +12,7 @@ from ..validate import switch
 
 # Ranges of parameters that several rules have: lowest and highest value, and whether the scale is logarithmic.
 RANGES = {"damping": (1e-4, 1.0, True), "gain": (0.05, 1.9, False)}
-MOST_MAPS = 4096  # far more than is of use, so that a mistyped number does not fill the memory
+MOST_MAPS = 4096  # largest number of maps, so that a mistyped number does not fill the memory
 
 
 def make_space(

@@ -28,11 +28,12 @@ from .statistics import wilson
 from .targets import sample_targets
 
 METHODS = ("cma", "pso")
-JUDGED_SOON = 1  # number of held-out sets that are solved after Ctrl-C, which must not take long
+JUDGED_SOON = 1  # number of held-out sets on which rules are compared after Ctrl-C, so that it ends soon
 FINALISTS = 8  # number of best candidates that are compared on the validation targets
 # Highest number of iterations during the search, where failures take most of the time and slow solves should count as failures.
 SEARCH_ITERATIONS = 300
-TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # numbers of random streams, so that the three sets never share a target
+# Each set of targets has a random stream of its own, so no target is in two sets.
+TRAIN, VALIDATION, HELD_OUT = 1, 2, 3
 
 
 @dataclass
@@ -60,7 +61,7 @@ class Score:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Order of scores, larger for a larger share, then for fewer iterations."""
+        """Return a key to compare scores: larger for a larger share of solved targets, then for fewer iterations."""
         return self.share, -self.iterations if self.iterations == self.iterations else -math.inf
 
     def to_dict(self) -> dict[str, Any]:
@@ -112,7 +113,7 @@ class TuneResult:
     rule: Any  # the best of the three rules, for solve, Solver and solve_batch
     train: Score  # score of the tuned rule on the training targets
     scores: dict[str, Score]  # scores on the held-out targets of the rules 'tuned', 'start' and 'default'
-    kept: str  # which of these three names `rule` has
+    kept: str  # name of the kept rule: 'tuned', 'start' or 'default'
     options: dict[str, Any]  # options with which the targets were solved
     history: np.ndarray  # (generations, 3) best cost so far, best and median cost of each generation
     evaluations: int  # number of candidates that were evaluated
@@ -323,7 +324,7 @@ class _Search:
             costs = self.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
-        if not self.best:  # there was no generation, so the start is the best candidate
+        if not self.best:  # Without a generation the start is the best candidate.
             self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:

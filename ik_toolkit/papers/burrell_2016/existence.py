@@ -13,7 +13,7 @@ from ..report import Report
 from .figures import draw_existence
 from .published import PAPER_OPTIONS, TO_PAPER
 
-CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and of those that are compared at every gain
+CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and number of the best of them, compared at every gain
 
 
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
@@ -28,7 +28,8 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         rule = PID(kp=kp, units="mm-deg")
         return solve_batch(robot, points, rule, q0=q0, check=0.0, **PAPER_OPTIONS)
 
-    # A goal must fail at the gain 0.0848 and succeed at 0.0847; then a coarse grid of gains is compared, then every gain.
+    # As in the paper, a goal must not be reached at the gain 0.0848, but at 0.0847.
+    # The goals that pass are compared with the paper at a coarse grid of gains, and the best of them at every gain.
     left = sample_targets(robot, CANDIDATES, 2016, position_only=True)
     result = solve_batch(robot, left, published, q0=q0, check=0.0)
     left, steps = left[result.success], result.iterations[result.success]
@@ -38,7 +39,8 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         good = batch(left, kp).success == wanted
         left, steps = left[good], steps[good]
         threshold = threshold or len(left) * (kp == 0.0847)
-    nearest = np.argsort(np.abs(steps - 100), kind="stable")[:MATCHES]  # Fig. 5 needs about 100 iterations
+    # Fig. 5 of the paper shows about 100 iterations.
+    nearest = np.argsort(np.abs(steps - 100), kind="stable")[:MATCHES]
     above, below = np.round(np.arange(0.0848, 0.30005, 0.0001), 4), np.round(np.arange(0.001, 0.08475, 0.0001), 4)
     reached, lost = (
         np.array([batch(left[nearest], float(kp)).success == wanted for kp in grid]).sum(0)
@@ -88,7 +90,7 @@ def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int 
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
     best = np.argsort(far)[:starts]
     Q, far = Q[best], far[best]
-    for width in np.geomspace(0.3, 1e-6, 60):  # the largest move of a joint, in rad or m
+    for width in np.geomspace(0.3, 1e-6, 60):  # The width is the largest move of a joint [rad or m].
         tries = np.clip(Q[:, None] + width * rng.standard_normal((starts, 64, robot.n)), robot.lower, robot.upper)
         away = np.linalg.norm(robot.chain.forward(tries.reshape(-1, robot.n))[0][:, :3, 3] - point, axis=1)
         away = away.reshape(starts, -1)

@@ -12,10 +12,11 @@ from ..report import Report
 from .figures import draw_gains
 from .published import PAPER_OPTIONS
 
-# K_p, in degrees a millimetre.
+# Values of the proportional gain K_p that are compared [degrees per mm].
 GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)
-EDGE = (0.02, 0.05, 0.1)  # m, distances around a goal at which points are tested
-POOR = 200.0  # successes of 1000 that make a tuning poor: "say 20 % of reachable points", section 4
+EDGE = (0.02, 0.05, 0.1)  # Points at these distances [m] around a goal are tested for reachability.
+# A tuning is poor with so few successes of 1000: the paper says "say 20 % of reachable points" in section 4.
+POOR = 200.0
 
 
 def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: Any) -> None:

@@ -17,7 +17,7 @@ from ..timing import Work, rounds, spread
 from .published import TABLE_2, TOLERANCES
 from .uncompiled import LIMIT, Interpreted, PlainPinv
 
-SETS = range(7, 14)  # seeds of the sets of goals, one for each round
+SETS = range(7, 14)  # seeds of the sets of goals, one for each round of timing
 FEW = 25  # number of goals in a set for the interpreted versions, which are slow
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)

@@ -54,7 +54,7 @@ class PlainPinv(NamedTuple):
 
 # --------------------------------------------------------------------------------------------------------- interpreted
 class Interpreted:
-    """The methods in numpy, for a robot with a table of D-H parameters."""
+    """The solvers that the paper times, in interpreted numpy, for a robot with a table of D-H parameters."""
 
     def __init__(self, robot: Robot) -> None:
         """Read the D-H parameters of the robot, and the matrices of the tuned state-space solver with one map."""
@@ -155,7 +155,8 @@ class Interpreted:
     @staticmethod
     def _damped(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
         J = jacobian(frames)
-        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)  # the damping is (100 mm)^2
+        # The damping 0.01 m^2 is (100 mm)^2, as in the paper.
+        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)
 
 
 def jacobian(frames: list[np.ndarray]) -> np.ndarray:

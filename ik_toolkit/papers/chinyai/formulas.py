@@ -7,9 +7,9 @@ import numpy as np
 
 from ...compile.jit import cached
 
-PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # variants of Newton's step
-LONGEST = 0.5  # rad, largest step of a joint in the variant STEP
-LIMIT = math.radians(150.0)  # rad, joint limit of our robot planar_2r, as the paper gives none
+PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # variants of Newton's step, see `newton`
+LONGEST = 0.5  # largest step of a joint in the variant STEP [rad]
+LIMIT = math.radians(150.0)  # joint limit [rad] of the toolkit's robot planar_2r, because the paper gives none
 TOLERANCE = 1e-10
 ITERATIONS = 50
 NO_CLIP = 1e9

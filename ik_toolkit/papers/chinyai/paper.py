@@ -87,7 +87,7 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
 
     for sign, name in ((-1.0, "upper"), (1.0, "lower")):
         t2 = sign * np.arccos(c2)
-        literal, signed = 1 - c2**2, np.sin(t2)  # (2) prints sqrt((1 - cos^2)) squared
+        literal, signed = 1 - c2**2, np.sin(t2)  # Eq. (2) prints the square of the sine instead of the sine.
         rows.append(
             [
                 f"(4), (5), {name} signs, sine as printed in (2)",

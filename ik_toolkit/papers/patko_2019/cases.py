@@ -12,7 +12,7 @@ from ...servo.methods import Run, System, simulate
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-# The methods by their names in the report; the method aad is ours.
+# The methods of the paper by their names in the report; the method aad is not from the paper but our own.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
     "av": ("av", {}),
@@ -112,7 +112,7 @@ CASES = {
 
 
 def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, **changes: Any) -> Run:
-    """Run one of METHODS on a case with an initial error `offset` [m]; h, steps and rate0 may be changed."""
+    """Track a case's path by the method METHODS[key] from an initial error `offset` [m]; `changes` replace options."""
     name, options = METHODS[key]
     options = dict(options)
     if name == "cv":
@@ -168,7 +168,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float 
     n = len(q0)
     rate0 = np.linalg.solve(case.system.jacobian(q0), case.path(0.0)[1])
     command0 = rate0 if key == "cv" else run(case, gains, key, h=h, steps=1, rate0=rate0).command
-    # The indices of those of q, rate and command that are states of the method.
+    # The states of a method are some of q (0), rate (1) and previous command (2).
     sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))
     start = np.concatenate([q0, rate0, command0])
 

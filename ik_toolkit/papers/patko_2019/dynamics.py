@@ -8,7 +8,8 @@ import pinocchio as pin
 from ...robot.robot import Robot
 from ..report import Report
 
-MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03  # kg, m, m of our slender links, as the paper gives none
+# Mass [kg], length [m] and radius [m] of a link, our choice: the paper gives none
+MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03
 GRAVITY = (0.0, -9.81, 0.0)  # m/s^2, in the plane of the arm so that it has an effect
 SHIFT = np.array([0.1, -0.05])  # rad, initial error
 STEP, STEPS = 1e-3, 4000  # time step [s], and number of steps of a run

@@ -27,7 +27,7 @@ def gallery(robot: Robot) -> Any:
         q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
         goal = robot.fk(q)
         found = solve_all(robot, goal, Inspection(lift=0.22), q0=q, limits=False)
-        # Each row has one shape of the elbow; the configurations in a row differ by half turns of the joints only.
+        # Each row of pictures has one elbow shape (up or down); within a row joints differ by half turns only.
         found = sorted(found, key=lambda x: (-_skeleton(robot, x)[0][1, 2].round(6), len(robot.outside(x))))
         figure, axes = plt.subplots(2, 4, figsize=(9.5, 4.8), subplot_kw={"projection": "3d"}, layout="constrained")
         names = ("axis of joint 3", "axis of joint 4", "axis of joint 6")
@@ -83,7 +83,7 @@ def self_motion(
         for k, d in enumerate(lifts[1:-1], 1):
             found = inspection.every_branch(p, T, box, np.array([d]), out, broken)
             theta[k] = np.sort(out[:found, 0][np.abs(out[:found, 4]) < math.pi / 2])
-        for k, nearby in ((0, 1), (-1, -2)):  # the two branches of the elbow meet at the ends
+        for k, nearby in ((0, 1), (-1, -2)):  # Both branches of the elbow meet at the least and the largest lift.
             theta[k] = np.repeat(theta[nearby].reshape(2, 2).mean(axis=1), 2)
         return 1000.0 * lifts, np.degrees(theta)
 

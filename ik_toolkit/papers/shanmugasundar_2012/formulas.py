@@ -21,7 +21,7 @@ ORIGIN = (
     20.0,
     0.0,
     20.0,
-)  # our values (deg, mm, deg ...), as the paper does not say at which ones the pose was computed
+)  # Our choice of joint values [deg, mm, deg, ...], because the paper does not say where the pose was computed.
 ANGLES = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # joint values of Table 3
 SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # joint values of Table 4 and Fig 8

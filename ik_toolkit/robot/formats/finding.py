@@ -38,7 +38,7 @@ def odd(element: object, problem: str, advice: str, line: int, at_load: bool = F
 
 
 def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
-    """Summarise what loading reports in one sentence per kind of advice, with line numbers if `lines` is set."""
+    """Return a sentence for each kind of advice among the findings to report; lines: whether to name line numbers."""
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
         if finding.at_load:
@@ -52,6 +52,6 @@ def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
 
 
 def did_you_mean(name: str, options: Iterable[str] | Mapping[str, object]) -> str:
-    """Return ' Did you mean ...?' for a misspelled name, or an empty text if no option is near it; the options are not listed."""
+    """Return ' Did you mean ...?' with the option most like a misspelled name, or '' if none is like it."""
     found = near_match(name, options).partition(" Available")[0]
     return found if found.startswith(" Did") else ""

@@ -1,11 +1,11 @@
-"""Solves linear equations between joint values for which joint follows which other joint, and which joints stand still."""
+"""Solves linear equations between joint values: finds which joints follow another joint, and which cannot move."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-ZERO = 1e-9  # A coefficient left by elimination counts as 0 below this fraction of the largest one of its equation.
+ZERO = 1e-9  # After elimination a coefficient counts as 0 below this fraction of the largest one of its equation.
 LEAST = 1e-6  # A joint is expressed by another one only if its coefficient is at least this fraction of the largest.
 
 
@@ -55,7 +55,8 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
     columns = [*first, *others]  # A joint that comes first is expressed by those after it.
     place = {joint: i for i, joint in enumerate(columns)}
-    rows: dict[int, np.ndarray] = {}  # Each pivot has its row of coefficients, which ends with the right side.
+    # This maps each pivot to its row of coefficients, followed by the right-hand side.
+    rows: dict[int, np.ndarray] = {}
     against: list[Equation] = []
     for one in equations:
         row = np.zeros(len(columns) + 1)

@@ -97,7 +97,7 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
     tied: dict[str, Tie] = {}
     loose: dict[str, str] = {}
     for name in given:
-        # The walk goes from follower to leader until it meets a joint whose tie is known or that follows none.
+        # Follow the leaders up to a joint whose tie is known or that follows no other.
         walk = [name]
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")

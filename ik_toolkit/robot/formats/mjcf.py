@@ -85,7 +85,7 @@ def _shift(pos: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """Return the name, or a variant that is not taken, and mark it as taken."""
+    """Return a name that is not in the set `taken`: the given one or a variant of it, which is added to the set."""
     k, free = 1, name
     while free in taken:
         k += 1
@@ -103,7 +103,7 @@ class _Writer:
         self.links: set[str] = set()
         self.names: set[str] = set()
         self.values: list[Any] = []  # Each function turns the qpos of a keyframe into (joint, value) pairs.
-        # A joint of a ball that turns back maps to (leader, ratio, offset).
+        # In a ball joint written as five joints the last two mimic the first two; each maps to (leader, ratio, offset).
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 

@@ -46,7 +46,7 @@ class _Reader:
         self.lengths = [self._tendon(tendon) for tendon in model["tendons"]]
 
     def read(self) -> Ties:
-        """Solve the linear equalities and return all others as constraints."""
+        """Solve the linear equalities for followers and held joints, and return all other equalities as constraints."""
         equations, curved, notes = [], [], []
         for equality in self.model["equalities"]:
             if not equality["active"]:
@@ -180,7 +180,7 @@ class _Reader:
 
 
 def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | None:
-    """Return the relation as a linear equation between joint values, or None; with `first`, its first joint is meant to follow."""
+    """Return a relation as a linear equation between joint values, or None; first: whether the first joint follows."""
     x = one.x or LinearLength(())
     constant, ratio, *higher = one.curve
     if one.x is not None and any(higher):

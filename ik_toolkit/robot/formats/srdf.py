@@ -322,7 +322,7 @@ def _some(names: Iterable[str], what: str) -> str:
 
 
 def _meant(names: set[str], known: Iterable[str]) -> str:
-    """Return '. Did you mean ...?' if there is one unknown name and a known one is near it, otherwise ''."""
+    """Return '. Did you mean ...?' if there is a single unknown name and a known name is like it, otherwise ''."""
     near = did_you_mean(min(names), known) if len(names) == 1 else ""
     return f".{near}" if near else ""
 

@@ -58,7 +58,7 @@ def contents(text: str) -> dict[str, Any]:
     groups: dict[str, dict[str, list]] = {}
     ends: dict[str, EndEffector] = {}
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
-    lost: dict[tuple[str, str], str] = {}  # Each (configuration, group) left out has a reason.
+    lost: dict[tuple[str, str], str] = {}  # This maps each (configuration, group) that is left out to the reason.
     passive: list[str] = []
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []

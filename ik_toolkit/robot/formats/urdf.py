@@ -48,8 +48,8 @@ NUMBERS = {  # Maps an element to its attributes of numbers, and each to how man
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
 ITEMS = ("link", "joint", "material")
-# A description with one of the elements in XACRO is xacro.
-# A mere call of a macro is left over in a plain URDF and cannot be expanded, so it does not count.
+# A description that has one of these xacro elements must be expanded by xacro.
+# A call of a macro alone does not count, because plain URDFs contain leftover calls that cannot be expanded.
 XACRO = ("include", "macro", "property", "arg", "if", "unless", "insert_block", "call", "element", "attribute")
 XACRO_TAGS = frozenset(f"xacro:{word}" for word in XACRO)
 SHAPES = ("visual", "collision")
@@ -92,7 +92,7 @@ class Item:
         return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
 
     def own(self, tag: str) -> list[InnerElement]:
-        """Return the elements with this tag that are not inside another one."""
+        """Return the inner elements with this tag that lie directly below this item."""
         return [part for part in self.inside if part.tag == tag and not part.above]
 
     def first(self, tag: str) -> Mapping[str, str] | None:
@@ -202,7 +202,7 @@ def parse(text: str) -> list[Item]:
 
 
 def check_names(attributes: Mapping[str, str], what: str, line: int) -> None:
-    """Raise ModelError if an attribute that is a name is too long."""
+    """Raise ModelError if one of the attributes holds a name that is too long."""
     if any(len(value) > CAPS.name for value in attributes.values()):
         raise ModelError(f"the {what} has a name of more than {CAPS.name} characters in line {line}; it is not read")
 
@@ -311,14 +311,14 @@ def _feed(parser: Any, raw: bytes, what: str) -> None:
     parser.Parse(b"", True)
 
 
-MARKS = (  # byte order marks; UTF-32 first, because its mark begins with that of UTF-16
+MARKS = (  # These are byte order marks; UTF-32 is first, because its mark begins with that of UTF-16.
     (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"), (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
     (b"<\0?\0", "utf-16-le"), (b"\0<\0?", "utf-16-be"),
 )  # fmt: skip
-ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names that Python does not know
+ALIASES = {"windows-31j": "cp932", "x-sjis": "shift_jis"}  # names of encodings in files, and Python's names for them
 DECLARED = re.compile(r"""\A(\s*<\?xml[^>]*?)\s+encoding\s*=\s*["']([^"'>]*)["']""")
-# Encodings of text that Python decodes in time proportional to the input; no codec that unpacks, such as zip or hex.
+# Encodings that are accepted: those of text, without Python's codecs that unpack data, such as zip or hex.
 TEXTS = re.compile(
     r"utf-8|ascii|iso8859-\d+|cp(125\d|437|85\d|866|932|936|949|950|1361)|koi8-[rtu]|mac-(roman|cyrillic|greek|latin2)|"
     r"shift_jis(_2004|x0213)?|euc_(jp|kr|jis_2004|jisx0213)|iso2022_(jp|kr)(_\w+)?|gb2312|gbk|gb18030|hz|big5(hkscs)?|"

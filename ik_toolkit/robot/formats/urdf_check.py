@@ -104,7 +104,7 @@ def _findings(text: str) -> Iterator[Finding]:
 
 
 def _near(name: str, options: Iterable[str], before: int) -> str:
-    """Return '. Did you mean ...?' or ''; nothing is searched for after `before` has reached HINTS."""
+    """Return '. Did you mean ...?' or ''; before: number of earlier searches, of which at most HINTS are made."""
     found = did_you_mean(name, options) if before < HINTS else ""
     return f".{found}" if found else ""
 
@@ -173,7 +173,7 @@ def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Itera
 
 ADVICE = "correct the name; as it is, every reader of URDF ignores it"
 ROOT = ("link", "joint", "material")
-ELEMENTS: Mapping[str, tuple[str, ...]] = {  # item or element -> elements that it may hold
+ELEMENTS: Mapping[str, tuple[str, ...]] = {  # This maps an element to the elements that it may contain.
     "joint": ("origin", "parent", "child", "axis", "limit", "mimic", "dynamics", "calibration", "safety_controller"),
     "link": ("inertial", "visual", "collision"),
     "visual": ("origin", "geometry", "material"),
@@ -195,11 +195,12 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "capsule": ("radius", "length"),
     "mesh": ("filename", "scale"),
 }
-CLOSED = ("origin", "axis", "mimic", "parent", "child")  # elements to which no program adds attributes of its own
+# No program adds attributes of its own to these elements, so an unknown attribute in them is probably misspelled.
+CLOSED = ("origin", "axis", "mimic", "parent", "child")
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
-MOST = 500  # different unknown names of a file that are compared: each takes up to 0.1 ms
-NEAR = 0.82  # likeness from which a name counts as misspelled: "gear_velocity" of some files is no "velocity"
+MOST = 500  # largest number of unknown names in a file that are compared with known ones, to bound the time
+NEAR = 0.82  # An unknown name counts as misspelled from this likeness (0 to 1): "gear_velocity" is no "velocity".
 
 
 def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
@@ -265,7 +266,7 @@ def _unknown(element: object, name: str, near: str, line: int) -> Finding:
 
 
 def _known_like(name: str, known: tuple[str, ...], seen: set[str]) -> str:
-    """The known name that another one is like, or ''. seen: names of this file looked up so far."""
+    """Return the known name that a misspelled name is like, or ''; seen: answers for names of this file so far."""
     if len(seen) >= MOST and name not in seen:
         return ""
     seen.add(name)

@@ -21,7 +21,7 @@ INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 def build_model(text: str) -> pin.Model:
     """Build Pinocchio's model of a URDF that `require_loadable` has accepted. Raises what Pinocchio raises.
 
-    Followers of joints that do not exist or are followers themselves are tied as mimic.py says.
+    A mimic joint whose leader does not exist stays fixed; one whose leader follows another joint follows that one, too.
     """
     items, found = parse(text), followers(text)
     # Pinocchio traverses the tree depth first by name, so joints temporarily get names that sort in the required order.

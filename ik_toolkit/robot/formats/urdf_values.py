@@ -8,7 +8,7 @@ from .mimic import MOVING
 from .urdf import ENDLESS, NUMBERS, SHAPES, InnerElement, Item, attribute_numbers, plain_origin
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
-SHAPE = {  # A shape without these attributes has no size.
+SHAPE = {  # These attributes give the size of each shape, so it must have them.
     "box": ("size",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",),
 }  # fmt: skip
 UNIT = 0.01  # The length of a quaternion or an axis may differ from 1 by this much before it is reported.

@@ -36,7 +36,7 @@ def expand(
     arguments: Mapping[str, object] | None = None,
     holds: str = "link",
 ) -> str:
-    """Expand a xacro file to URDF text, or to SRDF text if `holds`, an element that the text must have, is 'group'.
+    """Expand a xacro file to URDF text (`holds` 'link'), or to SRDF text (`holds` 'group': an element it must have).
 
     `arguments` maps the names of its <xacro:arg> and of $(env NAME) to values. Files are read from the file's own
     folder, its package, package_dirs and the packages it finds; nothing in them is evaluated as Python, and no

@@ -16,7 +16,7 @@ MATH = (
 
 
 def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
-    """Return the functions and constants by namespace: '' (without a namespace), python and math."""
+    """Return the functions and constants that a xacro file may use, by namespace: '' (none), 'python' and 'math'."""
     Function, Refused = values.Function, values.Refused
 
     def listed(value: Any) -> list[Any]:

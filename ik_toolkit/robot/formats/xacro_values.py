@@ -47,7 +47,7 @@ class Function:
     """A function that a file may call, and may pass to `map` and similar functions."""
 
     def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None, weighed: bool = False) -> None:
-        """Store the name, the Python function, the type it stands for in `isinstance`, and whether it weighs its own result."""
+        """Store name, Python function, type for `isinstance`, and whether it checks the size of its own result."""
         self.name, self.does, self.kind, self.weighed = name, does, kind, weighed
 
     def __call__(self, *given: Any, **named: Any) -> Any:
@@ -79,7 +79,7 @@ class Evaluator:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            if isinstance(value, Mapping) and type(value) is not dict:  # Everything else was checked when it was made.
+            if isinstance(value, Mapping) and type(value) is not dict:  # Only namespaces are not checked yet.
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
         except Refused as error:

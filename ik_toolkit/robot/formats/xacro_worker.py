@@ -29,8 +29,8 @@ REPLACED = {
     "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
 }  # fmt: skip
 
-# DEFAULTS matches the parameters of a macro as xacro does, but without a repetition in a repetition.
-# xacro's own pattern repeats [^\s'"] inside a repetition, which takes exponential time.
+# DEFAULTS matches the parameters of a macro as xacro's own regular expression does, but without nested repetition.
+# Nested repetition, as in xacro's own pattern, can take exponential time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )
@@ -307,7 +307,7 @@ def run_job(job: dict) -> dict:
             os.environ.clear()
             document: Any = expansion.xacro.process_file(job["file"], mappings=expansion.arguments)
             return {"urdf": document.toprettyxml(indent="  "), "asked": sorted(expansion.arguments.names)}
-    except BaseException as error:  # A broken macro can raise anything.
+    except BaseException as error:  # A broken macro can raise an exception of any type.
         cause: Any = error
         while isinstance(getattr(cause, "exc", None), BaseException):
             cause = cause.exc
@@ -343,7 +343,7 @@ def main() -> None:
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
-    # A loop in xacro is a macro that calls itself, and each turn of it takes ten nested calls of ours.
+    # A loop in xacro is a macro that calls itself, and each pass through it nests ten Python calls deeper.
     sys.setrecursionlimit(3000)
     print(json.dumps(run_job(job)))
 

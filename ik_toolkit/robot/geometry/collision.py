@@ -21,7 +21,7 @@ from .distance import Clearance, Near
 from .surroundings import PlacedShape, Surroundings
 
 SAMPLES = 8  # This many random configurations show which links move relative to each other.
-# Two parts whose relative placement changes by less [m, or entry of a rotation] do not move relative to each other.
+# Two parts are fixed to each other if no entry of their relative pose (rotation matrix, or [m]) changes by this.
 STILL = 1e-9
 
 
@@ -181,7 +181,7 @@ class CollisionModel(Surroundings):
         return {j: np.array(list_j) for j, list_j in found.items()}
 
     def _rebuild(self) -> None:
-        """Make geometry, pairs and margins anew; existing workspaces keep their own."""
+        """Rebuild geometry, pairs and margins after a change of shapes; existing workspaces keep the old ones."""
         geometry, own = self._own.copy(), len(self._links)
         tested = np.zeros((own + len(self._placed), own + len(self._placed)), dtype=bool)
         tested[:own, :own] = self._tested

@@ -39,7 +39,7 @@ def _form(shape: LinkShape) -> Any:
     if shape.convex:
         try:
             made.buildConvexRepresentation(False)
-        except RuntimeError:  # coal refuses a point with too many neighbours.
+        except RuntimeError:  # The collision library coal refuses a point with too many neighbours.
             return hull_of(made)
         return made.convex
     return made

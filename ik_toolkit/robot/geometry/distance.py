@@ -16,9 +16,8 @@ from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlane
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
-# The nearest points of a pair leap from one end of an edge to the other, so those found before are kept.
-# At most CORNERS are kept: the two ends of an edge and two to spare.
-# Points are kept while their distance is less than NEARBY [m] above the least one.
+# The nearest points of a pair jump from one end of an edge to the other, so points found before are kept.
+# At most CORNERS points are kept, while their distance is less than NEARBY [m] above the least one.
 # Points within APART [m] of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
@@ -209,28 +208,28 @@ class Clearance:
         self._parts = Bodies(self._V, self.coordinates, self._at, self._radius, *moved)
 
     def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bound how much closer (P, E) a pair can come per unit of each moving joint, while joint i moves at most way (n,).
+        """Bound how much closer (P, E) each pair can come per unit of each joint, if joint i moves at most way[i].
 
-        The second result (P,) [m] is the sum over all joints if each moves that far.
+        The second result (P,) [m] is how much closer a pair can come in all. way (n,) [rad or m].
         """
         out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
         levers(self._parts, way, out, spread)
         return out, spread
 
     def forget(self) -> None:
-        """Forget the nearest points found before."""
+        """Delete the nearest points that earlier calls of `facing` found."""
         self._held[:] = False
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest points found before, for `recall`."""
+        """Return the nearest points that earlier calls of `facing` found, for `recall`."""
         return self._corners, self._held
 
     def recall(self, found: tuple[np.ndarray, np.ndarray]) -> None:
-        """Continue with nearest points found before by another Clearance of the same model."""
+        """Take over the nearest points that `corners` of another Clearance of the same model returned."""
         self._corners, self._held = (one.copy() for one in found)
 
     def facing(self, ks: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Find where pairs face each other: their nearest points, and points that were nearest before and nearly still are.
+        """Return the nearest points of pairs, and points that were nearest before and are still almost the nearest.
 
         Args:
             ks: The pairs (K,).
@@ -265,7 +264,7 @@ class Clearance:
         )
 
     def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Write the half-planes of pairs ks (K,), see `kernel.clearance.rows`; rest: deceleration, `Approach`, `HalfPlanes`."""
+        """Write the half-planes of joint rates for pairs ks (K,); see `kernel.clearance.rows` for the arguments."""
         deceleration, *rules = rest[:5]
         facing, planes = Facing(ks, points, gap), HalfPlanes(*rest[5:])
         return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
@@ -273,7 +272,7 @@ class Clearance:
     def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
         """Return how far (K,) pairs ks are free from their last measurement on, see `kernel.clearance.free_until`.
 
-        path: the fields of `BrakingPath`, and where it is looked at from [pieces].
+        path: the fields of `BrakingPath`, and the place on it at which the proof begins [pieces].
         """
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]

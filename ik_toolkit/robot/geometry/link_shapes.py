@@ -103,7 +103,7 @@ def problems_sentence(problems: Problems) -> str:
 
 
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
-    """Make Pinocchio's geometry by placing forms (coal shapes) on the links of their shapes."""
+    """Make Pinocchio's geometry model: place coal objects (`forms`) on the links of the shapes they were made from."""
     geometry = pin.GeometryModel()
     frames: dict[str, int] = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY}
     for shape, form in zip(shapes, forms, strict=True):
@@ -152,7 +152,8 @@ def _shape(
     if max(map(abs, xyz)) > LARGEST:
         raise ModelError(f'its shape <origin xyz="{origin["xyz"][:60]}"> is further than {LARGEST:g} m away')
     material = given.get("material", {}).get("name", "")
-    color = colors.get(material) or _color(given.get("color", {}))  # The name of a material refers to its first colour.
+    # A material's name refers to the first colour given for that name.
+    color = colors.get(material) or _color(given.get("color", {}))
     place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
     mesh = kind == "mesh"
     return LinkShape(

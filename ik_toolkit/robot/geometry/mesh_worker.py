@@ -18,8 +18,8 @@ from urllib.parse import unquote
 from xml.parsers import expat
 
 FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
-REPEATED = 100_000  # Limit on the nodes that one node may expand to.
-# Lines of coal's message that surround the actual reason.
+REPEATED = 100_000  # Limit on the number of nodes that one node stands for, when nodes are instances of others.
+# coal's error messages begin with these words in lines that do not give the reason.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
 # trimesh loads scipy, networkx and shapely if they are installed, although reading a mesh does not need them.
 # Importing UNUSED takes three times as long as importing everything else.
@@ -151,7 +151,7 @@ def collision_mesh(file: Path, raw: bytes, references: References, out: Path):
     path, kind = file, file.suffix.lower()
     if kind in (".obj", ".gltf"):
         path = out / f"copy{kind}"
-        if kind == ".obj":  # Only vertices and faces are kept, because other lines name files.
+        if kind == ".obj":  # Only lines of vertices and faces are kept, because other lines may name files.
             lines = raw.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
             path.write_bytes(b"\n".join(line for line in lines if line.split()[:1] in ([b"v"], [b"f"])))
         else:

@@ -19,7 +19,7 @@ from .convex import owner_above, read_shapes, request
 
 ALWAYS = 0.95  # A pair that touches in this share of the configurations is said to touch "always", as in MoveIt.
 # A pair that touches at zero and in half of the samples touches "by default".
-# MoveIt needs no sample for that, which hides contacts.
+# MoveIt leaves out a pair that touches at zero alone, which hides real contacts of such a pair.
 DEFAULT = 0.5
 # Two links within 1 cm of each other in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
 NEAR = 0.01
