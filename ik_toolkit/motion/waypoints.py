@@ -14,9 +14,9 @@ from ..robot.pose_files import read_poses
 from ..validate import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-# s, least time between points of a spline: its third power, and that of its inverse, are still finite.
+# [s] least time between two points of a spline: scipy needs its third power and the inverse of that to be finite.
 SHORTEST = 1e-100
-RADIAN_AS_METRES = 0.25  # m/rad, weight of a rotation against a distance when waypoints share out the time
+RADIAN_AS_METRES = 0.25  # [m/rad] weight of a rotation against a distance when a duration is shared out among waypoints
 
 
 def waypoints(
@@ -68,7 +68,12 @@ def waypoints(
 
 
 def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray, now: np.ndarray) -> Samples:
-    """Sample straight legs between targets at times t (K,), with a stop at each, at the times `now` (N,) [s]."""
+    """Sample a motion that stops at each target: straight lines with minimum jerk between them.
+
+    t (K,) [s]: times of the targets; P (K, 3): their positions; R (K, 3, 3): their rotations, None if free; turns (K -
+    1, 3): the rotation vectors from each target to the next, in the axes of the former; now (N,) [s]: the times to
+    sample at.
+    """
     leg = np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 2)
     length = np.diff(t)[leg]
     s, s1, s2 = (x[:, None] for x in minimum_jerk((now - t[leg]) / length))
@@ -85,6 +90,7 @@ def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray,
 
 
 def _check_times(t: np.ndarray, count: int, name: str) -> np.ndarray:
+    """Return times t (count,) [s] shifted to begin at 0; raise InvalidTarget unless they are finite and increase."""
     if t.shape != (count,):
         raise InvalidTarget(f"{name} must be {count} numbers, one per pose, not an array of shape {t.shape}")
     if not np.isfinite(t).all():
@@ -96,6 +102,11 @@ def _check_times(t: np.ndarray, count: int, name: str) -> np.ndarray:
 
 
 def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name: str) -> Reference:
+    """Make a spline reference through positions P (K, 3) and rotations R (K, 3, 3) (None: free) at times t (K,) [s].
+
+    ends: scipy's end condition of the position, "clamped" (at rest) or "not-a-knot". Raises MissingExtra without scipy,
+    InvalidTarget if the times are too close or too far apart.
+    """
     try:
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
@@ -112,13 +123,13 @@ def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name:
 
 
 def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Samples:
-    """Sample splines of the position and the rotation (None if it is free) at the times `now` (N,) [s]."""
+    """Sample splines of the position and of the rotation (None if it is free) at the times `now` (N,) [s]."""
     now = np.clip(now, 0.0, end)
     T, V, A = still(len(now), None)
     T[:, :3, 3], V[:, :3], A[:, :3] = position(now), position(now, 1), position(now, 2)
     if rotation is not None:
         T[:, :3, :3] = rotation(now).as_matrix()
-        # scipy has rate and acceleration in the axes of the moving frame, so they are turned to base axes.
+        # RotationSpline returns angular rate and acceleration in the moving frame, so they are turned into base axes.
         V[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 1))
         A[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 2))
     return T, V, A
