@@ -1,6 +1,7 @@
 """References: where a tip should be at time t, with exact velocity and acceleration, in the robot's base axes.
 
-A reference made from poses (4, 4) asks for position and orientation; one made from positions (3,) leaves the orientation free.
+A reference made from poses (4, 4) asks for position and orientation; one made from positions (3,) leaves the
+orientation free.
 """
 
 import math
@@ -24,10 +25,12 @@ class Reference(Holds):
     """A moving target for one tip. Its attributes are the arguments that it was made from.
 
     Args:
-        function: Takes times t (N,) [s]; returns T_base_tip (N, 4, 4) [m], twists (N, 6) [m/s, rad/s] and accelerations (N, 6)
-            [m/s^2, rad/s^2]: first that of the tip point, then the angular one, in base axes.
+        function: Takes times t (N,) [s]; returns poses T_base_tip (N, 4, 4) [m], twists (N, 6) [m/s, rad/s] and
+            accelerations (N, 6) [m/s^2, rad/s^2], each with the linear part of the tip point first, then the angular
+            part, in base axes.
         duration: How long a run lasts [s].
-        position_only: Leave the orientation free. The rotation of T is then ignored, and the angular parts should be zero.
+        position_only: Leave the orientation free. The rotation of T is then ignored, and the angular parts should be
+            zero.
         name: A short name for messages.
 
     Raises:
@@ -59,8 +62,8 @@ class Reference(Holds):
             t: A time [s], or an array (N,) of times.
 
         Returns:
-            T_base_tip (4, 4) [m], twist (6,) [m/s, rad/s] and acceleration (6,) [m/s^2, rad/s^2], linear part first, in base
-            axes. For an array of times each has a leading N.
+            The pose T_base_tip (4, 4) [m], twist (6,) [m/s, rad/s] and acceleration (6,) [m/s^2, rad/s^2], linear part
+                first, in base axes. For an array of times each has a leading N.
 
         Raises:
             InvalidOption: t is not finite or has the wrong shape.
@@ -80,7 +83,7 @@ class Reference(Holds):
         return (T, V, A) if np.ndim(t) else (T[0], V[0], A[0])
 
     def target(self, t: float) -> np.ndarray:
-        """Return the target at t [s] as the solvers take it: a pose (4, 4) [m], or a position (3,) if the orientation is free."""
+        """Return the target at t [s] as solvers take it: a pose (4, 4) [m], or position (3,) if orientation is free."""
         T = self.at(number(t, "t [s]"))[0]
         return T[:3, 3].copy() if self.position_only else T
 
@@ -123,8 +126,8 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
     if not (bad.any() or reference.position_only):
         R = T[:, :3, :3]
         bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
-        # A singular value of R that is off 1 by more than PROJECT_WITHIN moves some entry of R^T R by more than a third
-        # of that. This cheap test spares most samples the singular value decomposition.
+        # If a singular value of R is off 1 by PROJECT_WITHIN, some entry of R^T R - I is above a third of that.
+        # This cheap test spares most samples the singular value decomposition.
         doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
         bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
         bad |= np.linalg.det(R) < 0.0

@@ -128,8 +128,8 @@ def lissajous(
 ) -> Reference:
     """Make a reference along a Lissajous figure, at a fixed orientation.
 
-    Along each base axis the tip is amplitude * sin(2 pi cycles s + phase) from the centre, where s goes from 0 to 1. The default is
-    a figure of eight in the horizontal plane through the centre.
+    Along each base axis the tip is amplitude * sin(2 pi cycles s + phase) from the centre, where s goes from 0 to 1.
+    The default is a figure of eight in the horizontal plane through the centre.
 
     Args:
         center: Centre of the figure, as a pose (4, 4) or position (3,), base frame [m].

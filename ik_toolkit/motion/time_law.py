@@ -107,8 +107,8 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
     high, high_z, high_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
     for k in range(last - 1, -1, -1):
         h, top, by = steps[k], z[k], -1
-        # Bounds on u are kept as low - low_z z <= u <= high - high_z z. The first pair keeps z at the end of the
-        # interval between 0 and its present bound z[k + 1], the second keeps |u| <= gain.
+        # The bounds on u = d2s/dt2 are kept in the form low - low_z z <= u <= high - high_z z.
+        # The first pair keeps z at the end of the interval between 0 and z[k + 1], the second keeps |u| <= gain.
         low[0], low_z[0], low_by[0] = 0.0, 0.5 / h, -1
         high[0], high_z[0], high_by[0] = 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
         low[1], low_z[1], low_by[1] = -gain, 0.0, -1

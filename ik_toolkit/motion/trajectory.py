@@ -23,10 +23,10 @@ class Piece(NamedTuple):
     """A piece of a trajectory: a curve q(s) of the joints, and its time law from rest to rest."""
 
     knots: np.ndarray  # (M,) values of the path coordinate s; q(s) is a cubic polynomial between two of them
-    coefficients: np.ndarray  # (4, M-1, n) coefficients of these polynomials in s - knot, highest power first
+    coefficients: np.ndarray  # (4, M-1, n) coefficients of the cubic polynomials in s - knot, highest power first
     s: np.ndarray  # (G,) values of s at the grid points of the time law
-    speed: np.ndarray  # (G,) ds/dt [1/s] at these grid points; linear in time between them
-    t: np.ndarray  # (G,) time [s] at these grid points, from 0
+    speed: np.ndarray  # (G,) ds/dt [1/s] at the grid points of the time law; linear in time between them
+    t: np.ndarray  # (G,) time [s] at the grid points of the time law, from 0
     at: np.ndarray  # (M,) index, or fraction between indices, of each knot among the path's poses; NaN in a free motion
 
     @property

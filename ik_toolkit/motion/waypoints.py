@@ -32,15 +32,15 @@ def waypoints(
         targets: At least two poses (4, 4), or positions (3,), base frame [m].
         duration: Time for the whole motion [s], shared out by distance, where 1 rad counts as 0.25 m.
         times: When each target is reached [s], increasing.
-        law: "minimum-jerk" moves along straight legs and stops at each target; "spline" passes through them along a cubic spline
-            (with twice differentiable rotations) that is at rest in position at both ends, and needs scipy.
+        law: "minimum-jerk" moves in straight lines and stops at each target; "spline" passes through them along a cubic
+            spline (with twice differentiable rotations) that is at rest in position at both ends, and needs scipy.
 
     Returns:
         The reference, whose times begin at 0.
 
     Raises:
-        InvalidTarget: There are too few targets, two of them are the same, they are not all of one kind, or times do not fit.
-        InvalidOption: Not just one of times and duration is given, or there is no such law.
+        InvalidTarget: There are too few targets, two are the same, they are of different kinds, or times do not fit.
+        InvalidOption: Both or neither of times and duration are given, or there is no such law.
         MissingExtra: scipy is not installed.
     """
     if not isinstance(targets, Iterable) or getattr(targets, "ndim", 1) == 0:
@@ -138,9 +138,9 @@ def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Sample
 def reference_from_file(path: str | Path) -> Reference:
     """Read a reference from a CSV or NPZ file of poses over time. Needs scipy.
 
-    A CSV file has a header with the names t [s], x, y, z [m] and, for poses, qx, qy, qz, qw or roll, pitch, yaw [rad]. An NPZ file
-    has arrays t (N,), xyz (N, 3) and, for poses, quat_xyzw (N, 4). Poses are in the base frame. A cubic spline goes through the
-    samples; velocity and acceleration are those of the spline.
+    A CSV file has a header with the names t [s], x, y, z [m] and, for poses, qx, qy, qz, qw or roll, pitch, yaw [rad].
+    An NPZ file has arrays t (N,), xyz (N, 3) and, for poses, quat_xyzw (N, 4). Poses are in the base frame. A cubic
+    spline goes through the samples; velocity and acceleration are those of the spline.
 
     Args:
         path: The file.

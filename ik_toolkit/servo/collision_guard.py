@@ -15,16 +15,15 @@ from ..robot.geometry.distance import Clearance
 from .viability import bending
 
 ROWS = 12  # inequalities per step: more than meet at an edge of a polyhedron, and few enough for a fast QP
-KEEP = 0.005  # [m] distance that the inequalities keep: more than a controller's lag makes of a slow motion
+KEEP = 0.005  # [m] distance to obstacles that the inequalities keep; a controller's lag in a slow motion is less
 INFLUENCE = 0.1  # [m] distance between two bodies below which their inequality applies
 # [m/s] approach speed allowed at the distance INFLUENCE; it falls linearly to 0 at KEEP, with a time constant of 0.1 s
 SPEED = 1.0
 FLAT = 1e-9  # [m per rad or m] an inequality whose entries are all below this is dropped: no joint changes the distance
-SHARE = 0.1  # share of an inequality's largest entry above which a joint's braking ability counts
+SHARE = 0.1  # an inequality counts on the braking of joints whose entry is above this share of its largest entry
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
 NEAREST = 1e-4  # [m] a motion that comes nearer than this is rejected without checking whether it touches
-# Largest number of configurations at which distances are measured to prove one step free (0.05 ms each). A step that
-# would need more is not taken.
+# Most configurations at which distances are measured (0.05 ms each) to prove a step free; else it is not taken.
 LOOKS = 12
 # parts of a step that are tried if the arm is at rest and the whole step is not allowed
 PARTS = (1 / 4, 1 / 16, 1 / 64)
@@ -82,7 +81,7 @@ class Guard:
         self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
-        self.late = 0.0  # [s] longest later step
+        self.late = 0.0  # [s] longest step that may follow, for which the brake must be proven
         self._bind()
         self._get_ready()
 
@@ -90,7 +89,7 @@ class Guard:
         """Read the collision model as it is now."""
         self._space = space = Clearance(self.model)
         self._version = self.model.version
-        # Parts of a robot may be closer to each other at home than KEEP; for such a pair half of that distance is kept.
+        # Two parts of a robot may be closer than KEEP at home; then half of their distance there is kept.
         home = space.home - space.margins
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
 
@@ -134,12 +133,13 @@ class Guard:
         self._space.place(q)
         # (P,) lower bounds of the distances of all pairs at q, less their margins [m]
         self._low = self._space.distances() - self._space.margins
-        self._fresh = np.ones(len(self._low), dtype=bool)  # (P,) which of these are measured, not only bounds
+        # (P,) which of these distances were measured at q and are not only bounds
+        self._fresh = np.ones(len(self._low), dtype=bool)
         self._known = False  # whether the joint Jacobians of all bodies at q are known
         # (P,) bounds [m] on how much closer each pair can come in a step and brake like the last one
         self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
-        self._left = 1.0  # share of the brake's initial rates that is left
+        self._left = 1.0  # present rates of the proven brake, as a share of those that it began with
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
@@ -163,7 +163,7 @@ class Guard:
         space.place(q)
         space.move()
         self._known = True
-        # Measured distances are not enough here: measuring again also finds the nearest points.
+        # Known distances are not enough here: measuring them again also finds the nearest points.
         self._fresh[ks] = False
         self._measure(ks)
         ks = ks[(self._low[ks] < reach[ks]) & (self._low[ks] > CONTACT)]

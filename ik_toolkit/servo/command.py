@@ -37,17 +37,14 @@ from .null_space_motion import away_from_limits, clip_wish, into_null_space, wei
 from .singular_directions import bend, judge_modes, remember
 from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back, mode_part, modes, take_out
 
-# Share s of a velocity that `ca` may remove in one step. With its Adams-Bashforth extrapolation the characteristic
-# polynomial is z^2 - (1 - 3/2 s) z - s/2. Both roots are inside the unit circle for s < 1, and the larger one is
-# smallest (0.58) at s = 2/3, as for kappa h of `cv` (Patko and Zelei, 2019).
+# Share s of a velocity that `ca` may remove in one step; its characteristic polynomial is z^2 - (1 - 3/2 s) z - s/2.
+# Both roots are inside the unit circle for s < 1, and the larger one is smallest (0.58) at s = 2/3.
+# (The same polynomial belongs to kappa h of `cv`: Patko and Zelei, 2019.)
 SHARE = 2.0 / 3.0
-# [1/s] least rate at which the null-space velocity converges to the desired one: slower, joints run into the limits
-# they avoid
+# [1/s] least rate at which null-space motion reaches its desired velocity; slower, joints run into limits
 TAKEN_UP = 20.0
-# [rad/s or reaches/s] desired null-space speed at which that rate is halved, so that the motion fades in and out
-# smoothly
-LITTLE = 0.004
-# Shares of the speed and acceleration limits used to close an error; the rest is for braking while following the path.
+LITTLE = 0.004  # [rad/s, reaches/s] desired null-space speed at which that rate is halved, so the motion fades smoothly
+# Shares of the speed and acceleration limits used to close an error; following the path may need the rest.
 FAST, BRISK = 1.0, 0.5
 
 
@@ -167,8 +164,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
         limited = limited or limits[3, i] < np.inf
     if not limited:
         return False
-    # The part of the error along directions removed from the task cannot be closed by the other directions, so it does
-    # not count.
+    # The error along directions removed from the task is left out, as no other direction can close it.
     size, gone = 0.0, 0.0
     for k in range(m):
         size += s.e[k] * s.e[k]
@@ -218,7 +214,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     joints = JointMotion(s.move, s.null, s.x1, s.x2, s.x)
     prepare(law, inverse_of(s), target_of(s), rate, h, joints)
     if law.code >= CA:
-        # The error does not lead to the step that the joints take, so dJ/dt along that step is left out.
+        # Blocked joints do not take the step s / h, so the terms with dJ/dt along that step are left out.
         if blocked and law.code == AA and law.reading != AT_RATE:
             for i in range(n):
                 s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0

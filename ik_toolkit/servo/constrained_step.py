@@ -21,12 +21,9 @@ from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
 LEAVE, DIRECT = range(2)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-# margin, in shares of a joint's speed, by which constraints are loosened beyond the least slack, so that rounding does
-# not close them
-LOOSE = 1e-9
+LOOSE = 1e-9  # inequalities are loosened by this beyond the least slack, so that rounding does not close the gap
 CAUTIOUS = 1.5  # safety factor on the bound of the neglected curvature, see `damping`
-# largest weight of the error across the direction asked for, against falling behind along it; it applies if nothing is
-# blocked
+# weight of error across the direction asked for, against falling behind along it, if nothing is blocked
 STRAIGHT = 100.0
 
 
@@ -39,10 +36,10 @@ class TaskRate(NamedTuple):
     ask: Array  # (m,) rate asked for in each row
     want: Array  # (n,) desired joint rates
     aside: Array  # (n,) the part of these rates along singular directions, which are not in the task
-    size: Array  # (n,) a speed for each joint, the unit in which its motion is measured
+    size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
     mode: int  # LEAVE or DIRECT
-    h: float  # [s] length of the step, from which the damping of an unmet task follows; 0: no such damping
-    mu: float  # above 0: damping of the task from the first attempt on, instead
+    h: float  # [s] length of the step, which sets the damping of a task that is not met; 0: no such damping
+    mu: float  # above 0: damping of the task from the first attempt on, instead of only when the task is not met
 
 
 @compiled

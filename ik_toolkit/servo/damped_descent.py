@@ -23,24 +23,19 @@ from .viability import POSITION, ROW, approach, box_of, narrow
 
 STANDS = 1e-6  # [reaches/s or rad/s] speed below which a target counts as standing
 SMALL = 1e-4  # weighted error [reaches, rad] below which the method goes on by itself
-# [s] without progress after which an arm counts as stuck; the benchmarks call a standstill of this length a freeze
-STALLED = 0.1
-# Progress means that the weighted error falls by PROGRESS within STALLED, or, with slow joints, by the share PACE of
-# what they would bring at full speed.
+STALLED = 0.1  # [s] without progress after which an arm counts as stuck
+# Progress: the weighted error falls by PROGRESS within STALLED, or by PACE of what slow joints do at full speed.
 PROGRESS, PACE = 1e-3, 0.1
 # share of the commanded feedback below which the joints count as idle; moving joints usually have 0.3 or more
 IDLE = 0.01
 BACK = 0.1  # share of the joints' motion that reverses in a step, above which they count as turning back
-# number of reversals after which an arm is stuck, and [s] after which one is forgotten: four in 0.1 s are chatter
-TURNS, FORGOTTEN = 2.0, 0.1
-# First, least and largest share in mu: below the least joints turn back again and again, the largest is that of 16
-# joints.
+TURNS, FORGOTTEN = 2.0, 0.1  # reversals of joints that make an arm count as stuck, and [s] after which one is forgotten
+# First, least and largest share in mu; below the least, joints turn back again and again.
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-# factors of the share when joints turn back, when the error does not fall, and when it falls
+# factors of the share in mu when joints turn back, when the error does not fall, when it falls
 TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
-# after a reversal the share is not lowered below FLOOR times the raised one, so twice the one found too small
-FLOOR = 0.25
-FADING = 0.3  # [s] time constant with which this floor fades
+FLOOR = 0.25  # floor of the share in mu after joints turned back, over the raised share: twice the one found too small
+FADING = 0.3  # [s] time constant with which the floor of the share in mu fades
 BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 
 

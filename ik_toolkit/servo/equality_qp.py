@@ -17,7 +17,8 @@ NONE = -1
 SAME = 1e-10  # a row depends on the others if less than this share of its length remains after their part is removed
 # a row needs no second pass of Gram-Schmidt if this share of its squared length remains (Daniel et al., 1976)
 CLEAR = 0.5
-DOUBTFUL = 1e-6  # below this share, the squared length left is computed anew, because subtraction has lost its digits
+# below this share of a row's squared length, what is left is computed anew: subtraction has lost its digits
+DOUBTFUL = 1e-6
 ROUNDING = 1e-13  # a sum below this share of the sum of its terms' magnitudes is rounding
 
 
@@ -33,25 +34,25 @@ class Pair(NamedTuple):
 class Unknowns(NamedTuple):
     """Arrays (N,) with an entry for each of N unknowns."""
 
-    y: Array  # value
-    want: Array  # value desired by the second objective
-    floor: Array  # lower bound
-    roof: Array  # upper bound
-    held: Array  # int8: -1 held at its lower bound, 1 at its upper bound, 0 free
-    now: Pair  # multiplier of its bound, positive at the upper one
-    new: Pair  # its multiplier in the last equality problem
+    y: Array  # (N,) solution of the last equality problem
+    want: Array  # (N,) values desired by the second objective
+    floor: Array  # (N,) lower bounds
+    roof: Array  # (N,) upper bounds
+    held: Array  # (N,) int8: -1 held at the lower bound, 1 at the upper bound, 0 free
+    now: Pair  # present multipliers of the bounds, positive at upper ones
+    new: Pair  # multipliers of the bounds from the last equality problem
 
 
 @compiled
 class Rows(NamedTuple):
     """Arrays with an entry for each of K rows: the inequalities P y <= rhs, each of norm 1, then the task P y = rhs."""
 
-    P: Array  # (K, N) rows
-    rhs: Array  # right sides
-    length: Array  # norms of the rows
-    holds: Array  # int8: 1 if the inequality is active
-    now: Pair  # multipliers of the inequalities
-    new: Pair  # multipliers in the last equality problem; for a task row, `first` is its residual P y - rhs
+    P: Array  # (K, N) coefficients
+    rhs: Array  # (K,) right sides
+    length: Array  # (K,) norms of the rows of P
+    holds: Array  # (K,) int8: 1 if the inequality is active
+    now: Pair  # (K,) present multipliers of the inequalities
+    new: Pair  # (K,) multipliers from the last equality problem; for a task row, `first` is its residual P y - rhs
 
 
 @compiled

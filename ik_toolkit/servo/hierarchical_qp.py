@@ -20,8 +20,7 @@ from ..compile.jit import inline, inner
 from .equality_qp import NONE, SAME, dot, equality, square
 
 DONE, STUCK, CONTRADICTION = range(3)
-# tolerance of a bound or inequality, for unknowns of order 1 (shares of a joint's speed); the caller clips to the
-# bounds
+# tolerance of bounds and inequalities for unknowns of order 1 (shares of a joint's speed); callers clip to the bounds
 OUT = 1e-12
 WRONG = 1e-11  # tolerance of a multiplier of the second objective with the wrong sign
 SAME_TASK = 1e-9  # share of the task by which it may be missed and still count as met

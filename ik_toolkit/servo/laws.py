@@ -26,7 +26,7 @@ AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where `aa` evaluates dJ/dt: rea
 MOVING, GIVEN, RUNNING, READY = range(4)  # how a step begins: target's rate, given rate, method going on, no command
 FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row has no motion
-FAR = 0.25  # damping, as a share of curvature times error, which limits a blocked motion to sqrt(error / curvature)
+FAR = 0.25  # damping of a blocked correction over curvature * error; it then is at most sqrt(error / curvature) long
 SLUGGISH = 0.1  # share of the fastest joint's speed limit below which a joint counts as slow
 AT = 1e-9  # [rad, or reaches] distance within which a joint counts as at its limit
 REGION = 2.0  # damping grows from 0 where the smallest singular value is below REGION * damping
@@ -35,15 +35,15 @@ REGION = 2.0  # damping grows from 0 where the smallest singular value is below 
 class State(NamedTuple):
     """Names of the numbers that a tracker's loop keeps between steps; as `STATE`, their indices in the array."""
 
-    start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY
+    start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY, see there
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
     near: int  # near a singular pose 1 + time [s] for which the target counts as out of reach; -1: earlier; 0: never
-    share: int  # share in the damping of a descent (damped_descent.py); 0: no descent
-    lowest: int  # value below which this share is not lowered for now
-    nearest: int  # weighted error that has to be improved upon
-    stalled: int  # [s] without such an improvement; before a descent only while joints are hindered
-    turned: int  # reversals of joints during that time
+    share: int  # share in the damping mu of a descent (damped_descent.py); 0: no descent
+    lowest: int  # floor of that share for now
+    nearest: int  # least weighted error so far, that an arm which is not stuck improves upon
+    stalled: int  # [s] without fall of the weighted error; before a descent only while joints are hindered
+    turned: int  # reversals of joints before a descent, which fade with time
     free: int  # [s] since limits, inequalities or a singular pose last hindered the joints
     pressed: int  # [s] for which errors beyond their slack are closed like others
 
@@ -70,7 +70,7 @@ class Law(NamedTuple):
     avoid: float  # [1/s] gain of the motion away from joint limits
     rows: float  # number of inequality constraints in use
     measured: float  # 1: error and Jacobian are evaluated at the measured joints
-    omit: float  # share of the error that AV and AA leave to later steps
+    omit: float  # share of the error that av, aa and aad leave to later steps
 
 
 PLACE = Law._make(range(len(Law._fields)))  # indices in the array that Python passes to the loop
@@ -104,8 +104,8 @@ class JointMotion(NamedTuple):
 
     move: Array  # J^+ ahead, less the part of the error that is left to later steps
     null: Array  # (1 - J^+ J) rate
-    x1: Array  # dJ/dt is evaluated along these joint rates ...
-    x2: Array  # ... and multiplied by these
+    x1: Array  # the joint rates along which dJ/dt is evaluated
+    x2: Array  # the joint rates by which that dJ/dt is multiplied
     x: Array  # commanded rates at the end of the step
 
 

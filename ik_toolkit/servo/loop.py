@@ -169,7 +169,7 @@ def judge(wanted, h, p, state):
     if still:
         for k in range(wanted.shape[0]):
             wanted[k] = 0.0
-    # In the other modes the rate bounds deal with large commands.
+    # In the other modes the rate bounds limit a command that is large but finite.
     elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):
         state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
         return True, still
@@ -242,7 +242,7 @@ def _obey(rule, law, s, count, mu, h, own, work, code):
     return lambda rule, law, s, count, mu, h, own, work, code: how(law, s, count, mu, h, own, work, code)
 
 
-# --------------------------------------------------------------------------------------------------------------------- the loop
+# ----------------------------------------------------------------------------------------------------------- the loop
 @inner
 def error_squared(weight, e):
     """Return the squared weighted error."""

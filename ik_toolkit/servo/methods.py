@@ -38,8 +38,7 @@ from .orbit_stability import null_rate
 from .stability import GAMMA, best_gains
 
 DAMPING = 0.02  # [reaches per rad] damping of the pseudo-inverse; joint speed per tip speed stays below 1 / (2 * 0.02)
-# [1/s] With slower damping, null-space motion left over from one turn of the path carries joints to where the next turn
-# needs more speed than they have.
+# [1/s] If slower, null-space motion left from one turn of a path leaves joints badly placed for the next turn.
 NULL_DAMPING = TAKEN_UP
 
 # For each method: its code in the kernel, the options it takes, and a description of one line.
@@ -147,7 +146,7 @@ def make_method(method: str | Method, **options: Any) -> Method:
     for option, value in options.items():
         if option not in allowed:
             raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
-        number(value, option)  # None is refused here as well: whoever names an option has to choose a value.
+        number(value, option)  # None is refused as well: an option that is named needs a value.
     return replace(made, **options)
 
 

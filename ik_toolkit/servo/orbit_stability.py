@@ -16,8 +16,8 @@ from ..motion.reference import Reference, log
 from ..robot.robot import Robot
 from .command import SHARE
 
-STEP = 1e-5  # [rad, or reaches] step of the differences of J, with an error of about 1e-10
-SECOND = 1e-4  # [rad, or reaches] step of its second differences, with an error of about 1e-8
+STEP = 1e-5  # [rad, or reaches] step of the first differences of J, with an error of about 1e-10
+SECOND = 1e-4  # [rad, or reaches] step of the second differences of J, with an error of about 1e-8
 LARGEST = 700.0  # just below the logarithm of the largest factor that a float can hold
 ITERATIONS = 50  # largest number of Newton iterations for one sample; two or three are needed
 EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
@@ -171,8 +171,9 @@ def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], nul
                 [-P, -D, 0.0 * eye],
             ]
         )
-    # The law is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g) with s = J^+ ahead and w = s / h + (1 - J^+ J) qd;
-    # x is qd (aa) or w (aad), y is w. The derivative of J^+ itself is left out, as it only causes null-space motion.
+    # The law is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) w / (2 g), where x is qd for aa and w for aad.
+    # Here s = J^+ (error to the next target) and w = s / h + (1 - J^+ J) qd.
+    # The derivative of J^+ itself is left out, as it only causes null-space motion.
     g = 0.5 if method == "aa" else gains["gamma"]
     times_w = 1.0 if method == "aa" else 2.0
     w_by_q, w_by_rate = -(gains["share"] * m.row / h + m.rate), eye - m.row

@@ -14,17 +14,17 @@ from ..robot.rotation import angles_between
 CLOSE = (1e-4, 2e-4)  # [m, rad] error up to which a pose counts as reached: a tenth of a run's default tolerances
 DENSE = 1000  # number of samples from which the length of a path is measured
 STEP = (0.02, 0.05)  # distance between the poses tested: a share of the arm's reach, and [rad]
-FEWEST, MOST = 40, 1000  # least and largest number of these poses
+FEWEST, MOST = 40, 1000  # least and largest number of poses tested along a path
 # bisections between the last pose reached and the first one not reached: to a thousandth of that distance
 HALVINGS = 10
 # share of a joint's range next to its limit where it counts as at the limit, as the arm stops just before the edge
 BOUNDARY = 1e-3
 STARTS = 24  # number of attempts to find another posture for the start of a path
 APART = 0.1  # [rad, or reaches] difference of some joint from which postures count as different
-SHORTER = 0.95  # share of the reachable stretch that is suggested as a new size
-# other size factors that are tried, as more of a closed path may be in reach
+SHORTER = 0.95  # size suggested for a path, over the share of it that can be reached
+# other size factors that are tried, as a smaller closed path may be in reach as a whole
 SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
-PROBE = 1e-4  # [rad, or reaches] step of the difference that tells whether a singular value grows
+PROBE = 1e-4  # [rad, or reaches] step of the difference quotient for the gradient of a singular value
 DIGITS = ".7g"  # format of suggested joint values: with 4 digits the tip would start up to a millimetre beside its path
 
 References = Reference | Mapping[str, Reference]
@@ -222,8 +222,7 @@ def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.nda
     J = _jacobians(robot, posed, path)
     U, sigma, V = np.linalg.svd(J)
     least = sigma.shape[1] - 1
-    # The derivative of sigma = u'J v by joint i is entry i of u' (dJ along v), as the order of differentiation does not
-    # matter.
+    # Entry i of u' (dJ along v) is the derivative of sigma = u'J v by joint i: mixed derivatives commute.
     change = _jacobians(robot, posed, path + PROBE * V[:, least] * robot.chain.unit) - J
     slope = np.einsum("km,kmn->kn", U[:, :, least], change)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)

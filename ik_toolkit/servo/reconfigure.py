@@ -36,7 +36,7 @@ from .target_stream import STAND, STILL, WAIT
 from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOCITY, time_left, travel
 
 TOLERANCE = 1e-5  # [m, rad] tolerance of a posture: the tracker itself comes closer afterwards
-TINY = 1e-300  # replaces 0 as a divisor if no joint has a speed
+TINY = 1e-300  # least divisor of joint speeds, in case all of them are 0
 REACHED = 1e-3  # [m] error below which a target counts as reached; angles count at the lever arm LEVER
 
 
@@ -55,7 +55,7 @@ class Taken(NamedTuple):
     rate: np.ndarray  # (n,) joint rates after the step
     limits: np.ndarray  # (4, n) lower, upper, speed, acceleration
     law: np.ndarray  # a `laws.Law`
-    error_at: Callable[[np.ndarray], np.ndarray]  # function that returns the errors E at other joint values
+    error_at: Callable[[np.ndarray], np.ndarray]  # function that returns the errors (m,) at other joint values (n,)
 
 
 class Postures:
@@ -133,21 +133,20 @@ PROGRESS = 0.9  # share of the least error so far: an error below it counts as p
 SHARE = 0.05
 ATTEMPT = 1e-5  # [s] duration of one attempt for an arm of six or seven joints (for two arms 8 times as long)
 ATTEMPTS = 96  # attempts in one search; where one attempt in ten succeeds, all fail in one search out of 25,000
-RUSH = 0.02  # share of the duration of the best move found after which the search ends, since the arm waits meanwhile
+RUSH = 0.02  # a search ends after this share of the duration of the best move found, as the arm waits meanwhile
 PAUSE = 3.0  # [s] pause after a search that found nothing; it doubles after each further one while the target stands
 LONGEST = 16.0  # [s] longest such pause, so that 99 % of the updates of a single arm do not search
-# [m, or change of a rotation matrix] move of a standing target after which a new search need not wait for the pause
+# [m, or rotation matrix entries] move of a standing target after which a new search need not wait for the pause
 ELSEWHERE = 0.02
 BARRED = 5  # number of postures remembered as blocked by a collision
-# [s] distance to a position limit, as time at full speed; what a posture lacks of it is added to the duration of the
-# move
+# [s] margin to position limits (time at full speed); what a posture lacks of it adds to the move's duration
 HEADROOM = 0.5
-ARRIVED = 0.05  # [s] left at full speed at which the move ends and the tracker takes over
+ARRIVED = 0.05  # [s] left at full speed at which a move ends and the tracker takes over
 # [s] left at full speed at which the move ends if the target stands, as nothing can hold the tracker back so near
 CLOSE = 1e-3
 FAR = 0.3  # [rad, or reaches] change of a joint between updates from which a posture counts as another one
-STANDING = 0.3  # share of the move's cost that must have been lost if the target stands
-ON_WAY = (0.25, 0.5, 0.75)  # fractions of the move at which its error is evaluated
+STANDING = 0.3  # share of a move's cost that the error must have cost before it is made, if the target stands
+ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
 
 
 class Reconfiguration:
@@ -213,8 +212,9 @@ class Reconfiguration:
             held |= bits
         if not (held & POSITION or taken.singular):
             return
-        # A joint at its speed limit is on its way as fast as it can. An acceleration limit means the same only while
-        # the target moves, as joints that tremble before a standing target reach it, too.
+        # A joint at its speed limit is on its way as fast as it can.
+        # At an acceleration limit it is so only if the target moves: joints also reach it by trembling before a
+        # standing one.
         if held & FAST or (held & ACCELERATION and stood < WAIT):
             self._stood = 0.0
             return
@@ -357,7 +357,7 @@ class Reconfiguration:
 
     def blocked(self) -> None:
         """Give up the move because of a collision ahead; another posture may be free later."""
-        if self.goal is not None:  # Without a goal this step would have been the last of the move.
+        if self.goal is not None:  # Without a goal, the blocked step would have been the last of the move.
             self._bar(self.goal)
         self._hold_off(self._place)
         self.forget()

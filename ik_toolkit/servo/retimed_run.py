@@ -29,12 +29,12 @@ ACCELERATION = (0.95, 0.88, 0.8, 0.6)
 TOLERANCE = 0.8  # share of the tolerances that a law allows for the error of a step
 FASTER = 5  # how often the limits used are raised after a run that kept to the reference
 JOINTS, TIP = 1.2, 1.5  # factors of one such raise: of redundant joints' limits, and of the error allowed for the tip
-FAR_OFF = 4.0  # error over tolerance above which the error of a step cannot be the reason
+FAR_OFF = 4.0  # error over tolerance above which a miss cannot come from the linearisation in a single step
 ENOUGH = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
 NEAR = 0.05  # [s] time before and after a missed sample in which the clock is slowed
-LEAST = 0.25  # least factor of the squared clock rate in one such correction
-HELPED = 0.8  # share of the samples off the reference that a corrected run may leave for another to be tried
-FOLLOWED = 0.2  # share of a tolerance: error of a step while the joints' path is sought
+LEAST = 0.25  # least factor of the squared clock rate when it is lowered once
+HELPED = 0.8  # a further run is tried only if the last left at most this share of the samples off the reference
+FOLLOWED = 0.2  # error of a step over its tolerance while the joints' path is sought
 FEWEST = 400  # least number of steps on the joints' path
 HARDER = (10.0, 30.0)  # [1/s] gains of limit avoidance tried if the usual one leads into limits
 POSES = 40  # least number of poses that must all be in reach before `solve_path` is called
@@ -43,7 +43,7 @@ MOST_POSES = 2001  # largest number of poses that `solve_path` is given; between
 EXACT = 1e-6
 STRIDE = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
 LEAD = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
-SLOWEST = 0.02  # rate of the clock at which the arm passes what it cannot avoid touching, or stops
+SLOWEST = 0.02  # least rate of the clock near obstacles: the arm passes them at that rate, or is stopped
 RUNAWAY = 100.0  # [rad, or reaches] mean joint move in one step beyond which a run has diverged
 AT_ONCE = 20_000  # steps between two checks for Ctrl-C
 NOWHERE = np.zeros((0, 0))
@@ -64,7 +64,7 @@ class Way(NamedTuple):
     s: np.ndarray
     Q: np.ndarray
     avoid: float  # [1/s] gain of limit avoidance
-    posture: np.ndarray  # (2, n) posture sought, and its gain [1/s]
+    posture: np.ndarray  # (2, n) posture to move to in the null space, and the gain [1/s]
     led: bool = False  # whether a run is led along the path: in the null space, and across singular poses
     sides: np.ndarray = NOWHERE  # (M + 1, n) if led: directions from singular poses at the samples (`singular_sides`)
 
@@ -138,7 +138,7 @@ class Run:
         from_rest = self._at_rest() and np.isfinite(limits[3]).any() and self.own.V[0].any()
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
-            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # It begins off its reference.
+            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # Or it begins too far off.
                 return
         for way in self._ways(here):
             self._slowly(way, from_rest)
@@ -163,7 +163,7 @@ class Run:
             if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
-            if not way.led and len(taken.Q) == len(clock.s):  # This is the path that the joints really took.
+            if not way.led and len(taken.Q) == len(clock.s):  # Go on from the path that the joints took.
                 way = way._replace(
                     Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
                 )
@@ -209,7 +209,7 @@ class Run:
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
         plain = here.avoid == AVOID and not here.posture[1].any()  # no secondary motion was asked for
-        found: list[tuple[int, int, Way]] = []  # samples off the reference, steps of its law
+        found: list[tuple[int, int, Way]] = []  # samples missed, steps of its law, path
         for way in (here, *(self._besides(here) if plain and self._redundant() else ())):
             Q, off = self._follow(samples, way)
             way = way._replace(s=s, Q=Q)
@@ -307,7 +307,7 @@ class Run:
         slower = times[-1] / (steps * self.dt)  # Slowing the law by less than a step makes its end a sample.
         t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
-        at[t == times[-1]] = s[-1]  # This must hold despite rounding.
+        at[t == times[-1]] = s[-1]  # The end is reached despite rounding.
         held = joint[np.searchsorted(s, at, side="right") - 1]
         return Clock(smoothed(at), smoothed(now * slower), smoothed(gain * slower**2), held)
 
@@ -373,7 +373,7 @@ class Run:
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
         """Return the run, or the part of it, that the records `made` hold."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
-        whole, C = len(clock.s), C[: len(Q) - 1]  # After Ctrl-C the last record may lack its last sample.
+        whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave one record without its last sample.
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:

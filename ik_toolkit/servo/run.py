@@ -118,7 +118,7 @@ def track(
         positive(position_tolerance, "position_tolerance [m]"),
         positive(orientation_tolerance, "orientation_tolerance [rad]"),
     )
-    # Without limits there is nothing to slow down for.
+    # Without limits there is no reason to slow down.
     mode = "clip" if limits is False else one_of(on_limit, MODES, "on_limit")
     stretch = number(max_stretch, "max_stretch")
     if stretch < 1.0:

@@ -142,7 +142,7 @@ def note_curve(s, r, part):
 class WeakMode(NamedTuple):
     """A singular direction, in which the tip can hardly move: task direction u_r and joint direction V_r."""
 
-    r: int  # index
+    r: int  # index of the singular direction
     full: float  # singular value sigma_r
     sigma: float  # length of the tip motion along u_r per unit of motion along V_r
     # Error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path.
@@ -187,7 +187,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     if abs(left) < WEAK.minor * mode.rest:
         left *= sigma * sigma / (sigma * sigma + mode.rest)
         moved *= sigma * sigma / (sigma * sigma + mode.rest)
-    # The first pass, with acceleration limits only, is for the error alone.
+    # With acceleration limits, a first pass takes the error alone, to shrink it to what can be braked.
     for last in range(0 if a < np.inf else 1, 2):
         E = moved + h * gain * left - 0.5 * beside if last == 1 else left
         y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)

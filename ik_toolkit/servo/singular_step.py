@@ -40,15 +40,15 @@ class Weak(NamedTuple):
     nothing: float = 1e-12  # added to squared singular values for a factorisation: only rounding against lost^2
     # component of a unit vector along a direction above which it is clear to which side the vector points
     clearly: float = 0.1
-    known: float = 0.5  # the same threshold for a remembered side: less may come from another singular pose
+    # component of the remembered side above which it counts; less may come from another singular pose
+    known: float = 0.5
     lost: float = 5e-3  # singular value below which a direction is removed from the task
-    # a direction is also removed if what is asked for times the curvature is above this share of sigma_k^2
+    # a direction is removed, too, if the move asked for times the curvature exceeds this share of sigma_k^2
     bent: float = 0.2
     fade: float = 0.1  # [s] time in which motion along a direction that does not move the tip at all fades
     least: float = 1e-3  # damping lambda at sigma_k = 0: a motion through a singular pose is off by about its square
     flat: float = 1e-3  # curvature (reaches / rad^2) below which it counts as zero
-    # Share of the move to the closest pose that one step takes: next to a free direction full steps zigzag, as in
-    # steepest descent.
+    # Share of the move to the closest pose that one step takes; full steps would zigzag, as in steepest descent.
     caution: float = 2.0 / 3.0
     # Share of an error that cannot be closed, below which the error along another direction is closed with damping.
     minor: float = 0.1
@@ -184,10 +184,10 @@ def way_along(sigma, b, E, own, side, home, h):
             heading = side
         if half > 0.0:
             half = half if heading > 0.0 else -half
-            # The second form avoids a difference of nearly equal numbers.
+            # The second form of the root avoids a difference of nearly equal numbers.
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        D -= 2.0 * WEAK.flat * abs(E)  # This is D for the largest curvature that counts as zero.
+        D -= 2.0 * WEAK.flat * abs(E)  # D is estimated with the largest curvature that counts as zero.
         y = min(max(E / sigma, -sigma / WEAK.flat), sigma / WEAK.flat) if sigma > WEAK.zero else 0.0
         kept *= max(1.0 - h / WEAK.fade, 0.0)
     weight = D if D > 0.0 else -0.5 * D  # The weight is the second derivative of the squared error at the solution.

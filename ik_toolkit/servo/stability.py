@@ -34,14 +34,14 @@ GAINS = {
     "ca": ("kp", "kd"),
     "aa": ("share",),
     "aad": ("gamma", "share"),
-}  # The gains of each method, in the order of the tables below.
+}  # the gains of each method, in the order used by BEST
 METHODS = tuple(GAINS)
 GAMMA = 0.6  # default of `aad`: eigenvalue 1 - 1/gamma = -2/3
 WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains whose default does not depend on the sample time
 BORDER = 1e-9  # relative distance to the border within which a gain set is called marginal
 
-# The best gains have the smallest spectral radius. cv: a complex pair turns real at k = 2/3. ca: a triple eigenvalue r,
-# which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
+# The best gains have the smallest spectral radius. For cv a complex pair of eigenvalues turns real at k = 2/3.
+# For ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
 BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)
@@ -51,7 +51,7 @@ AGE = 2.0  # [samples] assumed age of measured joints if nothing is known: 20 ms
 BEST_AT_AGE = {
     "cv": (2.0 / 9.0,),
     "ca": (0.0874083, 0.8358459),
-    "av": (4.0 / 27.0,),  # r^3 = r^2 - share has the double eigenvalue r = 2/3
+    "av": (4.0 / 27.0,),  # the double root r = 2/3 of r^3 = r^2 - share
 }  # Results of `_best_delayed` for this age, as a control loop has no time to compute them.
 MOST_DELAY = 200.0  # [samples] largest delay; the matrix has as many rows
 GRID = 25  # points per side in the grid search for the best gains under a delay: four grids, each a quarter as wide
@@ -223,7 +223,7 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
     delay: age of the measured position in samples, whatever their length.
     """
     if delay and method in ("cv", "ca"):
-        low, high = 0.0, longest_step(method, **gains)  # A delay can only make it shorter.
+        low, high = 0.0, longest_step(method, **gains)  # A delay can only shorten the longest step.
         for _ in range(50 if high > 0.0 else 0):
             middle = 0.5 * (low + high)
             stable = spectral_radius(delayed_matrix(method, middle, delay, **gains)) < 1.0
@@ -236,8 +236,7 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
     kp, kd = gains["kp"], gains["kd"]
     if not (kp > 0.0 and kd > 0.0):
         return 0.0
-    # The border p = p_limit(d), written in h, is kp^2 h^3 - kp kd h^2 - 2 kd^2 h - 4 kd = 0, which has one positive
-    # root.
+    # The border p = p_limit(d) is kp^2 h^3 - kp kd h^2 - 2 kd^2 h - 4 kd = 0 in h, with one positive root.
     roots = np.roots([kp * kp, -kp * kd, -2.0 * kd * kd, -4.0 * kd])
     real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots)].real
     return min(1.0 / kd, float(real[real > 0.0].min()))

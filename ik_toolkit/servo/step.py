@@ -13,7 +13,7 @@ from .target_jump import Choice
 NEAR = (
     1e-3,
     5e-3,
-)  # [m, rad] error above which a joint limit, or the edge of the reach, is reported as the reason for it
+)  # [m, rad] error above which a joint limit, or the edge of the reach, is reported as its reason
 # share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
 AT_REST = 1e-3
 # share of the speed limit below which no feedback moves a joint: a gain of 0.1/s asks for 1e-4 at an error of NEAR
@@ -63,8 +63,7 @@ class Outcome(NamedTuple):
     lag: float  # largest difference between measured and commanded joints, over the one allowed
     resynced: bool  # whether the tracker restarted from the measured joints
     between: tuple[str, str] | None  # names of the two parts that would have touched
-    # During a move to another posture: the joints whose limits ended the last one. To a target that jumped: which way
-    # is taken.
+    # Joints whose limits caused a move to another posture, or the way taken to a target that jumped; None: neither.
     way: tuple[str, ...] | Choice | None
 
 

@@ -21,16 +21,16 @@ from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .target_stream import STAND, STILL, WAIT
 from .viability import HELD_BACK, POSITION, UNKNOWN, bending, time_left, travel
 
-# largest duration of the straight line over that of the direct joint move; 1.3 with the time lost at both ends
+# largest duration of the straight line over that of the direct joint move (1.3 times in all, with start and end)
 STRAIGHT = 1.2
 # pieces of a straight line; within each the tip leaves the line by 1/576 of what it would in one direct joint move
 POINTS = 24
 # duration of the line over that of the direct joint move above which joints change posture between two of its points
 TORN = 4.0
-NEAR = 2e-3  # [m] error (angles at the lever arm LEVER) that is left to the method
+NEAR = 2e-3  # [m] error (angles at the lever arm LEVER) up to which the method closes it without a move
 # share of the error left by a step above which the method counts as hindered: its gains leave a third, or nothing
 SLOW = 0.5
-SOONER = 0.5  # share of the time to the nearest posture below which one that moves slow joints less is preferred
+SOONER = 0.5  # a posture that moves slow joints less is preferred if its move takes less than this share of the time
 CLOSE = 1e-3  # [s] left at full speed below which a move counts as finished
 
 
@@ -107,8 +107,8 @@ class Leap:
         if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:
             return
         self._place = T[1].copy()
-        # After a smooth motion, a joint at its limit means that only another posture leads on. With a locked joint, the
-        # operator has other plans.
+        # After a smooth motion, a joint at its limit means that only another posture leads on.
+        # If a joint is locked, the operator has other plans.
         if (not taken.stand[STAND.leapt] and (taken.code & POSITION).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)

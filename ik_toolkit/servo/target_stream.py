@@ -20,20 +20,15 @@ from ..robot.pose import AxisTarget, as_array
 from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_of
 
-# largest error of a rotation matrix that is accepted here; any other is left to the full check, which corrects or
-# refuses it
-TIGHT = 1e-9
+TIGHT = 1e-9  # error of a rotation matrix up to which it is accepted here; the full check corrects or refuses others
 READ, CHECK, REFUSED = range(3)  # how a target comes to the kernel: read in full, still to be checked, or no target
 # outcomes of `arrive`: taken, to be read in full, or not finite, so that the last target stays
 TAKEN, DOUBTFUL, HELD = range(3)
-# [m, or change of a rotation matrix] by which a standing target may move within WAIT: 20 mm/s, or 0.014 rad/s
-STILL = 2e-3
+STILL = 2e-3  # [m, or rotation matrix entries] change of a standing target within WAIT: 20 mm/s, or 0.014 rad/s
 WAIT = 0.1  # [s] time within which a target that stands may not move by more than STILL
-# [m/s, or change of a rotation matrix per s] speed up to which a target is at rest; one that reverses is so slow for a
-# moment only
+# [m/s, or rotation matrix entries per s] speed up to which a target is at rest; a reversing one is only briefly so slow
 RESTS = 5e-4
-# [m, or change of a rotation matrix] between two targets from which it counts as a jump; a fast hand moves a fifth of
-# it
+# [m, or rotation matrix entries] change between two targets that counts as a jump; a fast hand moves a fifth of it
 JUMP = 0.05
 
 
@@ -43,11 +38,11 @@ class Stand(NamedTuple):
     Before its first motion a target counts as having jumped.
     """
 
-    seconds: int  # [s] for which the target has been where it is, within STILL
+    seconds: int  # [s] for which the target has stood where it is, within STILL
     leapt: int  # 1: the target jumped to where it is
     still: int  # 1: it hardly moved from the last sample to this one, or only trembles as measured targets do
     rest: int  # [s] for which it has been at rest; a target that trembles never is
-    known: int  # 1: the rest of the array is known, the F poses where the target is
+    known: int  # 1: the rest of the array holds the F poses where the target stands
 
 
 STAND = Stand._make(range(len(Stand._fields)))
@@ -167,8 +162,9 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
 
 
 FLOAT = np.dtype(np.float64)
-# Number of targets over which the longest step is remembered, for which gains are chosen. For steps of 0.5 to 1.5 times
-# their mean, ca then reduces errors to 0.59 a step; with gains for each step's own length only to 0.99.
+# Number of targets over which the longest step is remembered; gains are chosen for this step.
+# For steps of 0.5 to 1.5 times their mean, ca then reduces errors to 0.59 a step; with gains for each step only to
+# 0.99.
 RECENT = 10
 KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its array
 
@@ -191,7 +187,7 @@ class Stream(CopiesViews):
         self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
         for one in (self.samples, self._given, self._last):
             one.T[:] = np.eye(4)
-        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # array as in `Stand`
+        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # array in the layout of `Stand`
         self._cut()
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.

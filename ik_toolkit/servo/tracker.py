@@ -112,7 +112,7 @@ class Tracker(CopiesViews, ReadOnly):
             self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
         n, m = robot.n, 6 * self.stream.tips
         self._postures: Postures | None = None
-        self._ways: list[Leap | Reconfiguration] = []  # these lead the joints where the method would not, or too slowly
+        self._ways: list[Leap | Reconfiguration] = []  # These lead joints where the method fails or is slow.
         elsewhere = switch(reconfigure, "reconfigure")
         longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
@@ -127,9 +127,9 @@ class Tracker(CopiesViews, ReadOnly):
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._rows = 0
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
-        self._ordered: tuple = ()  # parameters of the law in the settings
+        self._ordered: tuple = ()  # what the law in the settings was computed from
         self._kinds: tuple | None = None
-        self._goes: Leap | Reconfiguration | None = None  # what led the last step
+        self._goes: Leap | Reconfiguration | None = None  # what led the last step, or None: the method
         self.reset(q0, rate0=rate0)
         self._seal()
 
@@ -150,7 +150,7 @@ class Tracker(CopiesViews, ReadOnly):
                 f"at q0 '{self._touching[0]}' touches '{self._touching[1]}'; start where nothing touches"
             )
         self._late = self._longest
-        if self.secondary.cost is not None:  # An invalid cost is reported now.
+        if self.secondary.cost is not None:  # An invalid cost raises now, not in a loop.
             self.secondary.look(self._q)
         self.stream.forget()
         if target is not None:
@@ -214,7 +214,7 @@ class Tracker(CopiesViews, ReadOnly):
         a dt that is not positive or is absurdly long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
-        parts_of_step(dt, self._late or LATE * dt)  # refuses an absurd dt first
+        parts_of_step(dt, self._late or LATE * dt)  # This refuses a dt that is absurdly long.
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
@@ -278,7 +278,7 @@ class Tracker(CopiesViews, ReadOnly):
             return
         self._forget(laws.READY)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._code &= viability.RECOVERING  # other limits are expected on the way
+        self._code &= viability.RECOVERING  # Other limits are expected during a move.
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:

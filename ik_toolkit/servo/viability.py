@@ -27,24 +27,22 @@ from ..compile.jit import cached, compiled, dual, inline, inner, jit, shared
 from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.records import Array
 
-# Bits of `code` say why a joint did not move as commanded: its position, speed or acceleration limit, a hold after an
-# unusable command, a return into its limits, a collision constraint (ROW), or the damping of oscillation (CALMED).
+# Bits of `code`: why a joint did not move as commanded. HELD: an unusable command. RECOVERING: it was outside its
+# limits.
+# ROW: an inequality such as that of an obstacle. CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
-# margin before a limit, as a share of |limit| + |q|: the rounding of the sums in a step, half a unit in the last place
-# each
-ROUNDING = 4e-16
+ROUNDING = 4e-16  # margin before a limit, as a share of |limit| + |q|, for the rounding of the sums in one step
 # share of the distance to a limit kept as a margin: rounding accumulates to about this over some hundred braking steps
 SPARE = 1e-13
 NOISE = 1e-12  # [rad, or reaches] by which a joint may be beyond a viable state before it counts as recovering
 UNLIMITED = 1.0  # [rad/s, or reaches/s] speed assumed for a joint without a speed limit, where joints are compared
 SHARE = 0.1  # share of the speed limit (at most of 1 rad/s or 1 reach/s) at which a joint outside its limits returns
 SWING = 0.05  # share of the speed limit above which a motion counts in the detection of oscillation
-# A joint oscillates once it has reversed SWINGING times in a row, each reversal within WINDOW [s] of the last; the
-# state ends HOLD [s] after its last reversal. The benchmarks (scripts/benchmarks/servo_judge.py) call four reversals
-# within 0.1 s chatter.
+# A joint oscillates once it has reversed SWINGING times in a row, each within WINDOW [s] of the last; HOLD [s] ends it.
+# (scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.)
 SWINGING = 2.0
 WINDOW, HOLD = 0.05, 0.1
-# [s] for which the oscillation limit stays in force after a limit, constraint or singular pose last hindered the joints
+# [s] for which oscillation is limited after a limit, inequality or singular pose last hindered the joints
 LASTING = 0.2
 # [1/s] growth of an oscillating joint's speed: by CALM of its speed limit plus GROWTH of its speed, per second
 CALM, GROWTH = 0.75, 10.0
@@ -284,7 +282,7 @@ def advance(q, rate, x, gamma, h, late, limits, code):
     return hit
 
 
-HELD_BACK = 0.1  # share of the acceleration limit kept in reserve for corrections when joints follow a known motion
+HELD_BACK = 0.1  # share of the acceleration limit kept for corrections while joints follow a known motion
 UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
 
 

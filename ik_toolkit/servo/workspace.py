@@ -148,7 +148,7 @@ def record_of(block):
     return Record(block, Q, R, E, S, fold(codes, np.uint8, N - 1, n))
 
 
-# ------------------------------------------------------------------------------------------------------------- from Python
+# -------------------------------------------------------------------------------------------------------- from Python
 def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
     """Make a block of zeros with room for arrays of these shapes, write the sizes, and divide it by `of`."""
     sizes = [math.prod(one) if isinstance(one, tuple) else one for one in shapes]
@@ -200,8 +200,8 @@ class Bench(NamedTuple):
     U: Array  # (m, m) u_k as rows
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if a singular direction is removed from the task
-    xk: Array  # (m,) joint speed along such a direction
-    pull: Array  # (m,) rate along the rest of the gradient, see `down_slopes`
+    xk: Array  # (m,) joint speed along a direction removed from the task
+    pull: Array  # (m,) rates of `down_slopes`, beside a direction of curved tip motion
     flip: Array  # (F, 3) normals of the mirrors for free turns, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
