@@ -161,7 +161,7 @@ class Trajectory:
 
 
 def _motion_of(arm: Robot, columns: Any, pieces: Any, t: np.ndarray) -> Samples:
-    """Return poses, twists and accelerations of one tip at t (N,) [s]; columns: indices of the arm's joints in q."""
+    """Return poses, twists and accelerations of one tip at t (N,) [s]; columns: indices of its joints in q."""
     q, dq, ddq, _ = sample(pieces, t)
     return tip_motion(arm, q[:, columns], dq[:, columns], ddq[:, columns])
 

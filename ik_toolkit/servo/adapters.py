@@ -42,7 +42,7 @@ class Published:
     waits = True  # a run of `track` slows the reference's clock when the error is above its tolerance
 
     def __init__(self, robot: Robot | Tree, method: Method, counting: Mapping[str, Any]) -> None:
-        """Bind the method; nothing is compiled yet. counting: the options that say which errors count."""
+        """Bind the method to the robot, without compiling. counting: the options that say which errors count."""
         self.robot = robot
         self.method = method
         self.name = method.name
@@ -57,7 +57,7 @@ class Published:
         relatives(robot, self.options)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes but the compiled loop, which cannot be pickled."""
+        """Return all attributes for pickling, without the compiled loop, which cannot be pickled."""
         return {name: value for name, value in vars(self).items() if name != "loop"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -107,7 +107,7 @@ class RuleSteps:
     waits = False
 
     def __init__(self, robot: Robot | Tree, rule: Any, limits: bool, options: dict[str, Any]) -> None:
-        """Bind the rule with its parameters. Raises what `ik.Solver` raises."""
+        """Bind a solver's rule to the robot. options: its parameters. Raises what `ik.Solver` raises."""
         from ..solvers.solve import Solver
 
         self.robot = robot
@@ -118,7 +118,7 @@ class RuleSteps:
         self.options = self.solver.options
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes but the compiled loop, which cannot be pickled."""
+        """Return all attributes for pickling, without the compiled loop, which cannot be pickled."""
         return {name: value for name, value in vars(self).items() if name != "loop"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -140,9 +140,9 @@ class RuleSteps:
         return law
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return the packed task parameters, and (3, m) the error weights for the null-space motion.
+        """Return the packed task parameters (see servo/loop.py) and an array (3, m), as `Published.orders` does.
 
-        A rule handles slack itself.
+        Only its first row is used, the error weights for null-space motion; the rule itself handles slack.
         """
         scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))

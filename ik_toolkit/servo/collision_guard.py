@@ -33,8 +33,8 @@ class Path(NamedTuple):
     """A step and the brake after it: joint values, rates and lengths covered (K + 1, n) at the ends of K pieces.
 
     The first piece lasts h [s]. even: share [1/s] of its initial rate that the brake takes off all joints alike, see
-    `Guard._follow`; the last row of rate holds these initial rates. alone (n,): joints that brake on their own,
-    independent of the others; aside (n,): the distances that takes.
+    `Guard._follow`; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of
+    the others; aside (n,): the distance that takes, else 0.
     """
 
     q: np.ndarray
@@ -47,11 +47,9 @@ class Path(NamedTuple):
 
 
 def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
-    """Return the longest distances (n,) in which joints at rates v >= 0 come to rest, for arrays.
+    """Return the longest distances (n,) in which joints come to rest from rates v >= 0 (n,).
 
-    See `viability.stopping`.
-
-    a: deceleration; late [s]: longest step.
+    a: deceleration; late [s]: longest step. This is `viability.stopping` for arrays.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         way = np.asarray(v * v / (2.0 * a))
@@ -86,7 +84,7 @@ class Guard:
         self._get_ready()
 
     def _bind(self) -> None:
-        """Read the collision model as it is now."""
+        """Read the obstacles and the margins of the collision model as they are now."""
         self._space = space = Clearance(self.model)
         self._version = self.model.version
         # Two parts of a robot may be closer than KEEP at home; then half of their distance there is kept.
@@ -94,15 +92,12 @@ class Guard:
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all attributes but the distance measurements, which belong to one process.
-
-        Only nearest points are kept.
-        """
+        """Return all attributes for pickling, but of the distance measurements only the nearest points."""
         kept = {name: value for name, value in vars(self).items() if name != "_space"}
         return kept | {"_version": self._version == self.model.version, "corners": self._space.corners()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the attributes; distances are measured anew, and the model is read again if it has changed."""
+        """Restore pickled attributes; distances are measured anew, and the model is read again if it has changed."""
         corners = state.pop("corners")
         vars(self).update(state)
         self._space = Clearance(self.model)
@@ -126,7 +121,10 @@ class Guard:
         space.rows(ks, space.points(ks), np.ones(len(ks)), still, *rules, self.A, self.b, self._order)
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
-        """Begin at q (n,) [rad or m]; return the names of a pair that touches there, or None."""
+        """Measure all distances at q (n,) [rad or m].
+
+        Return the names of a pair of bodies that touches there, or None.
+        """
         if self._version != self.model.version:  # something was added, moved or removed
             self._bind()
         self._space.forget()
@@ -177,7 +175,7 @@ class Guard:
         return count
 
     def _measure(self, ks: np.ndarray) -> None:
-        """Measure the distances of those pairs ks that are not yet measured at the start of the step."""
+        """Measure the distances of those pairs of bodies ks that are not yet measured at the start of the step."""
         for k in ks[~self._fresh[ks]].tolist():
             self._low[k] = self._space.gap(k)
         self._fresh[ks] = True
@@ -316,7 +314,7 @@ class Guard:
         return np.where(turns, np.abs(far) + np.abs(move - far), np.abs(move))
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
-        """Return None if the pairs ks touch nowhere on a path, else the names of one pair for which that is not proven.
+        """Return None if the pairs of bodies ks are proven free along a path, else the names of one that is not.
 
         The distances of ks are measured at the start; levers (P, E) bounds how fast each pair can come closer per
         joint.

@@ -63,13 +63,13 @@ class Published(NamedTuple):
 
 @inline
 def target_of(s):
-    """Return the target's motion, from a tracker's scratch arrays `s` (a `Bench`), as the laws take it."""
+    """Return the target's error and motion as a TargetMotion, from a tracker's scratch arrays s (a `Bench`)."""
     return TargetMotion(s.e, s.ahead, s.f, s.a, s.bias)
 
 
 @inline
 def inverse_of(s):
-    """Return the Jacobian and the scratch for its pseudo-inverse, from a tracker's scratch arrays `s` (a `Bench`)."""
+    """Return the Jacobian as a PseudoInverse with its scratch, from a tracker's scratch arrays s (a `Bench`)."""
     return PseudoInverse(s.J, s.G, s.H, s.y, s.t)
 
 
@@ -266,10 +266,7 @@ def copy_rows(source, target):
 
 
 def wanted(law, rule, task, look, weights, s, given, own, now):
-    """Write the commanded joint rates to s.x, by `by_law` or `by_rule`.
-
-    This Python version stands for the overload below.
-    """
+    """Write the commanded joint rates to s.x, by `by_law` or `by_rule`; numba compiles the overload below instead."""
     how = by_law if isinstance(rule, Published) else by_rule
     return how(law, rule, task, look, weights, s, given, own, now)
 
@@ -283,10 +280,7 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def lean(law, rule, s, limits, wish, rate, h):
-    """Prepare the command of a step, by `lean_not` or `lean_over`.
-
-    This Python version stands for the overload below.
-    """
+    """Prepare the command of a step, by `lean_not` or `lean_over`; numba compiles the overload below instead."""
     how = lean_not if isinstance(rule, Published) else lean_over
     return how(law, rule, s, limits, wish, rate, h)
 

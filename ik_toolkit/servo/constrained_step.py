@@ -64,7 +64,7 @@ class StepTaken(NamedTuple):
 
 @inline
 def room_space(n, m, rows):
-    """Return the length of the block of floats that `room_on` needs."""
+    """Return the number of floats that `room_on` needs for n joints, m task rows and `rows` inequalities."""
     return problem_space(n + m + 1, rows + m + 1)
 
 
@@ -209,7 +209,7 @@ def least_slack(p):
 
 @inline
 def as_wanted(asked, taken):
-    """Take the desired rates bit for bit; no constraint is active."""
+    """Write the desired rates to `taken`, bit for bit, with no constraint active."""
     copy(asked.want, taken.x)
     for i in range(taken.x.shape[0]):
         taken.active[i] = 0
@@ -219,7 +219,7 @@ def as_wanted(asked, taken):
 
 @inline
 def recall(room, rows, taken):
-    """Start the solver from the active set of the last step."""
+    """Set the solver's initial active set in `room` to that of the last step, in `taken`."""
     for i in range(taken.active.shape[0]):
         room.u.held[i] = taken.active[i] if taken.active[i] < 2 else 0
     for k in range(rows):

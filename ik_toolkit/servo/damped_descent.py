@@ -110,9 +110,9 @@ def notice(law, before, x, size, swings, code, square, h, state):
 
 @inner
 def adapt(turned, error, h, state):
-    """Raise or lower the share that damps the descent, after a step in which joints turned back or not.
+    """Adapt the share in mu, the damping of a descent, after a step.
 
-    error: weighted error.
+    It is raised if joints turned back or the weighted error has stalled, and lowered while that error falls.
     """
     share = state[STATE.share]
     state[STATE.stalled] += h

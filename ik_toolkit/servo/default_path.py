@@ -60,9 +60,9 @@ def draw(
     law: str | None = None,
     turns: float = 0.0,
 ) -> Reference:
-    """Make a reference of a kind (circle, line, eight) that begins at a pose or position.
+    """Make a reference along a circle, line or figure of eight that begins at a pose or position.
 
-    Of a figure of eight that is the centre.
+    A figure of eight begins at its centre, where it crosses itself.
 
     Args:
         kind: "circle", "line" or "eight".

@@ -24,7 +24,7 @@ ROUNDING = 1e-13  # a sum below this share of the sum of its terms' magnitudes i
 
 @compiled
 class Pair(NamedTuple):
-    """Multipliers first / eps + second of the two objectives, in the limit eps -> 0, kept as two numbers."""
+    """Lagrange multipliers first / eps + second in the limit eps -> 0: a part for each of the two objectives."""
 
     first: Array
     second: Array
@@ -72,9 +72,9 @@ class Basis(NamedTuple):
 
 @compiled
 class TwoLevels(NamedTuple):
-    """A problem with two objectives for the first `size` unknowns.
+    """A problem with two objectives, in the first `size` unknowns.
 
-    Of the rows, first `planes` inequalities, then `task` task rows.
+    Its rows are `planes` inequalities, followed by `task` rows of the task.
     """
 
     size: int
@@ -147,7 +147,7 @@ def square(A, k, n):
 
 @inline
 def take_in(b, row, q, size, n):
-    """Make basis vector q of a row of W by dividing it by its length `size`."""
+    """Turn row `row` of W into basis vector q, by dividing it by its length `size`."""
     b.L[row, q] = size
     for i in range(n):
         b.W[row, i] /= size
@@ -280,10 +280,7 @@ def equality(p, last):
 
 @inline
 def price_bounds(p, noise):
-    """Compute the new multipliers of the bounds.
-
-    Parts of the first objective up to `noise` are rounding and become 0.
-    """
+    """Compute the multipliers of the active bounds; in those of the first objective, values up to `noise` become 0."""
     u, r = p.u, p.r
     for i in range(p.size):
         u.new.first[i], u.new.second[i] = 0.0, u.want[i] - u.y[i]
@@ -366,10 +363,7 @@ def closeness_of_task(p, planes, rank):
 
 @inline
 def residual(p):
-    """Write the residuals P y - rhs of the task rows, all 0 if they are rounding.
-
-    Return the rounding of their products with P.
-    """
+    """Write the residuals P y - rhs of the task rows, all 0 if they are rounding; return their rounding error."""
     u, r = p.u, p.r
     size, terms, noise = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):

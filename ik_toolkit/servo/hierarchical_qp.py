@@ -83,7 +83,7 @@ def wrong_most(p):
 
 @inline
 def unmet(p):
-    """Return whether the last solution misses the task by more than rounding."""
+    """Return whether the last solution misses the task by more than the share SAME_TASK."""
     miss, size = 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):
         miss += p.r.new.first[k] * p.r.new.first[k]
@@ -168,7 +168,7 @@ def solve_levels(p):
 
 @inline
 def accept(p):
-    """Make the multipliers just found the present ones."""
+    """Make the multipliers of the last equality problem the present ones."""
     u, r = p.u, p.r
     for i in range(p.size):
         u.now.first[i], u.now.second[i] = u.new.first[i], u.new.second[i]
@@ -252,7 +252,7 @@ def parts(p, dependent):
 
 @inline
 def pay(now, parts, count, one, two):
-    """Subtract (one / eps + two) times the coefficients `parts` from the first `count` multipliers."""
+    """Subtract (one / eps + two) times the coefficients `parts` (see there) from the first `count` multipliers."""
     for k in range(count):
         now.first[k] -= one * parts[k]
         now.second[k] -= two * parts[k]

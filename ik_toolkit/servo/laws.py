@@ -33,7 +33,7 @@ REGION = 2.0  # damping grows from 0 where the smallest singular value is below 
 
 
 class State(NamedTuple):
-    """Names of the numbers that a tracker's loop keeps between steps; as `STATE`, their indices in the array."""
+    """Layout of the array of numbers that a tracker's loop keeps between steps; STATE holds the indices."""
 
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY, see there
     period: int  # length of the last step [s]
@@ -111,7 +111,7 @@ class JointMotion(NamedTuple):
 
 @compiled
 class Briskness(NamedTuple):
-    """How fast an error may be closed."""
+    """How fast an error may be closed, see `ease`."""
 
     fast: float  # share of each joint's speed limit
     quick: float  # share of each joint's acceleration limit
@@ -305,7 +305,7 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
 
 @dual
 def spare(J, m, e, limits, H, y, c):
-    """Write to c (n,) a correction of e (m,) that moves slow joints less; False if there is none (finite).
+    """Write to c (n,) a correction of the error e (m,) that moves slow joints less; return False if no joint is slow.
 
     It uses the pseudo-inverse weighted by speed. The weights are powers of 2, so that J is restored exactly.
     """
@@ -335,7 +335,7 @@ def spare(J, m, e, limits, H, y, c):
 
 @dual
 def halved(speed, top):
-    """Return a joint's weight: 1, or for a slow joint the largest power of 2 up to its share of the top speed."""
+    """Return a joint's weight in `spare`: 1, or if slow the largest power of 2 up to its share of the top speed."""
     w = 1.0
     while 0.0 < speed < SLUGGISH * top and speed < w * top:
         w *= 0.5
@@ -379,7 +379,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
 
 @dual
 def settle(p, h, rate_before, x, code, prev):
-    """Make the rate that each clipped joint took its previous command (`prev`), to prevent wind-up."""
+    """For each joint that was clipped, write the rate it took to `prev`, the previous command, to prevent wind-up."""
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
             if code[i] > 0:
@@ -390,7 +390,7 @@ def settle(p, h, rate_before, x, code, prev):
 def own_up(p, h, ratio, wanted, x, prev):
     """Change `prev` to the command from which the rates taken, x (n,), would have followed: no wind-up of any joint.
 
-    wanted (n,): the rates that it had commanded; ratio: this step's h over the last one's, 0 at the start.
+    wanted (n,): the rates that the law had commanded; ratio: this step's h over the last one's, 0 at the start.
     """
     ahead = 0.5 * ratio
     if p.code == CV or p.code == CA:

@@ -108,9 +108,9 @@ def leave_out(J, floor, roof):
 
 @inline
 def quieten(law, s, rate, swings, h, state):
-    """Limit the acceleration of oscillating joints (`calm`), if something has hindered them lately.
+    """Limit the acceleration of oscillating joints (`calm`), if something has hindered joints lately.
 
-    Free motion is left alone.
+    Otherwise the target itself may ask for the reversals.
     """
     if law.mode != CLIP and state[STATE.free] < LASTING:
         calm(rate, s.size, swings, h, box_of(s))
@@ -131,7 +131,7 @@ def look_on(law, s, code, swings, h, state):
 
 @inner
 def gather(law, lines, level, planes, edges):
-    """Copy the first law.rows inequality constraints to `planes` and `edges`, where those for slack are added.
+    """Copy the collision inequalities, law.rows of them, to `planes` and `edges`, where others are added.
 
     Return their number.
     """
@@ -143,7 +143,10 @@ def gather(law, lines, level, planes, edges):
 
 @inline
 def clip_rates(law, s, still, h, memory, code):
-    """Clip the rates s.x to their bounds, joint by joint: the published form (mode CLIP), and a brake (still)."""
+    """Clip the rates s.x to their bounds, joint by joint: for mode CLIP, and for a brake (still).
+
+    The method's memory then gets the rates really taken (CLIP), or zeros (brake).
+    """
     clip(s.x, box_of(s), code)
     if not still:
         settle(law, h, s.before, s.x, code, memory)
@@ -228,9 +231,9 @@ def by_clipping(law, s, count, mu, h, own, work, code):
 
 
 def obey(rule, law, s, count, mu, h, own, work, code):
-    """Write the rates that the limits allow, by `by_constraints` or `by_clipping`.
+    """Write the rates that limits allow, by `by_constraints` or `by_clipping`.
 
-    This Python version stands for the overload below.
+    Numba compiles the overload below instead.
     """
     how = by_constraints if isinstance(rule, Published) else by_clipping
     return how(law, s, count, mu, h, own, work, code)
@@ -254,7 +257,10 @@ def error_squared(weight, e):
 
 @inline
 def run(step, arm, given, own, samples, out, h, block):
-    """Run the loop of `servo` on array views; block: zeros that the scratch arrays are cut from."""
+    """Run the loop of `servo` on array views and return the number of steps.
+
+    block: zeros that the scratch is cut from.
+    """
     (rows, ends, orders), (_, p, counts, limits, wish, lines, level, measured) = arm, given
     (_, T, V, A), (_, Q, R, E, S, C) = samples, out
     q, rate, memory, swings, state = own.motion[0], own.motion[1], own.memory, own.swings, own.state

@@ -105,10 +105,7 @@ def slack_rows(slack, s, count, h, state):
 
 @inner
 def away_from_limits(q, limits, gain, g):
-    """Add to g (n,) a velocity away from near position limits, which is smooth and 0 in the middle of the range.
-
-    Gain [1/s].
-    """
+    """Add to g (n,) a velocity away from near position limits, smooth and 0 in the middle of the range (gain [1/s])."""
     for i in range(q.shape[0]):
         lower, upper = limits[0, i], limits[1, i]
         wide = upper - lower
@@ -175,7 +172,7 @@ class Secondary(Holds):
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:
-        """Update wish[2], the velocity that lowers the cost and raises manipulability, at q (n,) [kernel units]."""
+        """Set wish[2] to the velocity that lowers the cost and raises manipulability, at q (n,) [kernel units]."""
         unit = self.robot.chain.unit
         at = q * unit
         slope = np.zeros(len(at))

@@ -101,7 +101,7 @@ def growth(
 
 
 def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motion:
-    """Return the matrices of the joint motion that keeps the tip on the reference, without null-space motion."""
+    """Return the Motion that keeps the tip on the reference at times (N,) [s], without null-space motion."""
     from ..solvers.solve import solve
 
     T, V, A = reference.at(times)

@@ -178,7 +178,7 @@ def scaled(reference: Reference, factor: float) -> Reference:
 
 
 def smaller(found: Survey) -> list[float]:
-    """Return factors, largest first, by which a path that is partly out of reach could be scaled to be in reach."""
+    """Return size factors worth trying for a path that is partly out of reach, largest first."""
     if not found.until or found.turning:
         return []
     reached = float(found.stop / found.along[-1])
@@ -187,7 +187,7 @@ def smaller(found: Survey) -> list[float]:
 
 
 def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tuple[Survey, str]:
-    """Find what keeps a robot from following a reference, and what would work instead.
+    """Find out why a robot cannot follow a reference, and what would work instead.
 
     Args are as in `survey`. Returns the survey, and a sentence ('' if nothing is in the way).
     """

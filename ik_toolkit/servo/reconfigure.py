@@ -62,7 +62,7 @@ class Postures:
     """Finds joint values (kernel units) that reach targets of the kinds that `ready` was given."""
 
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
-        """Prepare the solver; options: which errors count; speed (n,): joint speeds."""
+        """Prepare the solver; options: which errors count; speed (n,): joint speed limits [kernel units]."""
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
@@ -76,7 +76,7 @@ class Postures:
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
-        """Prepare for targets of these kinds, and compile (or load) all that is needed later."""
+        """Prepare for one kind of target (POSE or POSITION) per tip; compile (or load) all that is needed later."""
         self.kinds = kinds
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
@@ -157,7 +157,10 @@ class Reconfiguration:
     """
 
     def __init__(self, robot: Any, postures: Postures, model: Any) -> None:
-        """Bind to a robot; model: CollisionModel of which goals must be free, or None."""
+        """Bind to a robot; postures: finds goals.
+
+        model: CollisionModel in which goals must be free of contact, or None.
+        """
         self.robot, self.postures, self.model = robot, postures, model
         self._attempt = ATTEMPT * len(robot.tips) ** 3
         self.begin()

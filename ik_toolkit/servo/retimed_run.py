@@ -23,10 +23,10 @@ from .tracker import Tracker
 from .workspace import Samples, new_record
 
 QUICK = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
-SPEED = 0.98  # share of the speed limits that a law uses, as the run differs a little from the motion it was made for
-# Shares of the acceleration limits used, one after another while runs fail; with 0.95, 31 of 288 runs needed another.
+SPEED = 0.98  # share of the speed limits used by a time law, as a run differs a little from the planned motion
+# Shares of the acceleration limits used by a time law, in turn while runs fail; with 0.95, 31 of 288 needed another.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
-TOLERANCE = 0.8  # share of the tolerances that a law allows for the error of a step
+TOLERANCE = 0.8  # share of the tolerances that a time law allows for the error of a step
 FASTER = 5  # how often the limits used are raised after a run that kept to the reference
 JOINTS, TIP = 1.2, 1.5  # factors of one such raise: of redundant joints' limits, and of the error allowed for the tip
 FAR_OFF = 4.0  # error over tolerance above which a miss cannot come from the linearisation in a single step
@@ -70,7 +70,7 @@ class Way(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """A run that was taken; Q, R, E, S, C as in `workspace.Record`."""
+    """Outcome of one run along a clock; Q, R, E, S, C are the arrays of a `workspace.Record`."""
 
     missed: int  # number of samples off the reference; for a solver, which always lags: of steps that limits held back
     Q: np.ndarray
@@ -150,10 +150,7 @@ class Run:
         return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
     def _slowly(self, way: Way, from_rest: bool) -> None:
-        """Take runs along laws for a joint path, with more and more of the limits in reserve.
-
-        Then along faster laws.
-        """
+        """Take runs along time laws for a joint path, with shrinking shares of the limits; then faster ones."""
         top, start, last = self._clear(way), 0.0 if from_rest else np.inf, np.inf
         for share in ACCELERATION:
             clock = self._law(way, share, top, start)
@@ -173,7 +170,7 @@ class Run:
             last = taken.missed if again else np.inf
 
     def _faster(self, way: Way, share: float, top: np.ndarray, start: float) -> None:
-        """Take runs along laws beyond limits, as other joints may help out a slow one, and smooth steps err less."""
+        """Take runs along faster time laws, whose limits are raised, while the runs keep to the reference."""
         over, before = 1, self.made[-1].clock.s
         for _ in range(FASTER):
             clock = self._law(way, share, top, start, over)
@@ -188,7 +185,7 @@ class Run:
                 return
 
     def _lower(self, top: np.ndarray, way: Way, taken: Taken) -> None:
-        """Lower the rate bounds top (K + 1,) of a law where a run has missed; errors grow with their square."""
+        """Lower the rate bounds top (K + 1,) where a run has missed; errors grow with the squared rate."""
         excess, near, clock = self._excess(taken.E), round(NEAR / self.dt), taken.clock
         for k in np.flatnonzero(excess > 1.0):
             ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
@@ -196,7 +193,7 @@ class Run:
             top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
 
     def _wishes(self) -> tuple[float, np.ndarray]:
-        """Return the secondary motion asked for: `avoid` and `posture` of a `Way`."""
+        """Return the secondary motion that the caller asked for: `avoid` and `posture` of a `Way`."""
         secondary = self.tracker.secondary
         return secondary.avoid, secondary.wish[:2].copy()
 
@@ -231,7 +228,7 @@ class Run:
         return self.tracker.robot.n > (self.tracker._settings.counts[0] > 0.0).sum()
 
     def _besides(self, here: Way) -> Iterator[Way]:
-        """Yield variants of a way with other secondary motion."""
+        """Yield variants of a `Way` with stronger avoidance of limits, or the middle of the ranges as posture."""
         lower, upper = self.tracker._limits[:2]
         bounded = np.isfinite(upper - lower)
         for avoid in HARDER:
@@ -281,9 +278,9 @@ class Run:
         )
 
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
-        """Return the fastest clock along a joint path, with rates up to top (K + 1,), and `start` at first.
+        """Return the fastest clock along a joint path, with rates up to top (K + 1,), and at first up to `start`.
 
-        share: of the acceleration limits; over: how often the limits are raised by JOINTS and TIP.
+        share: part of the acceleration limits to use; over: how often the limits are raised by JOINTS and TIP.
         """
         limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
@@ -312,7 +309,7 @@ class Run:
         return Clock(smoothed(at), smoothed(now * slower), smoothed(gain * slower**2), held)
 
     def _clear(self, way: Way) -> np.ndarray:
-        """Return the highest rates (K + 1,) of a law at which the arm can brake for obstacles (collision_guard.py)."""
+        """Return the highest clock rates (K + 1,) at which the arm can brake for obstacles (collision_guard.py)."""
         guard, unit, rates = self.tracker._guard, self.tracker.robot.chain.unit, np.ones(len(way.s))
         if guard is None:
             return rates
@@ -327,7 +324,7 @@ class Run:
         return np.interp(way.s, way.s[some], rates[some])
 
     def _begin(self, way: Way) -> None:
-        """Reset the tracker to the start, with the secondary motion of a way."""
+        """Reset the tracker to the start of the run, with the secondary motion of `way`."""
         self.tracker.put_back(self.start)
         secondary = self.tracker.secondary
         secondary.avoid, secondary.wish[:2], secondary.wish[2] = way.avoid, way.posture, 0.0
@@ -350,7 +347,10 @@ class Run:
         return self.made[-1]
 
     def _steps(self, samples: Samples, way: Way, made: list, pairs: Counter) -> None:
-        """Take one step per sample, led along a way (given at the samples) if it is `led`; append records to `made`."""
+        """Take one step per sample; if way.led, follow its joint path (given at the samples).
+
+        Append records to `made`.
+        """
         tracker, count, k = self.tracker, len(samples.T) - 1, 0
         most, ended = 1 if tracker.one_by_one or way.led else AT_ONCE, False
         while not ended:
@@ -371,7 +371,7 @@ class Run:
             made.append([*(one[:rows] for one in record[1:5]), record.C[:done]])
 
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
-        """Return the run, or the part of it, that the records `made` hold."""
+        """Combine the records `made` of a run, complete or not, into a Taken."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
         whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave one record without its last sample.
         clock = Clock(*(one[: len(Q)] for one in clock))

@@ -46,7 +46,7 @@ class TrackInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a run; `result` is the TrackResult of the steps until then, or of the best run if one had ended."""
 
     def __init__(self, result: TrackResult) -> None:
-        """Keep the result."""
+        """Keep the result of the steps taken until Ctrl-C."""
         super().__init__(f"interrupted: {result.message}")
         self.result = result
 

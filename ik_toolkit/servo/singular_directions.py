@@ -115,7 +115,7 @@ def probe_mode(s, r, part, rate, h):
     """Write to s.x1 and s.x2 the joint motions whose product (dJ/dt along s.x1) s.x2 `bend` is to compute.
 
     part: ALONG, BESIDE or BOTH of `mode_probe`, or below 0 joint number part + n, for the gradient of the singular
-    value. Returns the joints' own rate along V_r.
+    value. Returns the joints' present rate along V_r (column r of V).
     """
     n = rate.shape[0]
     if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
@@ -129,7 +129,7 @@ def probe_mode(s, r, part, rate, h):
 
 @inline
 def note_curve(s, r, part):
-    """Store what `bend` has computed, along u_r: in s.t for a motion, in s.null for a joint (0 if it cannot move)."""
+    """Store the part of s.bias along task direction u_r: for a motion (part >= 0) in s.t, for a joint in s.null."""
     curved = mode_part(s.U, r, s.bias)
     i = part + s.null.shape[0]
     if part >= 0:
@@ -154,7 +154,7 @@ class WeakMode(NamedTuple):
 
 @inline
 def fastest_along(V, r, limits):
-    """Return the highest speed and acceleration along V_r that the limits of all joints allow."""
+    """Return the highest speed and acceleration along joint direction V_r (column r of V) that all limits allow."""
     cap, a = np.inf, np.inf
     for i in range(V.shape[0]):
         v = abs(V[i, r])
@@ -168,10 +168,10 @@ def fastest_along(V, r, limits):
 def mode_speed(s, mode, gain, h, limits, near, away):
     """Decide on singular direction r: write its speed to s.xk, and 1 to s.lost if it is removed from the task.
 
-    s.t holds the curvature along u_r of each motion of `mode_probe`. near: above 0 if the last step was at a singular
-    pose, above 1 for some time after the target was out of reach. away (n,) has a component of 1 or -1 along V_r: the
-    side of the singular pose from which the joints came, or where they are now if that is not known. Returns whether
-    the target is out of reach along this direction now.
+    u_r and V_r are its task and joint directions. s.t holds the curvature along u_r of each motion of `mode_probe`.
+    near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach. away
+    (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or where they
+    are now if that is not known. Returns whether the target is out of reach along this direction now.
     """
     r, V, left, moved = mode.r, s.V, mode.error, mode.moved
     b, beside = s.t[ALONG], s.t[BESIDE]

@@ -98,9 +98,9 @@ def begin_anew(slack, near):
 
 @inner
 def leave_modes(W, sigma, r, x):
-    """Project out of x (n,) what moves the tip along other singular directions than r (-1: along any).
+    """Remove from x (n,) what moves the tip, except along task direction u_r (-1: no exception).
 
-    Return its length.
+    Return the length left.
     """
     m, n = W.shape
     for c in range(m):
@@ -119,9 +119,9 @@ def leave_modes(W, sigma, r, x):
 
 @inner
 def lost_direction(W, sigma, away, v):
-    """Write to v (n,) the joint direction for sigma_k near 0: `away` without what moves the tip.
+    """Write to v (n,) a joint direction for a singular value of 0: `away` without what moves the tip.
 
-    Return False if nothing is left.
+    Returns False if nothing is left of it.
     """
     for i in range(v.shape[0]):
         v[i] = away[i]
@@ -135,7 +135,7 @@ def lost_direction(W, sigma, away, v):
 
 @inner
 def part_along(V, r, x):
-    """Return the component of x (n,) along the column V_r of V."""
+    """Return the component of x (n,) along the joint direction V_r (column r of V, a unit vector)."""
     part = 0.0
     for i in range(x.shape[0]):
         part += V[i, r] * x[i]
@@ -144,7 +144,7 @@ def part_along(V, r, x):
 
 @inner
 def bring_along(V, r, x, value, share):
-    """Move the component of x (n,) along V_r towards a value, by a share of the difference."""
+    """Move the component of x (n,) along V_r (column r of V) towards `value`, by a share of the difference."""
     own = part_along(V, r, x)
     for i in range(x.shape[0]):
         x[i] += share * (value - own) * V[i, r]
@@ -154,7 +154,7 @@ def bring_along(V, r, x, value, share):
 def mode_probe(V, r, rate, part, h, x):
     """Write to x (n,) a joint motion whose curvature is to be evaluated, and return the joints' rate along V_r.
 
-    ALONG: V_r itself; BESIDE: what the joints move across V_r in a step of h [s]; BOTH: the sum.
+    ALONG: V_r itself (column r of V); BESIDE: what the joints move across V_r in a step of h [s]; BOTH: the sum.
     """
     own = part_along(V, r, rate)
     for i in range(x.shape[0]):
@@ -196,7 +196,7 @@ def way_along(sigma, b, E, own, side, home, h):
 
 @inner
 def mode_part(U, r, vector):
-    """Return the component of a vector (m,) along u_r."""
+    """Return the component of a vector (m,) along the task direction u_r (row r of U)."""
     part = 0.0
     for c in range(vector.shape[0]):
         part += U[r, c] * vector[c]
@@ -214,10 +214,10 @@ def rest_of(e, part):
 
 @inner
 def mode_moved(U, r, e, ahead, f, h):
-    """Return the component along u_r of the target's motion in a step of h [s].
+    """Return the component along u_r (row r of U) of the target's motion in a step of h [s].
 
-    It is the difference of the errors ahead and e; large rotation errors do not add like vectors, so the twist f is
-    used instead.
+    It is the difference between the errors ahead and e. If the error is large, it is h times the twist f instead, since
+    large rotations do not add like vectors.
     """
     size = 0.0
     for c in range(e.shape[0]):
@@ -229,7 +229,7 @@ def mode_moved(U, r, e, ahead, f, h):
 
 @inner
 def mode_direction(W, sv, r, away, way, v):
-    """Write v_r to v (n,); return False if there is no direction to move along.
+    """Write the joint direction v_r of singular value r to v (n,); return False if there is none to move along.
 
     For sigma_r near 0 it is `away` without what moves the tip, and only if a tip motion way is asked for.
     """
@@ -244,7 +244,7 @@ def mode_direction(W, sv, r, away, way, v):
 
 @inner
 def begin_bent(W, V, sigma, r, away, x):
-    """Write to x (n,) the direction that `bent_direction` takes its gradient along: what `away` says of it, or v_r."""
+    """Write to x (n,) the direction that `bent_direction` takes its gradient along: the remembered `away`, or v_r."""
     for i in range(x.shape[0]):
         x[i] = away[i]
     size = leave_modes(W, sigma, r, x)
@@ -273,7 +273,10 @@ def bent_direction(W, V, sigma, r, slope):
 
 @inner
 def take_out(J, W, U, V, lost, f, G):
-    """Remove the lost directions from J and from the twist f, and factor the rest for `apply`; return their number."""
+    """Remove the directions marked in lost (m,) from J and the twist f, and factor the rest for `apply`.
+
+    Return their number.
+    """
     n, m = J.shape
     count = 0
     for r in range(m):
@@ -301,7 +304,7 @@ def take_out(J, W, U, V, lost, f, G):
 
 @inner
 def by_modes(J, W, U, lost, ask, y):
-    """Rewrite the task rows (J and the rates ask) along the u_k that are kept, so that the rows are independent.
+    """Rewrite the task (J and the rates ask) along the u_k that are not lost, so that its rows are independent.
 
     A row of weight 0 stays a direction of its own, as long as `modes` began without the directions of another task.
     """
@@ -322,7 +325,7 @@ def by_modes(J, W, U, lost, ask, y):
 
 @inner
 def hold_back(U, sigma, lost, bend, e, ahead, f, more):
-    """Shrink what is asked for along the directions that are kept, if the error along lost ones cannot be closed.
+    """Shrink the error and twist along task directions that are kept, if the error along removed (lost) ones stays.
 
     bend: the largest curvature of the tip's path. Times the remaining error it adds to sigma_k^2 in the second
     derivative, so undamped steps J^+ e would go too far and back for ever (Levenberg-Marquardt). Only the error of the
@@ -355,7 +358,7 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, more):
 
 @inner
 def along_lost(V, lost, xk, x, speeds):
-    """Set the components of x (n,) along the lost directions: to their speeds xk (m,), or to 0 if `speeds` is 0."""
+    """Set the components of x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V, r, x, xk[r] if speeds > 0.0 else 0.0, 1.0)
@@ -363,7 +366,9 @@ def along_lost(V, lost, xk, x, speeds):
 
 @inner
 def down_slopes(W, V, sigma, pull, x, speeds):
-    """Set the component of x (n,) along what a bent V_k leaves of sigma_k v_k: downhill, or to 0 if `speeds` is 0.
+    """Set a component of x (n,), beside a replaced direction V_k, to go down the error, or to 0 if `speeds` is 0.
+
+    It is the one along sigma_k v_k less its part along V_k, which `bent_direction` has put in the place of v_k.
 
     pull (m,): rates along that rest. It takes effect gradually while sigma_k grows from half of WEAK.lost to WEAK.lost.
     """

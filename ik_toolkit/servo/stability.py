@@ -185,8 +185,8 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     """Return the gains of a method with the smallest spectral radius at sample time h [s].
 
     cv: kappa h = 2/3, radius 0.577 (1/sqrt 3). ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet,
-    0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. For positions measured `delay` samples ago they are found
-    by a search.
+    radius 0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. For positions measured `delay` samples ago they
+    are found by a search.
     """
     one_of(method, METHODS, "tracking method")
     h = positive(h, "the sample time [s]")
@@ -216,9 +216,7 @@ def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
 
 
 def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
-    """Return the longest sample time [s] at which the gains (kappa; kp and kd) are stable.
-
-    Inf for methods without such gains.
+    """Return the longest sample time [s] at which the gains (kappa; kp and kd) are stable; inf if there are none.
 
     delay: age of the measured position in samples, whatever their length.
     """

@@ -81,7 +81,7 @@ class Step:
     __slots__ = ("_outcome", "q", "rate")
 
     def __init__(self, q: np.ndarray, rate: np.ndarray, outcome: Outcome) -> None:
-        """Keep the command and what the status is computed from."""
+        """Keep the command, and the outcome that the status is computed from."""
         self.q, self.rate, self._outcome = q, rate, outcome
 
     @property
@@ -134,12 +134,12 @@ class Step:
         return bool((np.abs(self.rate) <= AT_REST * self._outcome.by.speed).all())
 
     def _rests(self) -> bool:
-        """Return whether no joint moves although there is an error, so that no motion reduces it."""
+        """Return whether no joint moved although there was an error, so that no motion reduces it."""
         before, after = np.abs(self._outcome.errors)
         return bool((np.abs(self.rate) <= RESTING * self._outcome.by.speed).all() and before.max() > 0.5 * after.max())
 
     def _away(self) -> bool:
-        """Return whether an error is left that is large enough to be explained."""
+        """Return whether the error left is above NEAR, so that limits or the reach are worth reporting."""
         return self.position_error > NEAR[0] or (self.orientation_error or 0.0) > NEAR[1]
 
     @property

@@ -84,7 +84,7 @@ class Leap:
         self.forget()
 
     def forget(self) -> None:
-        """Drop the goal and forget the target."""
+        """Drop the goal and forget the last target."""
         self.goal: np.ndarray | None = None
         self.why = Choice(straight=True, ratio=1.0)
         self._enough = CLOSE  # [s] left at full speed at which the method takes over
@@ -95,7 +95,7 @@ class Leap:
     begin = forget
 
     def watch(self, taken: Taken) -> None:
-        """Examine a step that was taken, and perhaps set `goal`."""
+        """Examine a step taken by the method; set `goal` if the target has jumped and the method is hindered."""
         T, q, limits = taken.T, taken.q, taken.limits
         if not taken.stand[STAND.still] or taken.left < NEAR:
             return
@@ -125,7 +125,7 @@ class Leap:
             self._elsewhere.search_now(T[1], q, limits)
 
     def _set_out(self, goal: np.ndarray, taken: Taken) -> None:
-        """Choose the way to a goal (n,), and set `goal` if there is one."""
+        """Choose between a straight line and a joint move to a goal (n,), and set `self.goal` if one is possible."""
         straight = self._straight(goal, taken)
         ratio = straight.t[-1] / least_time(np.abs(goal - taken.q), taken.limits) if straight else math.inf
         ratio = ratio if ratio < TORN else math.inf
@@ -192,7 +192,7 @@ class Leap:
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:
     """Return the fastest motion through points (K + 1, n), from joint rates (n,) to rest, inside limits (4, n).
 
-    None if two coincide.
+    None if two neighbouring points coincide.
 
     The path coordinate is time at full speed: a segment is as long as its slowest joint needs for it at its speed
     limit, so the rate of the coordinate is at most 1.

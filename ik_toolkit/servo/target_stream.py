@@ -33,7 +33,7 @@ JUMP = 0.05
 
 
 class Stand(NamedTuple):
-    """Whether a target stands; as `STAND`, the indices in the array.
+    """Layout of an array that says whether a target stands; STAND holds the indices.
 
     Before its first motion a target counts as having jumped.
     """
@@ -103,7 +103,7 @@ def gap(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """Update stand (5 + 16 F,), an array as in `Stand`, with targets T (2, F, 4, 4) that are dt [s] apart."""
+    """Update whether the target stands: stand (5 + 16 F,), see `Stand`, from targets T (2, F, 4, 4), dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
     if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:
@@ -196,7 +196,7 @@ class Stream(CopiesViews):
         self.pace, self._second, self._count = 0.0, 0.0, 0
 
     def _cut(self) -> None:
-        """Make views of the poses of a given target."""
+        """Make views of the poses that a new target is copied to."""
         self._poses = list(self._given.T[0])
 
     def forget(self) -> None:

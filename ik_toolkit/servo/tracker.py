@@ -92,7 +92,7 @@ class Tracker(CopiesViews, ReadOnly):
         straight: float = STRAIGHT,
         **options: Any,
     ) -> None:
-        """Bind a robot and a method."""
+        """Bind a robot and a method; the arguments are described in the docstring of the class."""
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
         robot, limits = self.robot, limits = with_limits(robot, limits)
@@ -157,7 +157,7 @@ class Tracker(CopiesViews, ReadOnly):
             self.stream.take(0, target, twist, acceleration)
 
     def _begin(self, q: np.ndarray, rate: np.ndarray | None) -> None:
-        """Set the joints to q and rate (n,), and forget everything that was done before."""
+        """Set the joints to q and rate (n,) [rad or m, per s], and forget all earlier steps."""
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
@@ -282,7 +282,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
-        """Let `self._ways` examine the step taken, which may set a goal; left [m]: error after it."""
+        """Let what can lead the joints elsewhere (`_ways`) examine the step taken; left [m]: error after it."""
         out, unseen, self.stream.unseen = self._out, self.stream.unseen, 0.0
         taken = Taken(
             self._code, out.S[0] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
@@ -305,7 +305,7 @@ class Tracker(CopiesViews, ReadOnly):
         return self._now(samples, h, measured=True).E[0]
 
     def _end(self, samples: Samples, h: float, out: Record, **how: Any) -> None:
-        """Write the state after a step to the end of its record."""
+        """Write the state after a step to the last row of its record `out`."""
         now = self._now(samples, h, **how)
         out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
 

@@ -66,7 +66,7 @@ def box_of(s):
 
 @shared
 def bending(gamma):
-    """Return the peak acceleration in a step over (new rate - last rate) / h, for the motion described above.
+    """Return the peak acceleration in a step over (new rate - last rate) / h, for the parabola of the module's text.
 
     It is 2 gamma for gamma between 1/2 and 1, where the parabola ends at a rate beyond the new one, else 1.
     """
@@ -211,7 +211,7 @@ def watch(swings, rate, x, size, gamma, h):
 def narrow(i, least, most, box):
     """Narrow the bounds of joint i in `box` (in place) to the rates from least to most.
 
-    Where they do not overlap, to the nearest rate.
+    If no rate is inside both, the bounds become the nearest rate.
     """
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)

@@ -150,7 +150,7 @@ def record_of(block):
 
 # -------------------------------------------------------------------------------------------------------- from Python
 def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
-    """Make a block of zeros with room for arrays of these shapes, write the sizes, and divide it by `of`."""
+    """Make a block of zeros with room for arrays of these shapes, write the sizes, and divide it with `of`."""
     sizes = [math.prod(one) if isinstance(one, tuple) else one for one in shapes]
     block = np.zeros(LINE + sum(-(-size // LINE) * LINE for size in sizes))
     block[1 : 1 + len(counts)] = counts
@@ -224,10 +224,7 @@ class Bench(NamedTuple):
 
 @inline
 def bench_space(n, m, rows):
-    """Return the length of a block that has room for `Bench`.
-
-    Its square matrices together need less than 3 (n + m)^2.
-    """
+    """Return the number of floats that `bench_on` needs; the matrices of `Bench` need less than 3 (n + m)^2."""
     return 3 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
 
 
