@@ -1,6 +1,6 @@
 """The joint rates that a method commands, before limits: those of a published law or of a solver's rule."""
 
-# The type checker does not know that numba calls overloads, and reads their options from a dict.
+# The type checker does not know that numba calls the overloads below, nor that it takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -43,7 +43,8 @@ from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back
 SHARE = 2.0 / 3.0
 # [1/s] least rate at which null-space motion reaches its desired velocity; slower, joints run into limits
 TAKEN_UP = 20.0
-LITTLE = 0.004  # [rad/s, reaches/s] desired null-space speed at which that rate is halved, so the motion fades smoothly
+# [rad/s or arm reaches/s] desired null-space speed at which that rate is halved, so the motion fades smoothly
+LITTLE = 0.004
 # Shares of the speed and acceleration limits used to close an error; following the path may need the rest.
 FAST, BRISK = 1.0, 0.5
 

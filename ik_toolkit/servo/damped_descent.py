@@ -21,8 +21,8 @@ from .null_space_motion import weigh
 from .singular_directions import GAIN
 from .viability import POSITION, ROW, approach, box_of, narrow
 
-STANDS = 1e-6  # [reaches/s or rad/s] speed below which a target counts as standing
-SMALL = 1e-4  # weighted error [reaches, rad] below which the method goes on by itself
+STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing
+SMALL = 1e-4  # weighted error [arm reaches, rad] below which the method goes on by itself
 STALLED = 0.1  # [s] without progress after which an arm counts as stuck
 # Progress: the weighted error falls by PROGRESS within STALLED, or by PACE of what slow joints do at full speed.
 PROGRESS, PACE = 1e-3, 0.1

@@ -16,7 +16,7 @@ from .path_reach import References, freed
 from .result import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
 
 DURATION = 10.0  # [s] default time for a path
-SWING = 0.15  # [rad, or reaches] largest move of a joint in `joint_motion`
+SWING = 0.15  # [rad or arm reaches] largest move of a joint in `joint_motion`
 ROOM = 0.5  # largest share of the distance to its farther limit that a joint moves in `joint_motion`
 SPEED = 0.5  # share of a joint's speed limit that `joint_motion` uses at most
 # share of the tolerances by which a step at constant twist may leave the path; the first step of `cv` is such a one

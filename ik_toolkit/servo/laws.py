@@ -28,7 +28,7 @@ FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row has no motion
 FAR = 0.25  # damping of a blocked correction over curvature * error; it then is at most sqrt(error / curvature) long
 SLUGGISH = 0.1  # share of the fastest joint's speed limit below which a joint counts as slow
-AT = 1e-9  # [rad, or reaches] distance within which a joint counts as at its limit
+AT = 1e-9  # [rad or arm reaches] distance within which a joint counts as at its limit
 REGION = 2.0  # damping grows from 0 where the smallest singular value is below REGION * damping
 
 
@@ -40,7 +40,7 @@ class State(NamedTuple):
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
     near: int  # near a singular pose 1 + time [s] for which the target counts as out of reach; -1: earlier; 0: never
     share: int  # share in the damping mu of a descent (damped_descent.py); 0: no descent
-    lowest: int  # floor of that share for now
+    lowest: int  # value below which the share in mu is not lowered for now
     nearest: int  # least weighted error so far, that an arm which is not stuck improves upon
     stalled: int  # [s] without fall of the weighted error; before a descent only while joints are hindered
     turned: int  # reversals of joints before a descent, which fade with time
@@ -61,9 +61,9 @@ class Law(NamedTuple):
     kd: float  # [1/s] gain of ca
     gamma: float  # weight of the new rate in a step
     null: float  # damping of null-space motion [1/s]
-    damping: float  # of the pseudo-inverse, in reaches per rad
+    damping: float  # [arm reaches per rad] of the pseudo-inverse near singular poses
     reading: float  # where dJ/dt is evaluated: AT_RATE, AT_RATE_AND_STEP or AT_STEP
-    runaway: float  # largest mean move of a joint in a step [rad, or reaches]; inf: hold instead of ending
+    runaway: float  # [rad or arm reaches] largest mean move of a joint in a step; inf: hold instead of ending
     brake: float  # 1: brake to rest, whatever the target
     late: float  # longest later step [s] for which limits must hold
     mode: float  # LEAVE, DIRECT or CLIP
@@ -103,7 +103,7 @@ class JointMotion(NamedTuple):
     """Joint-space quantities of a step, arrays (n,)."""
 
     move: Array  # J^+ ahead, less the part of the error that is left to later steps
-    null: Array  # (1 - J^+ J) rate
+    null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates
     x1: Array  # the joint rates along which dJ/dt is evaluated
     x2: Array  # the joint rates by which that dJ/dt is multiplied
     x: Array  # commanded rates at the end of the step

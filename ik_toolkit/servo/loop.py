@@ -8,7 +8,7 @@ to the least error nearby (damped_descent.py). Mode CLIP is the published form t
 singular poses, each joint clipped on its own.
 """
 
-# The type checker does not know that numba calls overloads, and reads their options from a dict.
+# The type checker does not know that numba calls the overloads below, nor that it takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
@@ -59,7 +59,7 @@ from .viability import (
 )
 from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
 
-LARGEST = 1e300  # sum of commanded joint speeds [rad/s, reaches/s] above which a command counts as not finite
+LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above which a command counts as not finite
 
 
 @inner
@@ -337,7 +337,7 @@ def servo(cls: type | None = None) -> Callable:
 
     rows, ends: the packed chain (several tips: ends (F, ...)); orders: HEAD numbers, a Task for each tip (weights 1 or
     0, no slack), joint weights (n,), parameters of the rule. The others are blocks, see workspace.py. All is in kernel
-    units (rad, reaches), except h, T, V, A, errors and tolerances, which are in s, m and rad.
+    units (rad, arm reaches), except h, T, V, A, errors and tolerances, which are in s, m and rad.
     """
     step: Any = Published if cls is None else step_class(cls)
 

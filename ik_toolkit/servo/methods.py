@@ -37,7 +37,8 @@ from .command import TAKEN_UP
 from .orbit_stability import null_rate
 from .stability import GAMMA, best_gains
 
-DAMPING = 0.02  # [reaches per rad] damping of the pseudo-inverse; joint speed per tip speed stays below 1 / (2 * 0.02)
+# [arm reaches per rad] damping of the pseudo-inverse; joint speed per tip speed stays below 1 / (2 * 0.02)
+DAMPING = 0.02
 # [1/s] If slower, null-space motion left from one turn of a path leaves joints badly placed for the next turn.
 NULL_DAMPING = TAKEN_UP
 
@@ -63,7 +64,7 @@ class Method:
     an error removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form, or for measured
     joints the share that tolerates their delay best. reading: 1, 2 or 3 of eq (25) (aa). gamma (aad): weight of the new
     rate in a step. null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it). damping of
-    the pseudo-inverse near singularities [reaches per rad]; 0 inverts exactly.
+    the pseudo-inverse near singularities [arm reaches per rad]; 0 inverts exactly.
     """
 
     name: str

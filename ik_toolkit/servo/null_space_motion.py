@@ -15,11 +15,12 @@ from ..validate import number
 from .laws import STATE, apply
 
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint is moved away from the limit
-# [rad, or reaches] step of a difference quotient: its error is the square of the step, plus rounding of 1e-16 / step
+# [rad or arm reaches] step of a difference quotient: its error is the square of the step, plus rounding of 1e-16 / step
 STEP = 1e-5
 NEARLY = 0.5  # share of the slack left that an error may use up in one sample
 # Excess over its slack from which an error is closed like any other.
-# BEYOND: while inequalities cannot be kept, as a share of the slack (less may be rounding). FAR: else [reaches, rad].
+# BEYOND: while inequalities cannot be kept, as a share of the slack (less may be rounding). FAR: else [arm reaches,
+# rad].
 BEYOND, FAR = 1e-3, 1e-2
 PRESSED = 0.1  # [s] after which inequalities for slack are tried again
 

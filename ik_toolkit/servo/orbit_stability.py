@@ -16,8 +16,8 @@ from ..motion.reference import Reference, log
 from ..robot.robot import Robot
 from .command import SHARE
 
-STEP = 1e-5  # [rad, or reaches] step of the first differences of J, with an error of about 1e-10
-SECOND = 1e-4  # [rad, or reaches] step of the second differences of J, with an error of about 1e-8
+STEP = 1e-5  # [rad or arm reaches] step of the first differences of J, with an error of about 1e-10
+SECOND = 1e-4  # [rad or arm reaches] step of the second differences of J, with an error of about 1e-8
 LARGEST = 700.0  # just below the logarithm of the largest factor that a float can hold
 ITERATIONS = 50  # largest number of Newton iterations for one sample; two or three are needed
 EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path

@@ -20,11 +20,11 @@ HALVINGS = 10
 # share of a joint's range next to its limit where it counts as at the limit, as the arm stops just before the edge
 BOUNDARY = 1e-3
 STARTS = 24  # number of attempts to find another posture for the start of a path
-APART = 0.1  # [rad, or reaches] difference of some joint from which postures count as different
+APART = 0.1  # [rad or arm reaches] difference of some joint from which postures count as different
 SHORTER = 0.95  # size suggested for a path, over the share of it that can be reached
 # other size factors that are tried, as a smaller closed path may be in reach as a whole
 SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
-PROBE = 1e-4  # [rad, or reaches] step of the difference quotient for the gradient of a singular value
+PROBE = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
 DIGITS = ".7g"  # format of suggested joint values: with 4 digits the tip would start up to a millimetre beside its path
 
 References = Reference | Mapping[str, Reference]
@@ -229,7 +229,7 @@ def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.nda
 
 
 def _jacobians(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
-    """Return the Jacobians (N, m, n) of tip positions, and orientations where `posed`, with lengths in reaches."""
+    """Return the Jacobians (N, m, n) of tip positions, and orientations where `posed`, lengths in arm reaches."""
     rows = []
     for arm, place, angular in zip(robot.arms, robot.places, posed, strict=True):
         J = np.zeros((len(path), 6, path.shape[1]))

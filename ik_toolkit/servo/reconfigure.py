@@ -144,7 +144,7 @@ HEADROOM = 0.5
 ARRIVED = 0.05  # [s] left at full speed at which a move ends and the tracker takes over
 # [s] left at full speed at which the move ends if the target stands, as nothing can hold the tracker back so near
 CLOSE = 1e-3
-FAR = 0.3  # [rad, or reaches] change of a joint between updates from which a posture counts as another one
+FAR = 0.3  # [rad or arm reaches] change of a joint between updates from which a posture counts as another one
 STANDING = 0.3  # share of a move's cost that the error must have cost before it is made, if the target stands
 ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
 
@@ -231,7 +231,7 @@ class Reconfiguration:
         stands = stood >= WAIT
         if not self._left and (rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)):
             paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > ELSEWHERE)
-            # With a locked joint there are few postures, and the operator has other plans.
+            # With a locked joint there are few postures, and an operator who locks one wants no large moves.
             if paused or locked(limits):
                 return
             self.held = [i for i, bits in enumerate(code) if bits & POSITION]

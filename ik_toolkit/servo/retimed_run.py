@@ -35,7 +35,7 @@ NEAR = 0.05  # [s] time before and after a missed sample in which the clock is s
 LEAST = 0.25  # least factor of the squared clock rate when it is lowered once
 HELPED = 0.8  # a further run is tried only if the last left at most this share of the samples off the reference
 FOLLOWED = 0.2  # error of a step over its tolerance while the joints' path is sought
-FEWEST = 400  # least number of steps on the joints' path
+FEWEST = 400  # least number of steps in which the joints' path is sought
 HARDER = (10.0, 30.0)  # [1/s] gains of limit avoidance tried if the usual one leads into limits
 POSES = 40  # least number of poses that must all be in reach before `solve_path` is called
 MOST_POSES = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
@@ -44,7 +44,7 @@ EXACT = 1e-6
 STRIDE = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
 LEAD = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
 SLOWEST = 0.02  # least rate of the clock near obstacles: the arm passes them at that rate, or is stopped
-RUNAWAY = 100.0  # [rad, or reaches] mean joint move in one step beyond which a run has diverged
+RUNAWAY = 100.0  # [rad or arm reaches] mean joint move in one step beyond which a run has diverged
 AT_ONCE = 20_000  # steps between two checks for Ctrl-C
 NOWHERE = np.zeros((0, 0))
 

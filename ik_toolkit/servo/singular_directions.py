@@ -240,7 +240,8 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
         mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
         out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
-        if free and out:  # The rest of the gradient is followed with damping, as in `hold_back`.
+        # Motion along the rest of the gradient, beside the replaced direction, is damped as in `hold_back`.
+        if free and out:
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out
     remember(state, near, beyond, h)

@@ -24,16 +24,16 @@ from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
 from .laws import gram
 
-CLOSE = 0.1  # [reaches, or rad] error up to which rotation errors add like vectors, to within a twentieth
+CLOSE = 0.1  # [arm reaches or rad] error up to which rotation errors add like vectors, to within a twentieth
 ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
-# [s] time for which the side is kept from which the joints came to a singular pose; an oscillation across is shorter
+# [s] time for which it is remembered from which side the joints came to a singular pose; oscillations are shorter
 SIDE = 0.2
 
 
 class Weak(NamedTuple):
     """When a direction counts as singular, and what is done (tests/servo/test_crossings.py, test_out_of_reach.py).
 
-    Singular values are tip motions in reaches (or rad) per rad (or reach) of a joint.
+    Singular values are tip motions in arm reaches (or rad) per rad (or arm reach) of a joint.
     """
 
     zero: float = 1e-9  # singular value below which there is no motion to first order
@@ -47,7 +47,7 @@ class Weak(NamedTuple):
     bent: float = 0.2
     fade: float = 0.1  # [s] time in which motion along a direction that does not move the tip at all fades
     least: float = 1e-3  # damping lambda at sigma_k = 0: a motion through a singular pose is off by about its square
-    flat: float = 1e-3  # curvature (reaches / rad^2) below which it counts as zero
+    flat: float = 1e-3  # [arm reaches / rad^2] curvature below which it counts as zero
     # Share of the move to the closest pose that one step takes; full steps would zigzag, as in steepest descent.
     caution: float = 2.0 / 3.0
     # Share of an error that cannot be closed, below which the error along another direction is closed with damping.

@@ -46,7 +46,7 @@ class Judged(NamedTuple):
 
     robot: Any
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
-    jump: float  # [rad, or reaches] joint move in one step that is reported as a jump
+    jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
     speed: np.ndarray  # (n,) speed limits [rad/s or m/s]
 
 
@@ -120,7 +120,7 @@ class Step:
         return StepStatus.LIMITED if held or ((o.lost or o.down) and self._away()) else StepStatus.OK
 
     def _moved(self) -> np.ndarray:
-        """Return how far (n,) the joints moved in this step [rad, or reaches]."""
+        """Return how far (n,) the joints moved in this step [rad or arm reaches]."""
         return np.abs(self.q / self._outcome.by.robot.chain.unit - self._outcome.before)
 
     @property

@@ -108,7 +108,7 @@ class Leap:
             return
         self._place = T[1].copy()
         # After a smooth motion, a joint at its limit means that only another posture leads on.
-        # If a joint is locked, the operator has other plans.
+        # An operator who locks a joint wants no large moves.
         if (not taken.stand[STAND.leapt] and (taken.code & POSITION).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)

@@ -30,8 +30,8 @@ from .target_jump import STRAIGHT, Leap
 from .target_stream import STAND, Stream
 from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
 
-JUMP = 0.5  # [rad, or reaches] joint move in one step that is reported as a jump
-RESYNC = 0.1  # [rad, or reaches] difference of measured and commanded joints beyond which a tracker restarts
+JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
+RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a tracker restarts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # number of step lengths for which a method's parameters are cached
 
@@ -49,7 +49,7 @@ class Tracker(CopiesViews, ReadOnly):
         on_limit: What gives way to limits. "direct": the tip falls behind, but towards its target; "leave": the error
             is the least possible now; "clip": each joint is clipped on its own, the published form.
         dt_max: Longest step [s] that keeps limits (default five times the first dt); a longer dt is taken in parts.
-        jump, resync: Joint moves [rad, or reaches] in a step (JUMPED), and from command to measurement (see `update`).
+        jump, resync: Joint moves [rad or arm reaches] in a step (JUMPED), from command to measurement (see `update`).
         avoid_limits: Gain [1/s] (or True, False) of null-space motion away from near limits.
         posture: Joint values (n,) to move to in the null space, or (joint values, gain [1/s]).
         elbow: A dict from joint names to 1 or -1: the side of zero on which a joint stays.
@@ -127,7 +127,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._rows = 0
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
-        self._ordered: tuple = ()  # what the law in the settings was computed from
+        self._ordered: tuple = ()  # inputs of the law in the settings
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what led the last step, or None: the method
         self.reset(q0, rate0=rate0)

@@ -34,8 +34,8 @@ POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16
 ROUNDING = 4e-16  # margin before a limit, as a share of |limit| + |q|, for the rounding of the sums in one step
 # share of the distance to a limit kept as a margin: rounding accumulates to about this over some hundred braking steps
 SPARE = 1e-13
-NOISE = 1e-12  # [rad, or reaches] by which a joint may be beyond a viable state before it counts as recovering
-UNLIMITED = 1.0  # [rad/s, or reaches/s] speed assumed for a joint without a speed limit, where joints are compared
+NOISE = 1e-12  # [rad or arm reaches] by which a joint may be beyond a viable state before it counts as recovering
+UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed assumed for a joint without a speed limit, where joints are compared
 SHARE = 0.1  # share of the speed limit (at most of 1 rad/s or 1 reach/s) at which a joint outside its limits returns
 SWING = 0.05  # share of the speed limit above which a motion counts in the detection of oscillation
 # A joint oscillates once it has reversed SWINGING times in a row, each within WINDOW [s] of the last; HOLD [s] ends it.
@@ -148,7 +148,8 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     fast, slow = speed, -speed
     if bend > 1.0:  # The parabola ends at a rate beyond w, so w is bounded such that its end keeps the speed limit.
         fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
-        if slow > fast:  # No rate keeps a speed limit that was lowered to near 0; rest gets below it soonest.
+        # No next rate keeps a limit that was lowered to near 0; coming to rest is the fastest way below it.
+        if slow > fast:
             fast, slow = 0.0, 0.0
     ahead, behind = way_to(upper, q, 1.0), way_to(lower, q, -1.0)
     top_p = towards(ahead, v, speed, gamma, h, a, late)

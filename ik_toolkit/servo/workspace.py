@@ -28,7 +28,7 @@ class Settings(NamedTuple):
     law: Array  # a `laws.Law`
     counts: Array  # (3, m) weights of the errors, slack in kernel units, slack in m and rad
     limits: Array  # (4, n) rows lower, upper, speed, acceleration
-    wish: Array  # (3, n) posture, gain towards it [1/s], additional null-space velocity
+    wish: Array  # (3, n) rows: posture to move to, gain towards it [1/s], additional null-space velocity
     lines: Array  # (rows, n) inequalities lines x <= level; the first law.rows of them apply
     level: Array  # (rows,) right sides of these inequalities
     measured: Array  # (n,) measured joints, used if law.measured is 1
