@@ -41,7 +41,7 @@ from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back
 # Both roots are inside the unit circle for s < 1, and the larger one is smallest (0.58) at s = 2/3.
 # (The same polynomial belongs to kappa h of `cv`: Patko and Zelei, 2019.)
 SHARE = 2.0 / 3.0
-# [1/s] least rate at which null-space motion reaches its desired velocity; slower, joints run into limits
+# [1/s] least rate at which the null-space velocity becomes the desired one; if slower, joints run into limits
 TAKEN_UP = 20.0
 # [rad/s or arm reaches/s] desired null-space speed at which that rate is halved, so the motion fades smoothly
 LITTLE = 0.004

@@ -21,7 +21,7 @@ ROOM = 0.5  # largest share of the distance to its farther limit that a joint mo
 SPEED = 0.5  # share of a joint's speed limit that `joint_motion` uses at most
 # share of the tolerances by which a step at constant twist may leave the path; the first step of `cv` is such a one
 STRAIGHT = 0.4
-SEEN = 1000  # number of samples at which a path is compared with such steps
+SEEN = 1000  # number of samples of a path that are compared with steps at constant twist
 
 
 def eight(

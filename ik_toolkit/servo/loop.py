@@ -145,7 +145,7 @@ def gather(law, lines, level, planes, edges):
 def clip_rates(law, s, still, h, memory, code):
     """Clip the rates s.x to their bounds, joint by joint: for mode CLIP, and for a brake (still).
 
-    The method's memory then gets the rates really taken (CLIP), or zeros (brake).
+    The method's memory then gets the rates that clipped joints really took (CLIP), or zeros (brake).
     """
     clip(s.x, box_of(s), code)
     if not still:

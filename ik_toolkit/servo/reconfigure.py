@@ -135,7 +135,7 @@ ATTEMPT = 1e-5  # [s] duration of one attempt for an arm of six or seven joints 
 ATTEMPTS = 96  # attempts in one search; where one attempt in ten succeeds, all fail in one search out of 25,000
 RUSH = 0.02  # a search ends after this share of the duration of the best move found, as the arm waits meanwhile
 PAUSE = 3.0  # [s] pause after a search that found nothing; it doubles after each further one while the target stands
-LONGEST = 16.0  # [s] longest such pause, so that 99 % of the updates of a single arm do not search
+LONGEST = 16.0  # [s] longest pause between searches, so that 99 % of the updates of a single arm do not search
 # [m, or rotation matrix entries] move of a standing target after which a new search need not wait for the pause
 ELSEWHERE = 0.02
 BARRED = 5  # number of postures remembered as blocked by a collision

@@ -105,7 +105,7 @@ class Run:
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
-        self.own = self.fine = samples_along(references, self.full, checked)  # fine: where the joints' path is known
+        self.own = self.fine = samples_along(references, self.full, checked)  # `fine` becomes finer in `_ways`.
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
         self.made: list[Taken] = []
@@ -237,7 +237,7 @@ class Run:
         yield here._replace(posture=np.stack([middle, np.where(bounded, POSTURE, 0.0)]))
 
     def _follow(self, samples: Samples, way: Way) -> tuple[np.ndarray, int]:
-        """Return the joint path (K + 1, n) of the method without speed limits, and how many samples it misses."""
+        """Return the joint path (K + 1, n) of the method with no speed limits, and how many samples it misses."""
         limits = self.tracker._limits
         self._begin(way)
         fast = limits[2:].copy()

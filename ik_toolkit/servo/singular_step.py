@@ -37,7 +37,8 @@ class Weak(NamedTuple):
     """
 
     zero: float = 1e-9  # singular value below which there is no motion to first order
-    nothing: float = 1e-12  # added to squared singular values for a factorisation: only rounding against lost^2
+    # Added to the squared singular values before factoring; negligible against lost^2, the least of them.
+    nothing: float = 1e-12
     # component of a unit vector along a direction above which it is clear to which side the vector points
     clearly: float = 0.1
     # component of the remembered side above which it counts; less may come from another singular pose

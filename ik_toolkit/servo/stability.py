@@ -191,7 +191,7 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     one_of(method, METHODS, "tracking method")
     h = positive(h, "the sample time [s]")
     units = {"kappa": h, "kp": h * h, "kd": h, "share": 1.0}
-    # The eigenvalues of aa and aad are those of av, and one that share does not change.
+    # aa and aad have the eigenvalue of av, and another one that share does not change.
     law = method if method in BEST else "av"
     found = BEST[law]
     if _samples(delay):

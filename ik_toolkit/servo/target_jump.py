@@ -103,7 +103,7 @@ class Leap:
             return
         if taken.left < SLOW * self.postures.size(taken.E[0]):
             return
-        # A target that moved here smoothly may be turning back.
+        # A target that moved here smoothly may be turning back, so the arm waits.
         if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:
             return
         self._place = T[1].copy()

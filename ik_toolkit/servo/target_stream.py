@@ -192,7 +192,7 @@ class Stream(CopiesViews):
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.
         self._moved = 0
-        # longest step [s], longest since that one [s], number of targets since it
+        # longest recent time between targets [s], longest after that one [s], targets after it
         self.pace, self._second, self._count = 0.0, 0.0, 0
 
     def _cut(self) -> None:
