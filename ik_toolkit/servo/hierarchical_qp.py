@@ -202,7 +202,7 @@ def go(now, new, count, t, dt):
 
 @inline
 def move_on(p, newest):
-    """Move all multipliers towards those just found, until one of another constraint than `newest` becomes zero.
+    """Move all multipliers towards those just found, until that of a constraint other than `newest` becomes zero.
 
     Returns the number of that constraint, or NONE if there is none.
     """

@@ -100,7 +100,7 @@ class PseudoInverse(NamedTuple):
 
 @compiled
 class JointMotion(NamedTuple):
-    """Joint-space quantities of a step, arrays (n,)."""
+    """Joint-space quantities of a step, arrays (n,), written by `prepare` and `command`."""
 
     move: Array  # J^+ ahead, less the part of the error that is left to later steps
     null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates

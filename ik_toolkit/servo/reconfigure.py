@@ -360,7 +360,7 @@ class Reconfiguration:
 
     def blocked(self) -> None:
         """Give up the move because of a collision ahead; another posture may be free later."""
-        if self.goal is not None:  # Without a goal, the blocked step would have been the last of the move.
+        if self.goal is not None:  # No goal is left if the blocked step would have been the last of the move.
             self._bar(self.goal)
         self._hold_off(self._place)
         self.forget()

@@ -254,7 +254,7 @@ def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
 
 
 POSITION_TOLERANCE = 1e-3  # [m] accuracy to which a path is commonly followed
-ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves the end of a tool of half a metre by about 1 mm
+ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
 SETTLE = 0.5  # [s] time allowed to settle for an arm that starts at rest
 LOOKED = 200  # largest number of samples at which the constraints of a description are checked
 MORE = 1.01  # factor over the error at the samples above which the error between samples is reported as larger
@@ -312,7 +312,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
 
 
 def hold_against(result: TrackResult, robot: Any) -> None:
-    """Change the status of a successful run if a constraint of the description is open in up to LOOKED samples."""
+    """Set CONSTRAINT_OPEN if a constraint of the robot is open in a successful run, at up to LOOKED samples."""
     if not result.success or not robot.constraints:
         return
     rows = np.unique(np.linspace(0, len(result.q) - 1, LOOKED).round().astype(int))

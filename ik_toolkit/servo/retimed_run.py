@@ -185,7 +185,7 @@ class Run:
                 return
 
     def _lower(self, top: np.ndarray, way: Way, taken: Taken) -> None:
-        """Lower the rate bounds top (K + 1,) where a run has missed; errors grow with the squared rate."""
+        """Lower the bounds top (K + 1,) on the clock rate near missed samples; errors grow with its square."""
         excess, near, clock = self._excess(taken.E), round(NEAR / self.dt), taken.clock
         for k in np.flatnonzero(excess > 1.0):
             ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]

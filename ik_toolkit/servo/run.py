@@ -82,7 +82,7 @@ def track(
         q0: Joint values (n,) [rad or m] at the start; default home if the reference starts there, else a solution for
             its start.
         rate0: Joint rates (n,) at the start, as in `Tracker`.
-        limits: Whether joint limits are kept, or narrower ones, as in `Tracker`.
+        limits: Whether to keep joint position and speed limits, or narrower ones as in `ik.solve`.
         acceleration_limits: Limits of joint accelerations [rad/s^2 or m/s^2], as in `Tracker`.
         on_limit: "slow" follows the reference in its own time; if a sample is off, it slows the reference's clock,
             ds/dt <= 1, as little as joint limits and tolerances allow. (A solver always lags a moving target, so with

@@ -25,10 +25,10 @@ from .viability import HELD_BACK, POSITION, UNKNOWN, bending, time_left, travel
 STRAIGHT = 1.2
 # pieces of a straight line; within each the tip leaves the line by 1/576 of what it would in one direct joint move
 POINTS = 24
-# duration of the line over that of the direct joint move above which joints change posture between two of its points
+# duration of the line over that of a joint move from which joints must have changed posture between two points
 TORN = 4.0
 NEAR = 2e-3  # [m] error (angles at the lever arm LEVER) up to which the method closes it without a move
-# share of the error left by a step above which the method counts as hindered: its gains leave a third, or nothing
+# a method that leaves more than this share of the error in a step is hindered: its gains leave a third or nothing
 SLOW = 0.5
 SOONER = 0.5  # a posture that moves slow joints less is preferred if its move takes less than this share of the time
 CLOSE = 1e-3  # [s] left at full speed below which a move counts as finished
@@ -59,7 +59,7 @@ class Route(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """The way chosen to a target that jumped."""
+    """The way chosen to a target that jumped: a straight line of the tip, or a joint move."""
 
     straight: bool  # whether the tip moves in a straight line
     ratio: float  # duration of the straight line over that of the direct joint move; inf if there is no line

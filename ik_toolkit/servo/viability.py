@@ -6,8 +6,8 @@ rate v. The bounds hold for this whole motion, not only at the samples. Braking 
 Whatever lengths up to `late` [s] the later steps have, the joint then covers at most the distance
 
     gamma = 1    v^2 / 2a
-    else         v^2 / 2a + a late^2 / 8   for v above a late / 2, below that v late / 2   (gamma < 1/2: + (1/2 - gamma)
-        v late)
+    else         v^2 / 2a + a late^2 / 8   for v above a late / 2, below that v late / 2
+                 plus (1/2 - gamma) v late for gamma below 1/2
 
 which `stopping` returns: a braking step of h from v to w covers no more than the difference of that distance at v and
 at w. (At velocity level the steps are a lower sum of the integral of v; else they are trapezoids, and a long last step

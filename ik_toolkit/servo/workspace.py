@@ -168,12 +168,12 @@ def new_carried(n: int, memory: int, rows: int, m: int) -> Carried:
 
 
 def new_samples(N: int, F: int) -> Samples:
-    """Make N samples of F tips."""
+    """Make N samples of targets for F tips, all zeros."""
     return _made(samples_of, samples_shapes(N, F), N, F)
 
 
 def new_record(N: int, n: int, m: int) -> Record:
-    """Make a record of N - 1 steps."""
+    """Make a record for N - 1 steps of n joints and m errors."""
     return _made(record_of, record_shapes(N, n, m), N, n, m)
 
 
