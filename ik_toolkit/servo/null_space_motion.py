@@ -161,7 +161,8 @@ class Secondary(Holds):
     def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
         """Store the options; wish (3, n) [kernel units]: posture, gain towards it [1/s], and an additional velocity."""
         self.robot, self.avoid, self.nimble, self.wish, self.sides, self.cost = robot, avoid, nimble, wish, sides, cost
-        self.each_step = cost is not None or nimble > 0.0  # whether the velocity has to be computed anew at every step
+        # whether the cost or manipulability must be evaluated before every step
+        self.each_step = cost is not None or nimble > 0.0
 
     def confine(self, limits: np.ndarray) -> None:
         """Narrow the limits (4, n) in place so that each joint stays on the side of zero that `elbow` chose."""

@@ -141,8 +141,8 @@ ELSEWHERE = 0.02
 BARRED = 5  # number of postures remembered as blocked by a collision
 # [s] margin to position limits (time at full speed); what a posture lacks of it adds to the move's duration
 HEADROOM = 0.5
-ARRIVED = 0.05  # [s] left at full speed at which a move ends and the tracker takes over
-# [s] left at full speed at which the move ends if the target stands, as nothing can hold the tracker back so near
+ARRIVED = 0.05  # [s] time left at full joint speed at which a move ends and the tracker takes over
+# [s] time left at full joint speed at which a move to a standing target ends, as nothing can hinder it any more
 CLOSE = 1e-3
 FAR = 0.3  # [rad or arm reaches] change of a joint between updates from which a posture counts as another one
 STANDING = 0.3  # share of a move's cost that the error must have cost before it is made, if the target stands

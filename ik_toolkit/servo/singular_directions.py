@@ -98,8 +98,8 @@ def copy_column(source, target, k):
 def begin_mode(s, r, free, way, away):
     """Write the joint direction of singular direction r to V, and to s.x1 that along which its gradient is taken.
 
-    Returns False, and marks the direction as lost, if there is none. free: whether to look for the bent direction
-    (`begin_bent`); way: the tip motion asked for; away: see `mode_speed`.
+    Returns False if there is none, and then marks it as removed from the task (s.lost). free: whether to look for the
+    bent direction (`begin_bent`); way: the tip motion asked for; away: see `mode_speed`.
     """
     there = mode_direction(s.W, s.sv, r, away, way, s.x1)
     copy_column(s.x1, s.V, r)

@@ -31,7 +31,7 @@ NEAR = 2e-3  # [m] error (angles at the lever arm LEVER) up to which the method 
 # a method that leaves more than this share of the error in a step is hindered: its gains leave a third or nothing
 SLOW = 0.5
 SOONER = 0.5  # a posture that moves slow joints less is preferred if its move takes less than this share of the time
-CLOSE = 1e-3  # [s] left at full speed below which a move counts as finished
+CLOSE = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
 
 class Route(NamedTuple):
@@ -87,7 +87,7 @@ class Leap:
         """Drop the goal and forget the last target."""
         self.goal: np.ndarray | None = None
         self.why = Choice(straight=True, ratio=1.0)
-        self._enough = CLOSE  # [s] left at full speed at which the method takes over
+        self._enough = CLOSE  # [s] time left at full joint speed at which the method takes over
         self._route: Route | None = None
         self._time = 0.0  # [s] since the move began
         self._place = np.zeros(0)  # target last examined

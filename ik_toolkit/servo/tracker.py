@@ -354,7 +354,7 @@ class Tracker(CopiesViews, ReadOnly):
         )
 
     def _order(self, h, pace, brake, measured, runaway, late, rows, avoid) -> None:
-        """Write the law of a run to the settings; pace [s]: step length for which gains are chosen."""
+        """Write the method's parameters for a run to the settings; pace [s]: step length for which gains are chosen."""
         made = self._laws.get((pace, measured))
         if made is None:
             if len(self._laws) >= LAWS_KEPT:
