@@ -1,8 +1,7 @@
 """The run of `track`: in the reference's own time first, and if that fails along a time law that the joints can keep.
 
-The time law needs the joints' path q(s) along the reference. It comes from the method itself, run so slowly that no
-limit is active; if that leaves the reference, with stronger avoidance of limits or another posture; and last from
-`solve_path`.
+The time law needs the joints' path q(s). It comes from the method itself, run so slowly that no limit is active; if
+that leaves the reference, with stronger avoidance of limits or another posture; and last from `solve_path`.
 """
 
 import time
