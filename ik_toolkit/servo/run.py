@@ -100,7 +100,8 @@ def track(
         The TrackResult, with arrays and figures.
 
     Raises:
-        TrackInterrupted: Ctrl-C was pressed; it is a KeyboardInterrupt whose `result` holds the steps taken.
+        TrackInterrupted: Ctrl-C was pressed; it is a KeyboardInterrupt whose `result` holds the steps taken (before the
+            first step, a plain KeyboardInterrupt is raised).
         InvalidOption: An option is unknown or out of range.
         InvalidTarget: The reference is none, is not finite, or lacks a tip.
         InvalidConfiguration: q0 is outside the limits or in collision, or has the wrong shape.

@@ -43,7 +43,7 @@ class Tracker(CopiesViews, ReadOnly):
         robot: A Robot, or a Tree (several tips).
         method: A Method, its name (cv, av, ca, aa, aad), or a solver that tracks; its options go into `options`.
         q0, rate0: Start values (n,), default home, and rates (n,), default the target's (0 with acceleration limits).
-        limits: Whether to keep position and speed limits, or narrower ones as in `ik.solve`.
+        limits: Whether to keep position and speed limits, or narrower ones as in `ik.solve`. Joints outside return.
         acceleration_limits: Number or (n,) [rad/s^2 or m/s^2]. All limits hold between samples, but cv, av and solvers
             jump in rate.
         on_limit: What gives way to limits. "direct": the tip falls behind, but towards its target; "leave": the error
@@ -58,7 +58,7 @@ class Tracker(CopiesViews, ReadOnly):
         avoid_collisions: True (the robot's own links) or a CollisionModel. The arm slows down and slides along
             obstacles, and takes no step after which it could not stop before a static one (BLOCKED).
         reconfigure: Only with "direct". Move in joint space to another posture if only that reaches the target
-            (RECONFIGURING): at once if the target rests, else when the error has cost as much.
+            (RECONFIGURING): at once if the target rests, else when the error has cost as much. Not with a locked joint.
         straight: Only with "direct". Largest duration of a straight line to a target that jumped and stands, over that
             of a joint move, which is made if the line takes longer (inf: only if there is no line).
         options: Those of the method, and mask, slack, free_turn, frame, relative_to as in `ik.solve`.
