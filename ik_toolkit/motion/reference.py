@@ -1,6 +1,7 @@
 """References: where a tip should be at time t, with exact velocity and acceleration, in the robot's base axes.
 
-A reference made from poses (4, 4) asks for position and orientation; one made from positions (3,) leaves the orientation free.
+A reference made from poses (4, 4) asks for position and orientation; one made from positions (3,) leaves the
+orientation free.
 """
 
 import math
@@ -15,18 +16,21 @@ from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
-Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # poses, twists and accelerations at several times
-MAX_STEPS = 1e7  # most samples of a run, which already take over a GB of memory
+# a quantity at N times with its first and second derivative, e.g. poses (N, 4, 4), twists and accelerations (N, 6)
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
+MAX_STEPS = 1e7  # largest number of samples in a run; so many already take over 1 GB of memory
 
 
 class Reference(Holds):
     """A moving target for one tip. Its attributes are the arguments that it was made from.
 
     Args:
-        function: Takes times t (N,) [s]; returns T_base_tip (N, 4, 4) [m], twists (N, 6) [m/s, rad/s] and accelerations (N, 6)
-            [m/s^2, rad/s^2]: first that of the tip point, then the angular one, in base axes.
+        function: Takes times t (N,) [s]; returns poses T_base_tip (N, 4, 4) [m], twists (N, 6) [m/s, rad/s] and
+            accelerations (N, 6) [m/s^2, rad/s^2], each with the linear part of the tip point first, then the angular
+            part, in base axes.
         duration: How long a run lasts [s].
-        position_only: Leave the orientation free. The rotation of T is then ignored, and the angular parts should be zero.
+        position_only: Leave the orientation free. The rotation of T is then ignored, and the angular parts should be
+            zero.
         name: A short name for messages.
 
     Raises:
@@ -43,7 +47,7 @@ class Reference(Holds):
         position_only: bool = False,
         name: str = "custom",
     ) -> None:
-        """Wrap a function of time; the arguments stand in the docstring of the class."""
+        """Wrap a function of time; the arguments are described in the docstring of the class."""
         if not callable(function):
             raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
         self.duration = positive(duration, "duration [s]")
@@ -58,8 +62,8 @@ class Reference(Holds):
             t: A time [s], or an array (N,) of times.
 
         Returns:
-            T_base_tip (4, 4) [m], twist (6,) [m/s, rad/s] and acceleration (6,) [m/s^2, rad/s^2], linear part first, in base
-            axes. For an array of times each has a leading N.
+            The pose T_base_tip (4, 4) [m], twist (6,) [m/s, rad/s] and acceleration (6,) [m/s^2, rad/s^2], linear part
+                first, in base axes. For an array of times each has a leading N.
 
         Raises:
             InvalidOption: t is not finite or has the wrong shape.
@@ -79,7 +83,7 @@ class Reference(Holds):
         return (T, V, A) if np.ndim(t) else (T[0], V[0], A[0])
 
     def target(self, t: float) -> np.ndarray:
-        """Return the target at t [s] as the solvers take it: a pose (4, 4) [m], or a position (3,) if the orientation is free."""
+        """Return the target at t [s] as solvers take it: a pose (4, 4) [m], or position (3,) if orientation is free."""
         T = self.at(number(t, "t [s]"))[0]
         return T[:3, 3].copy() if self.position_only else T
 
@@ -102,15 +106,28 @@ class Reference(Holds):
 
 
 def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pose, twist and acceleration at times (N,) [s] of a reference. Raises InvalidTarget, with the time, where they are none."""
+    """Sample a reference and check that every sample is a valid target.
+
+    Args:
+        reference: The reference to sample.
+        times: Times (N,) [s].
+
+    Returns:
+        Poses (N, 4, 4) [m], twists (N, 6) and accelerations (N, 6), as from `Reference.at`.
+
+    Raises:
+        InvalidTarget: A sample is not finite, or is no rigid transform; the message names its time.
+    """
     T, V, A = reference.at(times)
     used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
     bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
     what = "is not finite"
-    if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
+    # Each pose must be a rigid transform, by the same limits as a single target in `check_target`.
+    if not (bad.any() or reference.position_only):
         R = T[:, :3, :3]
         bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
-        # Where a singular value is further off 1, so is an entry of R^T R by a third of that: most samples need no more.
+        # If a singular value of R is off 1 by PROJECT_WITHIN, some entry of R^T R - I is above a third of that.
+        # This cheap test spares most samples the singular value decomposition.
         doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
         bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
         bad |= np.linalg.det(R) < 0.0
@@ -122,13 +139,14 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
 
 # ------------------------------------------------------------------------------------------------ time laws
 def _constant(x: np.ndarray) -> Samples:
+    """Return the time law of constant speed, s = x, and its two derivatives; x (N,) is the time over the duration."""
     return x, np.ones_like(x), np.zeros_like(x)
 
 
 def minimum_jerk(x: np.ndarray) -> Samples:
-    """Return the time law from rest to rest that has the least integral of squared jerk, and its two derivatives.
+    """Return the rest-to-rest time law with the least integral of squared jerk, and its first and second derivative.
 
-    x (N,) is the time over the duration. Source: Flash and Hogan (1985).
+    x (N,) is the time over the duration; values outside 0 to 1 are clipped. Source: Flash and Hogan (1985).
     """
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
@@ -138,7 +156,7 @@ LAWS = {"constant": _constant, "minimum-jerk": minimum_jerk}
 
 
 def law_of(name: str) -> Callable[[np.ndarray], Samples]:
-    """Return the time law of that name. Raises InvalidOption if there is none."""
+    """Return the time law called `name` ("constant" or "minimum-jerk"). Raises InvalidOption if there is none."""
     return LAWS[one_of(name, LAWS, "time law")]
 
 
@@ -152,8 +170,16 @@ def on_path(
 ) -> Reference:
     """Make a reference that moves along path(s), s from 0 to 1, as s = law(t / duration).
 
-    R0 (3, 3) is the orientation at the start, None if it is free; turn (3,) is the rotation vector, in the frame R0, of the turn
-    made by the end.
+    Args:
+        path: Takes s (N,); returns positions (N, 3) [m] in the base frame and their first and second derivatives by s.
+        law: Takes t / duration (N,); returns s (N,) and its first and second derivatives.
+        duration: Time for the whole path [s].
+        R0: Orientation (3, 3) at the start, or None to leave the orientation free.
+        name: A short name for messages.
+        turn: Rotation vector (3,) [rad], in the axes of R0, of the whole rotation; None keeps the orientation R0.
+
+    Returns:
+        The reference.
     """
     duration = positive(duration, "duration [s]")
     return Reference(partial(_along, path, law, duration, R0, turn), duration, position_only=R0 is None, name=name)
@@ -162,6 +188,7 @@ def on_path(
 def _along(
     path: Callable, law: Callable, duration: float, R0: np.ndarray | None, turn: np.ndarray | None, t: np.ndarray
 ) -> Samples:
+    """Sample the reference of `on_path` at the times t (N,) [s]: poses, twists and accelerations in base axes."""
     s, s1, s2 = law(t / duration)
     s1, s2 = (s1 / duration)[:, None], (s2 / duration**2)[:, None]
     p, p1, p2 = path(s)
@@ -177,7 +204,10 @@ def _along(
 
 
 def still(count: int, R0: np.ndarray | None) -> Samples:
-    """Make samples of a tip that rests at the origin with the rotation R0 (None: identity), for a motion to be written into."""
+    """Return `count` samples of a tip that rests at the origin with rotation R0 (None: identity).
+
+    Twists and accelerations are 0.
+    """
     T = np.zeros((count, 4, 4))
     T[:, :3, :3] = np.eye(3) if R0 is None else R0
     T[:, 3, 3] = 1.0
@@ -185,23 +215,27 @@ def still(count: int, R0: np.ndarray | None) -> Samples:
 
 
 def exp(w: np.ndarray) -> np.ndarray:
-    """Return the rotations (N, 3, 3) of rotation vectors (N, 3)."""
+    """Return the rotation matrices (N, 3, 3) of rotation vectors (N, 3) [rad], by Rodrigues' formula."""
     angle = np.linalg.norm(w, axis=1)[:, None, None]
     K = np.zeros((len(w), 3, 3))
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
     K -= np.swapaxes(K, 1, 2)
-    half = np.sinc(angle / (2 * np.pi))  # sin(angle/2) / (angle/2)
+    half = np.sinc(angle / (2 * np.pi))  # np.sinc(x) is sin(pi x) / (pi x), so this is sin(angle/2) / (angle/2).
     return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * half * half * (K @ K)
 
 
 def log(R: np.ndarray) -> np.ndarray:
-    """Return the rotation vector (3,) of a rotation (3, 3)."""
+    """Return the rotation vector (3,) [rad] of a rotation matrix (3, 3)."""
     import pinocchio as pin
 
     return pin.log3(np.asarray(R))
 
 
 def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the position (3,) and the rotation (3, 3) of a target, None if it is a position. Raises InvalidTarget."""
+    """Return the position (3,) [m] and rotation (3, 3) of a target; the rotation is None if the target is a position.
+
+    Raises:
+        InvalidTarget: The target is neither a pose nor a position.
+    """
     T = corrected(target)
     return (T, None) if T.ndim == 1 else (T[:3, 3].copy(), T[:3, :3].copy())

@@ -13,7 +13,7 @@ from .reference import Reference, Samples, law_of, log, on_path, split
 
 
 def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds: int = 0) -> Reference:
-    """Make a reference along a straight line, with the orientation turning evenly about one axis.
+    """Make a reference along a straight line; the orientation turns at the same pace about one fixed axis.
 
     Args:
         start: First pose (4, 4) or position (3,), base frame [m].
@@ -41,10 +41,12 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
 
 
 def _straight(p: np.ndarray, d: np.ndarray, s: np.ndarray) -> Samples:
+    """Return the points p + s d (N, 3) of a straight line at s (N,), and their first and second derivatives by s."""
     return p + s[:, None] * d, np.broadcast_to(d, (len(s), 3)), np.zeros((len(s), 3))
 
 
 def _there_and_back(k: float, x: np.ndarray) -> Samples:
+    """Return the time law (1 - cos(k x)) / 2 at x (N,) and its two derivatives; k is 2 pi times the round trips."""
     return 0.5 * (1 - np.cos(k * x)), 0.5 * k * np.sin(k * x), 0.5 * k * k * np.cos(k * x)
 
 
@@ -60,15 +62,15 @@ def circle(
 ) -> Reference:
     """Make a reference along a circle, at a fixed orientation.
 
-    Either start or center is given. From the centre the start lies `radius` ahead along the base x axis projected into the plane
-    of the circle (along y where x is the normal).
+    Give either start or center. If center is given, the motion starts at distance `radius` from it, in the direction of
+    the base x axis projected into the plane of the circle (of the y axis if x is the normal).
 
     Args:
         start: First pose (4, 4) or position (3,) of the tip, base frame [m].
         radius: Radius of the circle [m].
         center: Centre of the circle, as a pose or position, base frame [m].
-        normal: (3,) direction about which the tip circles, base axes.
-        turns: Number of turns, counter-clockwise if positive.
+        normal: Normal (3,) of the plane of the circle, base axes.
+        turns: Number of turns, counter-clockwise about the normal if positive.
         duration: Time for all turns [s].
         law: "constant" speed, or "minimum-jerk" from rest to rest.
 
@@ -77,7 +79,7 @@ def circle(
 
     Raises:
         InvalidTarget: start or center is no pose or position.
-        InvalidOption: Not just one of start and center is given, there is no such law, or a number is out of range.
+        InvalidOption: Both or neither of start and center are given, there is no such law, or a number is out of range.
     """
     if (start is None) == (center is None):
         raise InvalidOption("a circle needs either start= or center=")
@@ -90,13 +92,21 @@ def circle(
 
 
 def _round(c: np.ndarray, radius: float, u: np.ndarray, w: np.ndarray, k: float, s: np.ndarray) -> Samples:
+    """Return the points (N, 3) of a circle about c at the angles k s [rad], s (N,), and their two derivatives by s.
+
+    u and w (3,) are orthogonal unit vectors in the plane of the circle; the angle is measured from u towards w.
+    """
     x, y = radius * np.cos(k * s)[:, None] * u, radius * np.sin(k * s)[:, None] * w
     x1, y1 = radius * np.sin(k * s)[:, None] * u, radius * np.cos(k * s)[:, None] * w
     return c + x + y, k * (y1 - x1), -k * k * (x + y)
 
 
 def plane(normal: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors across `normal` and each other, the first as near to base x as possible (y where x is normal)."""
+    """Return two unit vectors (3,) orthogonal to `normal` and to each other.
+
+    The first is the base x axis projected into the plane across `normal` (the base y axis if x is nearly the normal).
+    The second makes them right-handed with the normal. Raises InvalidOption if the normal is zero or no vector (3,).
+    """
     n = check_target(normal)[0]
     if n.shape != (3,) or not np.linalg.norm(n) > 1e-12:
         raise InvalidOption(f"normal must be a direction of 3 numbers, not {normal!r}")
@@ -118,8 +128,8 @@ def lissajous(
 ) -> Reference:
     """Make a reference along a Lissajous figure, at a fixed orientation.
 
-    Along each base axis the tip is amplitude * sin(2 pi cycles s + phase) from the centre, where s goes from 0 to 1. The default is
-    a figure of eight in the horizontal plane through the centre.
+    Along each base axis the tip is amplitude * sin(2 pi cycles s + phase) from the centre, where s goes from 0 to 1.
+    The default is a figure of eight in the horizontal plane through the centre.
 
     Args:
         center: Centre of the figure, as a pose (4, 4) or position (3,), base frame [m].
@@ -144,11 +154,13 @@ def lissajous(
 
 
 def _swinging(p: np.ndarray, amp: np.ndarray, k: np.ndarray, phase: np.ndarray, s: np.ndarray) -> Samples:
+    """Return the points p + amp sin(k s + phase) (N, 3) of a Lissajous figure, and their two derivatives by s (N,)."""
     angle = k * s[:, None] + phase
     return p + amp * np.sin(angle), amp * k * np.cos(angle), -amp * k * k * np.sin(angle)
 
 
 def _three(values: Sequence[float], name: str) -> np.ndarray:
+    """Return three finite numbers as an array (3,); raise InvalidOption, which calls them `name`, for anything else."""
     array = floats(values, f"{name} must be 3 numbers, one per base axis", InvalidOption)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InvalidOption(f"{name} must be 3 finite numbers, one per base axis, not {values!r}")

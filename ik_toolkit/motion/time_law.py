@@ -1,16 +1,18 @@
-"""How fast a path may be run: the fastest time law inside speed and acceleration limits of its joints.
+"""Time-optimal parametrisation: the fastest time law of a joint path inside speed and acceleration limits (TOPP-RA).
 
-A path is given by joint values over a coordinate s. With z = (ds/dt)^2, joint i moves at q_i' sqrt(z) and accelerates by
-q_i'' z + q_i' u, where u = d2s/dt2 = (dz/ds) / 2 is constant between two grid points. One pass from the end finds the largest z
-at each point from which the rest can be run, one from the start the largest that can be come to (TOPP-RA, Pham and Pham, 2018).
+The path is given by joint values q(s) over a coordinate s. With z = (ds/dt)^2, joint i has the speed q_i' sqrt(z) and
+the acceleration q_i'' z + q_i' u, where ' is d/ds and u = d2s/dt2 = (dz/ds) / 2 is constant between two grid points. A
+backward pass finds the largest z at each point from which the rest of the path can still be run; a forward pass then
+finds the largest z that can be reached from the start (Pham and Pham, 2018).
 """
 
 import numpy as np
 
 from ..compile.jit import cached
 
-ROUNDED = 2  # samples before and after over which a clock is averaged: a step errs where it begins to slow down or to run faster
-TINY = 1e-12  # of a joint's bend: smaller slopes take no part of an acceleration
+# samples on each side in the moving average of a clock: without it the tip errs where the clock's acceleration jumps
+ROUNDED = 2
+TINY = 1e-12  # a joint with |dq/ds| below this times (1 + |d2q/ds2|) does not limit the acceleration d2s/dt2
 
 
 def time_law(
@@ -27,22 +29,23 @@ def time_law(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the highest rates ds/dt along a path, at its grid points.
 
-    A joint's acceleration is within its limit at both ends of every interval; with a limit at one end alone, single samples of
-    tracked runs had twice of it.
+    A joint's acceleration is within its limit at both ends of every interval. With a limit at one end alone, single
+    samples of tracked runs had twice the acceleration allowed.
 
     Args:
-        slope: First derivatives (N + 1, n) of the joint values with respect to s.
-        bend: Second derivatives (N + 1, n).
-        s: Path coordinate (N + 1,), increasing.
+        slope: First derivatives dq/ds (N + 1, n) of the joint values.
+        bend: Second derivatives d2q/ds2 (N + 1, n).
+        s: Path coordinate (N + 1,) at the grid points, increasing.
         speed: Limits (n,) of joint speeds [rad/s or m/s], infinite where there are none.
         acceleration: Limits (n,) of joint accelerations [rad/s^2 or m/s^2], infinite where there are none.
-        top: Largest ds/dt, one or (N + 1,).
+        top: Largest ds/dt, one number or (N + 1,).
         gain: Largest magnitude of d2s/dt2.
         start: Largest ds/dt at the first point.
         end: Largest ds/dt at the last point.
 
     Returns:
-        Rates (N + 1,), and the number (N + 1,) of the joint that limits each, -1 where `top`, `start` or `end` does.
+        The rates ds/dt (N + 1,), and the index (N + 1,) of the joint that limits each of them (-1 where `top`, `start`
+            or `end` does).
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(np.isfinite(speed), speed, np.inf) / np.abs(slope)
@@ -60,7 +63,10 @@ def time_law(
 
 
 def times_of(s: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Times at the grid points s (N + 1,) where ds/dt is `rate` (N + 1,), from 0; infinite beyond where it stands still."""
+    """Return the times (N + 1,) [s], from 0, at grid points s (N + 1,) where ds/dt is `rate` (N + 1,).
+
+    d2s/dt2 is constant between grid points. The times are infinite after an interval with rate 0 at both ends.
+    """
     with np.errstate(divide="ignore"):
         return np.append(0.0, np.cumsum(2.0 * np.diff(s) / (rate[1:] + rate[:-1])))
 
@@ -68,16 +74,20 @@ def times_of(s: np.ndarray, rate: np.ndarray) -> np.ndarray:
 def coordinate_at(
     t: np.ndarray, times: np.ndarray, s: np.ndarray, rate: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """s, ds/dt and d2s/dt2 (M,) at times t (M,) of a law with times, s and rate (N + 1,) at its grid points."""
+    """Return s, ds/dt and d2s/dt2 (M,) of a time law at the times t (M,) [s].
+
+    The law is given by times [s], s and rate ds/dt (N + 1,) at its grid points, as from `times_of` and `time_law`.
+    """
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     steps = np.diff(times)
-    gain = np.divide(np.diff(rate), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]  # 0: nothing moves
+    # An interval of no duration has no gain; 0 avoids a division by zero.
+    gain = np.divide(np.diff(rate), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]
     past = t - times[k]
     return np.clip(s[k] + (rate[k] + 0.5 * gain * past) * past, s[0], s[-1]), rate[k] + gain * past, gain
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:
-    """Means of values (M,) over ROUNDED of them to each side, fewer next to the ends."""
+    """Return the centred moving average of values (M,) over ROUNDED neighbours on each side, fewer near the ends."""
     total, k = np.append(0.0, np.cumsum(values)), np.arange(len(values))
     side = np.minimum(np.minimum(k, k[::-1]), ROUNDED)
     return (total[k + side + 1] - total[k - side]) / (2 * side + 1)
@@ -85,17 +95,20 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 
 @cached
 def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
-    """Lower z (N + 1,), the squares of the rates, to what accelerations allow; joint (N + 1,) then says by which of `names` (n,).
+    """Lower z = (ds/dt)^2 (N + 1,) in place until all joints keep their acceleration limits (one pass back, one forth).
 
-    Where `gain` alone limits z, on the way to or from a slower place, it is the joint that limits that place.
-    In an interval the highest z is a linear program in (z, u): u is eliminated from all pairs of its lower and upper bounds.
+    joint (N + 1,) receives the index, from `names` (n,), of the joint that limits each z. If the bound `gain` on
+    d2s/dt2 lowers z before or after a slow point, the joint that limits that point is named. In one interval the
+    largest z is the optimum of a linear program in (z, u); u is eliminated by combining each of its lower bounds with
+    each of its upper bounds.
     """
     n, last = slope.shape[1], steps.shape[0]
     low, low_z, low_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
     high, high_z, high_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
     for k in range(last - 1, -1, -1):
         h, top, by = steps[k], z[k], -1
-        # low - low_z z <= u <= high - high_z z; the first of them keep z at the end between 0 and what it may be there.
+        # The bounds on u = d2s/dt2 are kept in the form low - low_z z <= u <= high - high_z z.
+        # The first pair keeps z at the end of the interval between 0 and z[k + 1], the second keeps |u| <= gain.
         low[0], low_z[0], low_by[0] = 0.0, 0.5 / h, -1
         high[0], high_z[0], high_by[0] = 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
         low[1], low_z[1], low_by[1] = -gain, 0.0, -1
@@ -104,7 +117,8 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
         for i in range(n):
             for at in range(2):
                 b = bend[k + at, i]
-                g = slope[k + at, i] + at * 2.0 * h * b  # z at the end is z + 2 h u
+                # At the end of the interval (at = 1) z is z + 2 h u, which adds 2 h q'' to the factor of u.
+                g = slope[k + at, i] + at * 2.0 * h * b
                 if abs(g) <= TINY * (1.0 + abs(b)):
                     if abs(b) * top > acceleration[i]:
                         top, by = acceleration[i] / abs(b), names[i]

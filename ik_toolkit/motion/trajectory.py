@@ -1,4 +1,4 @@
-"""A joint motion over time that is exact at every instant, sampled at a rate, and exported for controllers."""
+"""A timed joint motion that can be evaluated at any time, sampled at a fixed rate and exported for controllers."""
 
 import json
 from dataclasses import dataclass, field
@@ -15,18 +15,19 @@ from ..robot.ros import joint_trajectory
 from .reference import Reference, Samples
 from .time_law import coordinate_at
 
-DIFFERENCE = 1e-5  # s, step of the central difference of a Jacobian along the motion; its error falls with the square
+# [s] step of the central difference for dJ/dt along the motion; its error falls with the square of the step
+DIFFERENCE = 1e-5
 
 
 class Piece(NamedTuple):
-    """A curve of the joints over a path coordinate s, and its time law from rest to rest."""
+    """A piece of a trajectory: a curve q(s) of the joints, and its time law from rest to rest."""
 
-    knots: np.ndarray  # (M,) values of s between which the curve is a cubic polynomial
-    coefficients: np.ndarray  # (4, M-1, n) of the polynomials in s - knot, highest power first
-    s: np.ndarray  # (G,) path coordinate at the grid points of the time law
-    speed: np.ndarray  # (G,) ds/dt [1/s] at the grid points; it changes evenly between them
-    t: np.ndarray  # (G,) time [s] at the grid points
-    at: np.ndarray  # (M,) place of each knot among the poses of the path, NaN in a free motion
+    knots: np.ndarray  # (M,) values of the path coordinate s; q(s) is a cubic polynomial between two of them
+    coefficients: np.ndarray  # (4, M-1, n) coefficients of the cubic polynomials in s - knot, highest power first
+    s: np.ndarray  # (G,) values of s at the grid points of the time law
+    speed: np.ndarray  # (G,) ds/dt [1/s] at the grid points of the time law; linear in time between them
+    t: np.ndarray  # (G,) time [s] at the grid points of the time law, from 0
+    at: np.ndarray  # (M,) index, or fraction between indices, of each knot among the path's poses; NaN in a free motion
 
     @property
     def duration(self) -> float:
@@ -34,18 +35,23 @@ class Piece(NamedTuple):
         return float(self.t[-1])
 
     def slower(self, factor: float) -> "Piece":
-        """Return the piece with the same curve in `factor` times the time."""
+        """Return the piece with the same curve q(s), run in `factor` times the time."""
         return self._replace(speed=self.speed / factor, t=self.t * factor)
 
     def curve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return joint values (N, n) [rad or m] and their first and second derivatives by s, at s (N,)."""
+        """Return joint values q (N, n) [rad or m] and their derivatives dq/ds and d2q/ds2 (N, n), at s (N,)."""
         k = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         x = (s - self.knots[k])[:, None]
         a, b, c, d = self.coefficients[:, k]
         return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
 
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return joint values, rates, accelerations (N, n) and places (N,) among the poses, at t (N,) [s] from the start."""
+        """Evaluate the piece at times t (N,) [s] from its start.
+
+        Returns:
+            Joint values, rates and accelerations (N, n), and where each sample is among the path's poses (N,), as in
+                `at`.
+        """
         s, rate, gain = coordinate_at(np.clip(t, 0.0, self.t[-1]), self.t, self.s, self.speed)
         rate, gain = rate[:, None], gain[:, None]
         q, slope, bend = self.curve(s)
@@ -56,13 +62,14 @@ class Piece(NamedTuple):
 class Trajectory:
     """A motion in time of n joints, sampled at N times (read-only).
 
-    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,)
-    among the poses of the path, NaN while the robot changes from one branch of solutions to another; success; message: a
-    sentence, which says why if the motion ends early. velocity, acceleration (n,): the limits, which hold at every
-    instant, see `at`. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in
-    PathResult. pieces: the motion itself, each from rest to rest. robot: the robot that moves; collision: the
-    CollisionModel it keeps clear of, or None. stops: places among the poses where the robot stops because no smooth curve
-    was found there. slower: where a tip speed was asked for, from which place to which the limits keep the tip below it.
+    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,):
+    the index of the path pose reached, with a fraction between two poses, NaN while the robot changes from one branch
+    of solutions to another; success; message: a sentence, which says why if the motion ends early. velocity,
+    acceleration (n,): the joint limits, which hold at every instant, not only at the samples. deviation (m, rad): bound
+    on how far a tip leaves the interpolated poses; clearance [m] as in PathResult. pieces: the motion itself, each
+    piece from rest to rest. robot: the robot that moves; collision: the CollisionModel it keeps clear of, or None.
+    stops: the poses (in the units of place) at which the robot stops because no smooth curve was found there. slower:
+    the stretches (from, to), in the same units, where joint limits keep the tip below the tip speed asked for.
     """
 
     robot: Any
@@ -88,7 +95,7 @@ class Trajectory:
         return float(self.t[-1])
 
     def at(self, t: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the motion, which rests before 0 and after its end.
+        """Evaluate the motion; before 0 and after the end the joints are at rest.
 
         Args:
             t: A time [s], or an array (N,) of times.
@@ -114,7 +121,7 @@ class Trajectory:
         return file
 
     def to_ros(self) -> dict[str, Any]:
-        """Return the fields of a ROS trajectory_msgs/JointTrajectory with one point for each sample.
+        """Return the fields of a ROS trajectory_msgs/JointTrajectory, as a dict, with one point for each sample.
 
         The function set_message_fields of rosidl_runtime_py makes a message of them.
         """
@@ -154,13 +161,16 @@ class Trajectory:
 
 
 def _motion_of(arm: Robot, columns: Any, pieces: Any, t: np.ndarray) -> Samples:
-    """Sample the motion of an arm's tip at t (N,) [s]; columns: the indices of the arm's joints."""
+    """Return poses, twists and accelerations of one tip at t (N,) [s]; columns: indices of its joints in q."""
     q, dq, ddq, _ = sample(pieces, t)
     return tip_motion(arm, q[:, columns], dq[:, columns], ddq[:, columns])
 
 
 def tip_motion(arm: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Samples:
-    """Motion of the tip of an arm whose joints (N, n) move as given."""
+    """Return poses (N, 4, 4), twists and accelerations (N, 6) in base axes of an arm's tip for a given joint motion.
+
+    q, dq, ddq (N, n): joint values, rates and accelerations. The acceleration is J ddq + (dJ/dt) dq.
+    """
     T, J = arm.chain.forward(q, jacobian=True)
     ahead, behind = (arm.chain.forward(q + h * dq, jacobian=True)[1] for h in (DIFFERENCE, -DIFFERENCE))
     drift = np.einsum("tij,tj->ti", ahead - behind, dq) / (2.0 * DIFFERENCE)
@@ -168,7 +178,12 @@ def tip_motion(arm: Robot, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Sa
 
 
 def sample(pieces: tuple[Piece, ...], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return joint values, rates and accelerations (N, n), and places (N,), of consecutive pieces at t (N,) [s]."""
+    """Evaluate consecutive pieces at times t (N,) [s] from the start of the first.
+
+    Returns:
+        Joint values, rates and accelerations (N, n), and where each sample is among the path's poses (N,), as in
+            `Piece.at`.
+    """
     starts = np.cumsum([0.0, *(piece.duration for piece in pieces)])
     owner = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(pieces) - 1)
     n = pieces[0].coefficients.shape[2]

@@ -14,9 +14,9 @@ from ..robot.pose_files import read_poses
 from ..validate import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-# s, least time between points of a spline: its third power, and that of its inverse, are still finite.
+# [s] least time between two points of a spline: scipy needs its third power and the inverse of that to be finite.
 SHORTEST = 1e-100
-RADIAN_AS_METRES = 0.25  # m/rad, weight of a rotation against a distance when waypoints share out the time
+RADIAN_AS_METRES = 0.25  # [m/rad] weight of a rotation against a distance when a duration is shared out among waypoints
 
 
 def waypoints(
@@ -32,15 +32,15 @@ def waypoints(
         targets: At least two poses (4, 4), or positions (3,), base frame [m].
         duration: Time for the whole motion [s], shared out by distance, where 1 rad counts as 0.25 m.
         times: When each target is reached [s], increasing.
-        law: "minimum-jerk" moves along straight legs and stops at each target; "spline" passes through them along a cubic spline
-            (with twice differentiable rotations) that is at rest in position at both ends, and needs scipy.
+        law: "minimum-jerk" moves in straight lines and stops at each target; "spline" passes through them along a cubic
+            spline (with twice differentiable rotations) that is at rest in position at both ends, and needs scipy.
 
     Returns:
         The reference, whose times begin at 0.
 
     Raises:
-        InvalidTarget: There are too few targets, two of them are the same, they are not all of one kind, or times do not fit.
-        InvalidOption: Not just one of times and duration is given, or there is no such law.
+        InvalidTarget: There are too few targets, two are the same, they are of different kinds, or times do not fit.
+        InvalidOption: Both or neither of times and duration are given, or there is no such law.
         MissingExtra: scipy is not installed.
     """
     if not isinstance(targets, Iterable) or getattr(targets, "ndim", 1) == 0:
@@ -68,7 +68,12 @@ def waypoints(
 
 
 def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray, now: np.ndarray) -> Samples:
-    """Sample straight legs between targets at times t (K,), with a stop at each, at the times `now` (N,) [s]."""
+    """Sample a motion that stops at each target: straight lines with minimum jerk between them.
+
+    t (K,) [s]: times of the targets; P (K, 3): their positions; R (K, 3, 3): their rotations, None if free; turns (K -
+    1, 3): the rotation vectors from each target to the next, in the axes of the former; now (N,) [s]: the times to
+    sample at.
+    """
     leg = np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 2)
     length = np.diff(t)[leg]
     s, s1, s2 = (x[:, None] for x in minimum_jerk((now - t[leg]) / length))
@@ -85,6 +90,7 @@ def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray,
 
 
 def _check_times(t: np.ndarray, count: int, name: str) -> np.ndarray:
+    """Return times t (count,) [s] shifted to begin at 0; raise InvalidTarget unless they are finite and increase."""
     if t.shape != (count,):
         raise InvalidTarget(f"{name} must be {count} numbers, one per pose, not an array of shape {t.shape}")
     if not np.isfinite(t).all():
@@ -96,6 +102,11 @@ def _check_times(t: np.ndarray, count: int, name: str) -> np.ndarray:
 
 
 def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name: str) -> Reference:
+    """Make a spline reference through positions P (K, 3) and rotations R (K, 3, 3) (None: free) at times t (K,) [s].
+
+    ends: scipy's end condition of the position, "clamped" (at rest) or "not-a-knot". Raises MissingExtra without scipy,
+    InvalidTarget if the times are too close or too far apart.
+    """
     try:
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
@@ -112,13 +123,13 @@ def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name:
 
 
 def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Samples:
-    """Sample splines of the position and the rotation (None if it is free) at the times `now` (N,) [s]."""
+    """Sample splines of the position and of the rotation (None if it is free) at the times `now` (N,) [s]."""
     now = np.clip(now, 0.0, end)
     T, V, A = still(len(now), None)
     T[:, :3, 3], V[:, :3], A[:, :3] = position(now), position(now, 1), position(now, 2)
     if rotation is not None:
         T[:, :3, :3] = rotation(now).as_matrix()
-        # scipy has rate and acceleration in the axes of the moving frame, so they are turned to base axes.
+        # RotationSpline returns angular rate and acceleration in the moving frame, so they are turned into base axes.
         V[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 1))
         A[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 2))
     return T, V, A
@@ -127,9 +138,9 @@ def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Sample
 def reference_from_file(path: str | Path) -> Reference:
     """Read a reference from a CSV or NPZ file of poses over time. Needs scipy.
 
-    A CSV file has a header with the names t [s], x, y, z [m] and, for poses, qx, qy, qz, qw or roll, pitch, yaw [rad]. An NPZ file
-    has arrays t (N,), xyz (N, 3) and, for poses, quat_xyzw (N, 4). Poses are in the base frame. A cubic spline goes through the
-    samples; velocity and acceleration are those of the spline.
+    A CSV file has a header with the names t [s], x, y, z [m] and, for poses, qx, qy, qz, qw or roll, pitch, yaw [rad].
+    An NPZ file has arrays t (N,), xyz (N, 3) and, for poses, quat_xyzw (N, 4). Poses are in the base frame. A cubic
+    spline goes through the samples; velocity and acceleration are those of the spline.
 
     Args:
         path: The file.

@@ -1,6 +1,6 @@
-"""What makes one step: a published tracking method, or a solver's feedback rule taken one step a sample.
+"""One interface for what a tracker can drive: a published tracking method, or a solver's rule iterated once per sample.
 
-Both have the same interface, so `Tracker` and `track` need not know which one they drive.
+`Tracker` and `track` use either class without knowing which.
 """
 
 import math
@@ -22,59 +22,67 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
-LEVER = 0.2  # [m] lever by which an angle is compared with a length: about a hand
-ALIKE = 0.6  # likeness (see `difflib`) above which an option of another method may have been meant
-WORDS = (*COUNTING, "relative_to")  # options that say what counts
+LEVER = 0.2  # [m] lever arm by which an angle is compared with a length: about the length of a hand
+ALIKE = 0.6  # similarity (difflib's ratio) above which an unknown option is taken for a misspelt one of another method
+WORDS = (*COUNTING, "relative_to")  # options that say which errors count
 
 
 def even(scale: float) -> np.ndarray:
-    """Weights (6,) of the errors of a tip in kernel units, with their geometric mean 1: singular values keep their size."""
+    """Return weights (6,) that balance position (kernel units) against rotation [rad] at the lever arm LEVER.
+
+    scale: length of a kernel unit [m]. The geometric mean of the weights is 1, so singular values keep their magnitude.
+    """
     share = math.sqrt(scale / LEVER)
     return np.array([share] * 3 + [1.0 / share] * 3)
 
 
 class Published:
-    """A method of servo/methods.py on a robot."""
+    """Adapter of a published tracking method (servo/methods.py) on a robot."""
 
-    waits = True  # a reference's clock stands still while the error is above its tolerance
+    waits = True  # a run of `track` slows the reference's clock when the error is above its tolerance
 
     def __init__(self, robot: Robot | Tree, method: Method, counting: Mapping[str, Any]) -> None:
-        """Bind; nothing is compiled yet."""
+        """Bind the method to the robot, without compiling. counting: the options that say which errors count."""
         self.robot = robot
         self.method = method
         self.name = method.name
         self.gamma = method.rate_weight
         self.chosen = any(
             one is not None for one in (method.kappa, method.kp, method.share)
-        )  # gains that somebody chose
-        self.memory = robot.n  # numbers kept from step to step
+        )  # whether the caller chose the gains
+        self.memory = robot.n  # length of the method's memory between steps
         self.loop = servo()
         self.options: Options = make_options(dict(counting))
         what_counts(robot, self.options)
         relatives(robot, self.options)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the compiled loop, which is bound again."""
+        """Return all attributes for pickling, without the compiled loop, which cannot be pickled."""
         return {name: value for name, value in vars(self).items() if name != "loop"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore."""
+        """Restore the attributes and bind the compiled loop again."""
         vars(self).update(state, loop=servo())
 
     def settings(self, h: float) -> dict[str, float]:
-        """Gains and options used at sample time h."""
+        """Return the gains and options in use at sample time h [s], by name."""
         return {**self.method.gains(h), **({"reading": self.method.reading} if self.name == "aa" else {})}
 
     def check(self, h: float) -> GainCheck | None:
-        """Verdict on the gains at sample time h."""
+        """Return the verdict of `check_gains` on the gains at sample time h [s]."""
         return check_gains(self.name, h, **self.method.gains(h))
 
     def law(self, h: float, delay: float = 0.0) -> np.ndarray:
-        """Parameters of the loop at sample time h, for joints measured `delay` samples ago."""
+        """Return a `laws.Law` as an array, for sample time h [s] and joints measured `delay` samples ago."""
         return self.method.pack(h, delay)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Input of the loop for kinds of target: orders, and weights and slack of the errors (3, m), see servo/loop.py."""
+        """Return what the compiled loop needs to know of the errors, for one kind of target (POSE, POSITION) per tip.
+
+        Returns:
+            The packed task parameters `orders` (see servo/loop.py), and an array (3, m) with a column for each error:
+                weight, slack in kernel units, slack in m or rad.
+        """
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []
         unit = np.array([scale] * 3 + [1.0] * 3)
@@ -91,14 +99,15 @@ class Published:
 
 
 class RuleSteps:
-    """A solver's rule on a robot; its state is kept from sample to sample."""
+    """Adapter of a solver's rule on a robot: one iteration per sample; the rule's state is kept between samples."""
 
     gamma = 1.0
     chosen = False
-    waits = False  # a rule lags behind what moves, limits or not
+    # A rule always lags behind a moving target, so its error says nothing about whether limits were the reason.
+    waits = False
 
     def __init__(self, robot: Robot | Tree, rule: Any, limits: bool, options: dict[str, Any]) -> None:
-        """Bind the rule with its parameters (raises what `ik.Solver` raises)."""
+        """Bind a solver's rule to the robot. options: its parameters. Raises what `ik.Solver` raises."""
         from ..solvers.solve import Solver
 
         self.robot = robot
@@ -109,29 +118,32 @@ class RuleSteps:
         self.options = self.solver.options
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the compiled loop, which is bound again."""
+        """Return all attributes for pickling, without the compiled loop, which cannot be pickled."""
         return {name: value for name, value in vars(self).items() if name != "loop"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore."""
+        """Restore the attributes and bind the compiled loop again."""
         vars(self).update(state, loop=servo(type(state["solver"].rule)))
 
     def settings(self, h: float) -> dict[str, float]:
-        """Parameters of the rule that are plain numbers."""
+        """Return the parameters of the rule that are plain numbers, by name; the sample time h plays no part."""
         return {k: v for k, v in self.solver.rule._asdict().items() if isinstance(v, int | float)}
 
     def check(self, h: float) -> GainCheck | None:
-        """No closed form for rules."""
+        """Return None, as there is no closed-form stability condition for rules."""
         return None
 
     def law(self, h: float, delay: float = 0.0) -> np.ndarray:
-        """The same; a rule has its own parameters."""
+        """Return a `laws.Law` as an array: all zeros but for gamma = 1 and the damping of the pseudo-inverse."""
         law = np.zeros(len(laws.Law._fields))
         law[laws.PLACE.gamma], law[laws.PLACE.damping] = 1.0, DAMPING
         return law
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Input of the loop; weights and slack are the rule's."""
+        """Return the packed task parameters (see servo/loop.py) and an array (3, m), as `Published.orders` does.
+
+        Only its first row is used, the error weights for null-space motion; the rule itself handles slack.
+        """
         scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))
         counts[0] = np.tile(even(scale), len(kinds))
@@ -141,9 +153,17 @@ class RuleSteps:
 def bind(
     robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any], known: Iterable[str]
 ) -> Published | RuleSteps:
-    """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for anything else.
+    """Return the adapter for a method name, a Method, a solver name or a rule.
 
-    known: names of the caller's own options, of which one may have been meant.
+    Args:
+        robot: The robot.
+        method: Name of a method or solver, a Method, or a rule.
+        limits: Whether joint limits apply.
+        options: Options of the method, and those that say which errors count.
+        known: Names of the caller's own options, which an error message may suggest.
+
+    Raises:
+        InvalidOption: There is no such method, or it does not take one of the options.
     """
     check_options(method, options, known)
     if not is_published(method):
@@ -154,12 +174,15 @@ def bind(
 
 
 def is_published(method: Any) -> bool:
-    """Whether this is a method of servo/methods.py, and not a solver."""
+    """Return whether `method` is one of the published methods (servo/methods.py) and not a solver."""
     return isinstance(method, Method) or (isinstance(method, str) and method in METHODS)
 
 
 def check_options(method: Any, options: Iterable[str], known: Iterable[str]) -> None:
-    """Raise InvalidOption for an unknown method, or an option that it does not take; known: see `bind`."""
+    """Raise InvalidOption if there is no such method, or if it does not take one of the options.
+
+    known: as in `bind`.
+    """
     if is_published(method):
         name = method if isinstance(method, str) else method.name
         allowed = (*METHODS[name][1], "damping", *WORDS)

@@ -1,8 +1,9 @@
-"""Obstacles in a tracker's step: rows that slow the arm down before it meets something, and a proof that it can still stop.
+"""Collision avoidance of a tracker: inequalities that slow the arm near obstacles, and a proof that it can still stop.
 
-The rows are half-planes for the joint rates, made at the nearest points of the pairs that matter most; they guide and may be
-relaxed. What promises that static things are never touched is the proof: the step, and the full brake after it, are followed
-along the way, and distances are measured so often that nothing fits between two measurements. A step without a proof is not taken.
+The inequalities limit joint rates. They are made at the nearest points of the closest pairs of bodies, guide the arm,
+and may be relaxed. The promise that nothing static is ever touched rests on the proof: the step and the full brake
+after it are followed along their path, with distances measured so densely that no contact fits between two
+measurements. A step that cannot be proven free is not taken.
 """
 
 from typing import Any, NamedTuple
@@ -13,24 +14,27 @@ from ..kernel.clearance import along
 from ..robot.geometry.distance import Clearance
 from .viability import bending
 
-ROWS = 12  # half-planes per step: more than meet at an edge of a polyhedron, and few for the QP
-KEEP = 0.005  # [m] distance the rows keep: above what a controller's lag makes of a slow motion
-INFLUENCE = 0.1  # [m] distance below which the rows apply
-SPEED = 1.0  # [m/s] approach allowed at INFLUENCE; it falls in proportion to the distance left (0.1 s to settle)
-FLAT = 1e-9  # [m per rad or m] a row without an entry above this restricts nothing: the pair does not move
-SHARE = 0.1  # share of a row's largest entry above which a joint's braking counts
-CONTACT = 1e-5  # [m] nearer than this is a contact: ten times the tolerance of coal's distances
-NEAREST = 1e-4  # [m] a motion that leads nearer than this is rejected without checking whether it touches
-# Places where distances are measured to prove one step free, 0.05 ms each; a step that takes more is not taken.
+ROWS = 12  # inequalities per step: more than meet at an edge of a polyhedron, and few enough for a fast QP
+KEEP = 0.005  # [m] distance to obstacles that the inequalities keep; a controller's lag in a slow motion is less
+INFLUENCE = 0.1  # [m] distance between two bodies below which their inequality applies
+# [m/s] approach speed allowed at the distance INFLUENCE; it falls linearly to 0 at KEEP, with a time constant of 0.1 s
+SPEED = 1.0
+FLAT = 1e-9  # [m per rad or m] an inequality whose entries are all below this is dropped: no joint changes the distance
+SHARE = 0.1  # an inequality counts on the braking of joints whose entry is above this share of its largest entry
+CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
+NEAREST = 1e-4  # [m] a motion that comes nearer than this is rejected without checking whether it touches
+# Most configurations at which distances are measured (0.05 ms each) to prove a step free; else it is not taken.
 LOOKS = 12
-PARTS = (1 / 4, 1 / 16, 1 / 64)  # parts of a step that are tried from rest where the whole step is not allowed
+# parts of a step that are tried if the arm is at rest and the whole step is not allowed
+PARTS = (1 / 4, 1 / 16, 1 / 64)
 
 
 class Path(NamedTuple):
-    """A step and its brake: joint values, rates and lengths gone (K + 1, n) between K pieces, the first one of h [s].
+    """A step and the brake after it: joint values, rates and lengths covered (K + 1, n) at the ends of K pieces.
 
-    even: share [1/s] of its rate that the brake takes off all joints alike, see `Guard._follow`; the last row of rate is what it
-    begins with. alone (n,): joints that brake by themselves, which takes them `aside` (n,) far.
+    The first piece lasts h [s]. even: share [1/s] of its initial rate that the brake takes off all joints alike, see
+    `Guard._follow`; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of
+    the others; aside (n,): the distance that takes, else 0.
     """
 
     q: np.ndarray
@@ -43,7 +47,10 @@ class Path(NamedTuple):
 
 
 def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
-    """Longest ways (n,) to rest from rates v >= 0, slowing by `a`, in steps of any lengths up to `late`: see servo/viability.py."""
+    """Return the longest distances (n,) in which joints come to rest from rates v >= 0 (n,).
+
+    a: deceleration; late [s]: longest step. This is `viability.stopping` for arrays.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         way = np.asarray(v * v / (2.0 * a))
         if gamma == 1.0:
@@ -53,38 +60,44 @@ def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: f
 
 
 class Guard:
-    """Rows and proofs for one tracker.
+    """Makes collision inequalities and proofs for one tracker.
 
-    robot; model: its CollisionModel; limits (4, n): lower, upper, speed, acceleration [rad or m, per s, per s^2]; gamma of the
-    motion between samples (see `interpolate`). pairs: names of the pairs behind the last rows. blocked: names of the pair that
-    kept the last step from being proven, or None.
+    Args:
+        robot: The robot.
+        model: Its CollisionModel.
+        limits: Limits (4, n): lower, upper, speed, acceleration [rad or m, per s, per s^2].
+        gamma: Weight of the new rate in a step, which sets the motion between samples (see `interpolate`).
+
+    Attributes:
+        pairs: Names of the pairs of bodies behind the last inequalities.
+        blocked: Names of the pair that kept the last step from being proven, or None.
     """
 
     def __init__(self, robot: Any, model: Any, limits: np.ndarray, gamma: float) -> None:
-        """Bind, and compile (or load) all that is needed later; `restart` comes next."""
+        """Bind to the model, and compile (or load) all that is needed later. Call `restart` before anything else."""
         self.robot, self.model, self.limits, self.gamma = robot, model, limits, gamma
         self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
-        self.late = 0.0  # longest step [s] that may follow
+        self.late = 0.0  # [s] longest step that may follow, for which the brake must be proven
         self._bind()
         self._get_ready()
 
     def _bind(self) -> None:
-        """Take the model as it is now."""
+        """Read the obstacles and the margins of the collision model as they are now."""
         self._space = space = Clearance(self.model)
         self._version = self.model.version
-        # A robot's parts may be closer to each other than the distance to keep: then half of their distance is kept.
+        # Two parts of a robot may be closer than KEEP at home; then half of their distance there is kept.
         home = space.home - space.margins
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the measurements, which belong to this process."""
+        """Return all attributes for pickling, but of the distance measurements only the nearest points."""
         kept = {name: value for name, value in vars(self).items() if name != "_space"}
         return kept | {"_version": self._version == self.model.version, "corners": self._space.corners()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore; everything is measured again when it is needed, and bound again if it has changed."""
+        """Restore pickled attributes; distances are measured anew, and the model is read again if it has changed."""
         corners = state.pop("corners")
         vars(self).update(state)
         self._space = Clearance(self.model)
@@ -93,7 +106,7 @@ class Guard:
         self._fresh, self._known = np.zeros_like(self._fresh), False
 
     def _get_ready(self) -> None:
-        """Call what would otherwise be compiled in a control loop, when the arm has to brake."""
+        """Call every kernel once now, so that none is compiled inside a control loop when the arm has to brake."""
         space, q, still = self._space, self.robot.home, np.zeros(self.robot.n)
         path, ks = self._follow(q[None], still[None], 1.0), np.arange(len(self._keep))[:1]
         if path is None:
@@ -108,25 +121,34 @@ class Guard:
         space.rows(ks, space.points(ks), np.ones(len(ks)), still, *rules, self.A, self.b, self._order)
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
-        """Begin at q (n,); returns the names of a pair that touches there, or None."""
+        """Measure all distances at q (n,) [rad or m].
+
+        Return the names of a pair of bodies that touches there, or None.
+        """
         if self._version != self.model.version:  # something was added, moved or removed
             self._bind()
         self._space.forget()
         self._space.place(q)
-        self._low = self._space.distances() - self._space.margins  # lower bounds of the gaps (P,) at q
-        self._fresh = np.ones(len(self._low), dtype=bool)  # which of them are measured there
-        self._known = False  # whether the motion of everything there is known
-        self._stop = np.zeros(len(self._low))  # how much closer each pair can come on a step and brake like the last
+        # (P,) lower bounds of the distances of all pairs at q, less their margins [m]
+        self._low = self._space.distances() - self._space.margins
+        # (P,) which of these distances were measured at q and are not only bounds
+        self._fresh = np.ones(len(self._low), dtype=bool)
+        self._known = False  # whether the joint Jacobians of all bodies at q are known
+        # (P,) bounds [m] on how much closer each pair can come in a step and brake like the last one
+        self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
-        self._left = 1.0  # share of the rates that a brake begins with that is left
+        self._left = 1.0  # present rates of the proven brake, as a share of those that it began with
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
     # ------------------------------------------------------------------------------------------------ rows
     def rows(self, q: np.ndarray, rate: np.ndarray, h: float) -> int:
-        """Write A (r, n), b (r,) of A x <= b for the next joint rate x [rad or m per s]; returns r, the number of rows.
+        """Write inequalities A x <= b on the next joint rates x [rad/s or m/s] to `self.A` (r, n) and `self.b` (r,).
 
-        q, rate (n,): now; h [s]: the step. Each row limits how fast a pair comes closer, so that the arm can still brake.
+        Return r.
+
+        Each limits how fast a pair comes closer, so that the arm can still brake. q, rate (n,): present joint values
+        and rates; h [s]: length of the step.
         """
         self.pairs = []
         if self._version != self.model.version:  # something was added, moved or removed
@@ -139,7 +161,8 @@ class Guard:
         space.place(q)
         space.move()
         self._known = True
-        self._fresh[ks] = False  # the nearest points are wanted, too
+        # Known distances are not enough here: measuring them again also finds the nearest points.
+        self._fresh[ks] = False
         self._measure(ks)
         ks = ks[(self._low[ks] < reach[ks]) & (self._low[ks] > CONTACT)]
         if not len(ks):
@@ -152,23 +175,25 @@ class Guard:
         return count
 
     def _measure(self, ks: np.ndarray) -> None:
-        """Update the distances of pairs at the configuration where they were placed (the start of the step)."""
+        """Measure the distances of those pairs of bodies ks that are not yet measured at the start of the step."""
         for k in ks[~self._fresh[ks]].tolist():
             self._low[k] = self._space.gap(k)
         self._fresh[ks] = True
 
     # ------------------------------------------------------------------------------------------------ the proof
     def allows(self, q: np.ndarray, rate: np.ndarray, q1: np.ndarray, rate1: np.ndarray, h: float) -> bool:
-        """Whether nothing touches on the step from (q, rate) to (q1, rate1) in h [s], nor on the full brake after it.
+        """Return whether the step from (q, rate) to (q1, rate1) in h [s] and the full brake after it are proven free.
 
-        q must be where the last step ended. A step that is allowed counts as taken; `blocked` names the pair of one that is not.
+        q must be where the last step ended. A step that is allowed counts as taken. Otherwise `blocked` names the pair
+        at fault.
         """
         return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
 
     def instead(self, q: np.ndarray, rate: np.ndarray, rate1: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values and rates (n,) after h [s] instead of a step from (q, rate) to rate1 that was not allowed.
+        """Return joint values and rates (n,) after h [s], instead of a step from (q, rate) to rate1 that is refused.
 
-        The arm brakes; from rest it takes a small part of the step, if that is free; otherwise it could stand still for ever.
+        The arm brakes. From rest it takes a small part of the step if that is proven free; otherwise it could stand
+        still for ever.
         """
         blocked = self.blocked
         for part in PARTS if not rate.any() else ():
@@ -181,12 +206,12 @@ class Guard:
         return self.brake(q, rate, h)
 
     def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values and rates (n,) after h [s] of braking from (q, rate), instead of a step that was not allowed.
+        """Return joint values and rates (n,) after h [s] of braking from (q, rate).
 
-        It brakes as was proven free with the last step.
+        The brake is the one that was proven free together with the last step taken.
         """
         blocked, path = self.blocked, self._path
-        if path is None:  # no step of ours led here
+        if path is None:  # No step of this guard led here, so there is no proven brake yet.
             self._take(q[None], rate[None], h, anyway=True)
             self.blocked, path = blocked, self._path
         if path is None:
@@ -201,17 +226,22 @@ class Guard:
 
     @property
     def _most(self) -> np.ndarray:
-        """By how much (n,) the rates of joints may change [per s]."""
+        """Largest change (n,) of joint rates per second that keeps the acceleration limits within a step."""
         return self.limits[3] / bending(self.gamma)
 
     def _moved(self, way: np.ndarray) -> None:
-        """How far the joints have gone (n,) along the path."""
+        """Lower the bounds on all distances after the joints have covered the lengths way (n,) on the proven path."""
         self._low = self._low - self._levers @ way[self._space.coordinates]
         self._fresh[:] = False
         self._known = False
 
     def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
-        """Prove the motion through states Q, R (1 or 2, n), and the brake after it; when free, or anyway, it counts as taken."""
+        """Try to prove the motion through the states Q, R (1 or 2, n) and the brake after it.
+
+        Return whether it is free.
+
+        A motion that is free, or any motion if `anyway`, counts as taken.
+        """
         path = self._follow(Q, R, h)
         if path is None:
             self.blocked = None
@@ -228,7 +258,8 @@ class Guard:
                 space.place(Q[0])
                 self._measure(doubtful)
             self.blocked = self._prove(path, doubtful, levers)
-            self._known = False  # it has looked elsewhere
+            # The proof has placed the bodies elsewhere, so nothing measured at q is valid any more.
+            self._known = False
             self._fresh[:] = False
             if not (self.blocked is None or anyway):
                 return False
@@ -240,11 +271,12 @@ class Guard:
         return self.blocked is None
 
     def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
-        """States Q, R (1 or 2, n) and a brake after them that steps of any lengths up to `late` keep to; None if there is none.
+        """Return the path through the states Q, R (1 or 2, n) and a full brake after them; None if there is no brake.
 
-        The acceleration limit allows a short step next to no other rate than that of the long one before it. All joints lose
-        the same share of their rates in a time: whatever the steps, the arm stays on one line, and gets at most to the end it
-        has for the worst steps. A joint whose limit is nearer brakes by itself.
+        The brake must hold for later steps of any lengths up to `late`: after a long step, the acceleration limit
+        allows a short one hardly any other rate. All joints therefore lose the same share of their rates per second.
+        The arm then stays on one line in joint space whatever the steps, and stops no later than with the worst ones. A
+        joint whose position limit is nearer brakes on its own.
         """
         q, rate = Q[-1], R[-1]
         lower, upper = self.limits[:2]
@@ -260,7 +292,8 @@ class Guard:
             move = np.where(alone, 0.0, rate * time)
         all_q, rates, length = np.zeros((3, len(Q) + 1, len(q)))
         all_q[:-1], all_q[-1] = Q, q + move
-        rates[:-2], rates[-2], rates[-1] = R[:-1], move / h, rate  # so that the last piece is a straight one
+        # The last piece gets the rate at which it is straight, whatever gamma is.
+        rates[:-2], rates[-2], rates[-1] = R[:-1], move / h, rate
         length[-1] = np.abs(move)
         if len(Q) > 1:
             length[1] = self._gone(Q, R[0], h)
@@ -269,7 +302,10 @@ class Guard:
         return Path(all_q, rates, length, h, float(even), alone, aside)
 
     def _gone(self, Q: np.ndarray, rate: np.ndarray, h: float) -> np.ndarray:
-        """How far (n,) the joints go on a step between Q (2, n), where they may turn back on the way."""
+        """Return the distances (n,) that joints cover in a step between Q (2, n), in which they may reverse.
+
+        rate: at its start.
+        """
         move = Q[1] - Q[0]
         start = move if self.gamma == 1.0 else h * rate
         end = 2.0 * move - start
@@ -278,7 +314,11 @@ class Guard:
         return np.where(turns, np.abs(far) + np.abs(move - far), np.abs(move))
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
-        """None when the pairs ks, measured at the start, touch nowhere on a path; otherwise the names of an unproven one."""
+        """Return None if the pairs of bodies ks are proven free along a path, else the names of one that is not.
+
+        The distances of ks are measured at the start; levers (P, E) bounds how fast each pair can come closer per
+        joint.
+        """
         space, u, end = self._space, 0.0, len(path.q) - 1.0
         way = path.q, path.rate, path.length, self.gamma, path.h
         q, gone = np.empty(self.robot.n), np.empty(self.robot.n)

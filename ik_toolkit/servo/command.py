@@ -1,6 +1,6 @@
-"""Which joint rates a method wants: a published law, or a solver's rule taken one step a sample."""
+"""The joint rates that a method commands, before limits: those of a published law or of a solver's rule."""
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker does not know that numba calls the overloads below, nor that it takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -37,45 +37,49 @@ from .null_space_motion import away_from_limits, clip_wish, into_null_space, wei
 from .singular_directions import bend, judge_modes, remember
 from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back, mode_part, modes, take_out
 
-# Share s of a velocity that ca, which extrapolates, may change in a step: z^2 - (1 - 3/2 s) z - s/2 has both roots inside the
-# unit circle below s = 1, and the smallest largest one (0.58) at 2/3, as with kappa h of cv (Patko and Zelei, 2019).
+# Share s of a velocity that `ca` may remove in one step; its characteristic polynomial is z^2 - (1 - 3/2 s) z - s/2.
+# Both roots are inside the unit circle for s < 1, and the larger one is smallest (0.58) at s = 2/3.
+# (The same polynomial belongs to kappa h of `cv`: Patko and Zelei, 2019.)
 SHARE = 2.0 / 3.0
-TAKEN_UP = 20.0  # [1/s] least rate at which joints take up what is wished: slower than braking, they run into limits they avoid
-LITTLE = 0.004  # [rad or reaches per s] wish that is taken up half as fast: it comes and goes smoothly
-# Shares of speed and acceleration with which an error is closed: what braking on the path needs is left.
+# [1/s] least rate at which the null-space velocity becomes the desired one; if slower, joints run into limits
+TAKEN_UP = 20.0
+# [rad/s or arm reaches/s] desired null-space speed at which that rate is halved, so the motion fades smoothly
+LITTLE = 0.004
+# Shares of the speed and acceleration limits used to close an error; following the path may need the rest.
 FAST, BRISK = 1.0, 0.5
 
 
 class Moment(NamedTuple):
-    """One step: how many half-planes there are, and how long it is [s]."""
+    """What changes from step to step: the number of inequality constraints, and the length h of the step [s]."""
 
     rows: int
     h: float
 
 
 class Published(NamedTuple):
-    """Stands in for a rule: the laws of laws.py, all in one loop."""
+    """Marker in place of a solver's rule: the published laws of laws.py, all compiled into one loop."""
 
     unused: float
 
 
 @inline
 def target_of(s):
-    """The target of a bench as the laws take it."""
+    """Return the target's error and motion as a TargetMotion, from a tracker's scratch arrays s (a `Bench`)."""
     return TargetMotion(s.e, s.ahead, s.f, s.a, s.bias)
 
 
 @inline
 def inverse_of(s):
-    """Its Jacobian, with scratch."""
+    """Return the Jacobian as a PseudoInverse with its scratch, from a tracker's scratch arrays s (a `Bench`)."""
     return PseudoInverse(s.J, s.G, s.H, s.y, s.t)
 
 
 @inline
 def find_wishes(law, s, limits, wish, base):
-    """Write to s.g the joints' secondary motion: away from limits, towards a posture, down the caller's cost.
+    """Write to s.g (n,) the desired null-space velocity; return False, with no use for s.g, if there is none.
 
-    It is what the null space has of it, within half of the room that the rates `base` leave in the box. False: there is none.
+    It is the sum of the motions away from limits, towards a posture and down the caller's cost, projected into the null
+    space of the task and scaled to half of the margin that the rates base (n,) leave to the rate bounds.
     """
     n, m = s.J.shape
     some = False
@@ -98,15 +102,15 @@ def find_wishes(law, s, limits, wish, base):
 
 @inline
 def lean_not(law, rule, s, limits, wish, rate, h):
-    """The published laws look ahead from where the joints are."""
+    """Return False: the published laws use no shifted joint values, unlike the rules in `lean_over`."""
     return False
 
 
 @inline
 def lean_over(law, rule, s, limits, wish, rate, h):
-    """Move s.at by the secondary motion, so that a rule's step cancels its effect on the tip.
+    """Shift s.at (n,) by the secondary motion of one step, so that the rule's iteration cancels its effect on the tip.
 
-    Returns whether it has moved.
+    Returns whether there was such a motion; it is also left in s.g (n,) as a rate.
     """
     if law.mode != CLIP:
         factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
@@ -121,9 +125,11 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 @inline
 def add_wishes(law, s, given, ratio, h, memory):
-    """Add the secondary motion to s.x: it must be part of what is extrapolated, or the tip would leave its path.
+    """Add the secondary motion to the commanded rates s.x, and for `cv` and `ca` to the memory they extrapolate.
 
-    Where accelerations are wanted, one by which the joints' own motion in the null space comes to it: weak where little is wished.
+    If it were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level (`ca`
+    and later) the present null-space velocity converges to the desired one, at a rate that fades to 0 with the desired
+    speed. ratio: this h over the last one.
     """
     if find_wishes(law, s, given.limits, given.wish, s.x):
         kept, share = 0.0, 1.0
@@ -131,7 +137,8 @@ def add_wishes(law, s, given, ratio, h, memory):
             size = 0.0
             for i in range(s.g.shape[0]):
                 size += s.g[i] * s.g[i]
-            rate = max(min(TAKEN_UP, (SHARE if law.code == CA else 1.0) / h), law.null)  # law.null is damped already
+            # The law itself already damps the null-space velocity at the rate law.null.
+            rate = max(min(TAKEN_UP, (SHARE if law.code == CA else 1.0) / h), law.null)
             share = min(h * rate, 1.0) * math.sqrt(size) / (math.sqrt(size) + LITTLE)
             for i in range(s.g.shape[0]):
                 s.g[i] -= (1.0 - law.null / rate) * s.null[i]
@@ -145,7 +152,11 @@ def add_wishes(law, s, given, ratio, h, memory):
 
 @inline
 def feed_back(law, s, limits, now, heavy, beyond):
-    """Shrink the error fed back, see `hold_back` and `ease`; returns whether limits or half-planes are in its way."""
+    """Shrink the error that is fed back (s.e, s.ahead) to what the limits allow, see `hold_back` and `ease`.
+
+    heavy: largest weight of an error; beyond: whether the target is out of reach. Returns whether joint limits or
+    inequality constraints block the way that the error asks for.
+    """
     n, m = s.J.shape
     if beyond:
         hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.y)
@@ -154,7 +165,8 @@ def feed_back(law, s, limits, now, heavy, beyond):
         limited = limited or limits[3, i] < np.inf
     if not limited:
         return False
-    size, gone = 0.0, 0.0  # the lost part is not an error that the other directions can close
+    # The error along directions removed from the task is left out, as no other direction can close it.
+    size, gone = 0.0, 0.0
     for k in range(m):
         size += s.e[k] * s.e[k]
         if s.lost[k] > 0.0:
@@ -167,7 +179,11 @@ def feed_back(law, s, limits, now, heavy, beyond):
 
 @inline
 def by_law(law, rule, task, look, weights, s, given, own, now):
-    """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
+    """Write to s.x (n,) the joint rates that a published law commands.
+
+    Returns the number of singular directions removed from the task, or the squared damping of the pseudo-inverse in
+    mode CLIP.
+    """
     n, m = s.J.shape
     limits, rate, state, h = given.limits, own.motion[1], own.state, now.h
     border = REGION * law.damping
@@ -175,9 +191,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if law.mode == CLIP:
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
-        weighed = (
-            n < m
-        )  # not every error can be closed: what is closest, and what is lost of a task, is by their weights
+        # With fewer joints than errors not all errors can be closed, so their weights decide which pose is closest.
+        weighed = n < m
         if weighed:
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         gram(s.J, m, n >= m, 0.0, s.G)
@@ -200,12 +215,13 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     joints = JointMotion(s.move, s.null, s.x1, s.x2, s.x)
     prepare(law, inverse_of(s), target_of(s), rate, h, joints)
     if law.code >= CA:
-        if blocked and law.code == AA and law.reading != AT_RATE:  # no joint takes this step: no second order
+        # Blocked joints do not take the step s / h, so the terms with dJ/dt along that step are left out.
+        if blocked and law.code == AA and law.reading != AT_RATE:
             for i in range(n):
                 s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
                 s.x2[i] = 0.0
         bend(task, look, s, weighed)
-    if weighed:  # all is weighed by now
+    if weighed:  # The Jacobian, errors and target motion have been multiplied by the weights, so the weights become 1.
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
@@ -213,7 +229,8 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
-        if law.code == CV:  # what the next step extrapolates from
+        # The next step of `cv` extrapolates from its memory, which therefore needs the same replacement.
+        if law.code == CV:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_wishes(law, s, given, ratio, h, own.memory)
     return damped
@@ -221,12 +238,15 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
 
 @inline
 def by_rule(law, rule, task, look, weights, s, given, own, now):
-    """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
+    """Write to s.x (n,) the joint rates of a solver's rule: its step towards where the target will be, over the time h.
+
+    Returns 0, the number of directions removed from the task.
+    """
     d = task.desk
     leaned = False
     for i in range(s.g.shape[0]):
         leaned = leaned or s.g[i] != 0.0
-    if leaned or not task.plain():  # else it is the one that `take_stock` filled
+    if leaned or not task.plain():  # Otherwise the Jacobian is still the one that `take_stock` evaluated.
         task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)
@@ -241,13 +261,13 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
 
 @inner
 def copy_rows(source, target):
-    """target[:] = source."""
+    """Copy a matrix: target[:] = source."""
     for i in range(source.shape[0]):
         copy(source[i], target[i])
 
 
 def wanted(law, rule, task, look, weights, s, given, own, now):
-    """Rates that the law or the rule wants."""
+    """Write the commanded joint rates to s.x, by `by_law` or `by_rule`; numba compiles the overload below instead."""
     how = by_law if isinstance(rule, Published) else by_rule
     return how(law, rule, task, look, weights, s, given, own, now)
 
@@ -261,7 +281,7 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def lean(law, rule, s, limits, wish, rate, h):
-    """What comes before a step is asked for, see `lean_over`."""
+    """Prepare the command of a step, by `lean_not` or `lean_over`; numba compiles the overload below instead."""
     how = lean_not if isinstance(rule, Published) else lean_over
     return how(law, rule, s, limits, wish, rate, h)
 

@@ -1,11 +1,12 @@
-"""One step of joint rates inside a box and half-planes: the task first, then closeness to a rate that is wanted.
+"""Joint rates of one step inside bounds and inequality constraints: the task first, then closeness to desired rates.
 
-Pure linear algebra; what the box and the half-planes come from is the caller's. It is one problem of two levels
-(hierarchical_qp.py), never a weighted sum of the two. Where the task cannot be met, it is solved once more, damped by what is
-left (`damp`); where half-planes contradict each other or the box, with half-planes loosened by the least slack.
+This file is pure linear algebra; callers decide what the bounds and constraints mean. The step is one least-squares
+problem with two priority levels (hierarchical_qp.py), never a weighted sum of them. If the task cannot be met, the
+problem is solved again with damping in proportion to the remaining error (`damp`). If the inequality constraints
+contradict each other or the bounds, they are loosened by the least slack that makes them feasible.
 
-Each row of the task has a weight of its own. LEAVE: all that is missed counts alike. DIRECT: what leaves the direction asked for
-counts more than falling behind along it (`keep_straight`).
+Each row of the task has its own weight. In mode LEAVE all errors of the task rate count alike. In mode DIRECT, errors
+across the direction asked for count more than falling behind along it (`keep_straight`).
 """
 
 import math
@@ -20,29 +21,30 @@ from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
 LEAVE, DIRECT = range(2)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
-CAUTIOUS = 1.5  # times the bound of the curvature left out, see `damping`
-STRAIGHT = 100.0  # weight of leaving the direction asked for against falling behind along it, where nothing is blocked
+LOOSE = 1e-9  # inequalities are loosened by this beyond the least slack, so that rounding does not close the gap
+CAUTIOUS = 1.5  # safety factor on the bound of the neglected curvature, see `damping`
+# weight of error across the direction asked for, against falling behind along it, if nothing is blocked
+STRAIGHT = 100.0
 
 
 @compiled
 class TaskRate(NamedTuple):
-    """What is asked of n joints by a task of m rows."""
+    """A task of m rows for n joints: the rates asked for at the tip, and the desired joint rates."""
 
-    J: Array  # (n, m) Jacobian, one joint a row
-    weight: Array  # (m,) of what counts, 0 where it does not
-    ask: Array  # (m,) rate of the task
-    want: Array  # (n,) joint rates wanted
-    aside: Array  # (n,) the part of them along singular directions, which are out of the task
-    size: Array  # (n,) a speed for each joint, in which its motion is measured
-    mode: int  # LEAVE, DIRECT
-    h: float  # [s] time in which motion is damped by what is left of the task, 0: it is not
-    mu: float  # above 0: the task is damped by this from the first
+    J: Array  # (n, m) transposed Jacobian: one joint a row
+    weight: Array  # (m,) weights of the task's rows; 0: the row does not count
+    ask: Array  # (m,) rate asked for in each row
+    want: Array  # (n,) desired joint rates
+    aside: Array  # (n,) the part of these rates along singular directions, which are not in the task
+    size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
+    mode: int  # LEAVE or DIRECT
+    h: float  # [s] length of the step, which sets the damping of a task that is not met; 0: no such damping
+    mu: float  # above 0: damping of the task from the first attempt on, instead of only when the task is not met
 
 
 @compiled
 class Allowed(NamedTuple):
-    """Which joint rates are: floor <= x <= roof (n,), planes[:rows] x <= edges[:rows]."""
+    """The admissible joint rates x (n,): floor <= x <= roof, and planes x <= edges for the first `rows` constraints."""
 
     floor: Array
     roof: Array
@@ -53,34 +55,34 @@ class Allowed(NamedTuple):
 
 @compiled
 class StepTaken(NamedTuple):
-    """What becomes of it; what holds is where the next step begins."""
+    """Outcome of `constrain`; the active set in it is also the start of the next step."""
 
     x: Array  # (n,) joint rates
-    active: Array  # (n,) int8: -1 at the floor, 1 at the roof, 2 in a half-plane that holds
-    kept: Array  # (rows,) int8: 1 where a half-plane holds
+    active: Array  # (n,) int8: -1 at its lower bound, 1 at its upper bound, 2 part of an active inequality, 0 free
+    kept: Array  # (rows,) int8: 1 if the inequality constraint is active
 
 
 @inline
 def room_space(n, m, rows):
-    """Length of a block that has room for `room_on`."""
+    """Return the number of floats that `room_on` needs for n joints, m task rows and `rows` inequalities."""
     return problem_space(n + m + 1, rows + m + 1)
 
 
 @spliced
 def room_on(block, n, m, rows):
-    """Room for n joints, a task of m and so many half-planes, cut from a block of zeros."""
+    """Lay out a `TwoLevels` problem for n joints, m task rows and so many inequalities in a block of zeros."""
     return problem_on(block, n + m + 1, rows + m + 1)
 
 
 @build
 def make_room(n, m, rows):
-    """The same with its own block, for code that runs on arrays and counts references."""
+    """Return the problem of `room_on` in a block of its own, for callers that use ordinary arrays."""
     return room_on(np.zeros(room_space(n, m, rows)), n, m, rows)
 
 
 @inline
 def fitting(asked, allowed):
-    """Whether the rate wanted is inside and does the task, so that it can be taken bit for bit."""
+    """Return whether the desired rates keep all bounds and constraints and do the task, and so can be taken."""
     J, want = asked.J, asked.want
     for i in range(want.shape[0]):
         if not allowed.floor[i] <= want[i] <= allowed.roof[i]:
@@ -100,7 +102,11 @@ def fitting(asked, allowed):
 
 @inline
 def lay_out(asked, allowed, loose, fastest, room):
-    """Write the problem in unknowns that are shares of each joint's speed, or, above 0, all of the fastest one's."""
+    """Write the problem to `room`; each unknown is a share of its joint's speed, or of `fastest` if that is above 0.
+
+    loose: amount by which inequalities are loosened. Returns the number of task rows; rows that no joint can move are
+    left out.
+    """
     u, r, J, count, n = room.u, room.r, asked.J, allowed.rows, asked.J.shape[0]
     for i in range(n):
         size = fastest if fastest > 0.0 else asked.size[i]
@@ -117,14 +123,17 @@ def lay_out(asked, allowed, loose, fastest, room):
         for i in range(n):
             r.P[k, i] = asked.weight[c] * J[i, c] * (fastest if fastest > 0.0 else asked.size[i])
         r.rhs[k] = asked.weight[c] * asked.ask[c]
-        if square(r.P, k, n) > 0.0:  # what no joint moves is not asked for
+        if square(r.P, k, n) > 0.0:  # A row that no joint moves cannot be met, so it is not asked for.
             k += 1
     return k - count
 
 
 @inline
 def share_allowed(asked, allowed):
-    """Share of the rates wanted, or of as much of them as joints at full speed could do, that box and half-planes allow."""
+    """Return the share (0 to 1) of the desired rates that bounds and constraints allow.
+
+    Rates above the joints' speeds are first scaled down to them, all by the same factor.
+    """
     want, pace, share = asked.want, 1.0, 1.0
     for i in range(want.shape[0]):
         if abs(want[i]) > asked.size[i]:
@@ -142,10 +151,11 @@ def share_allowed(asked, allowed):
 
 @inline
 def keep_straight(p, share):
-    """Weight what leaves the direction asked for: STRAIGHT where nothing is blocked, 1 where nothing can be done along it.
+    """Weight the task error across the direction asked for, so that the tip falls behind rather than leaves its path.
 
-    Without it the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py). With acceleration limits
-    it does less: these block most of what is asked while joints start and brake.
+    The weight is 1 + (STRAIGHT - 1) share: STRAIGHT if nothing is blocked, 1 if no motion along the direction is
+    possible. Without it the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py).
+    Acceleration limits weaken it, as they block most of what is asked while joints start and brake.
     """
     r, asked = p.r, 0.0
     for k in range(p.planes, p.planes + p.task):
@@ -162,9 +172,10 @@ def keep_straight(p, share):
 
 @inline
 def damp(p, aside, fastest, mu):
-    """The problem of |C y - d|^2 + mu |y - aside|^2 (Levenberg and Marquardt).
+    """Extend the problem to min |C y - d|^2 + mu |y - aside|^2 (Levenberg-Marquardt), and return it.
 
-    What each row of the task misses is an unknown, in units of the root of mu, so that the task can always be met.
+    The residual of each task row becomes an unknown, scaled by 1 / sqrt(mu), so that the task can always be met and
+    both terms become part of the closeness objective.
     """
     u, r, n, unit = p.u, p.r, p.size, math.sqrt(mu)
     for i in range(n):
@@ -179,7 +190,10 @@ def damp(p, aside, fastest, mu):
 
 @inner
 def least_slack(p):
-    """By how much half-planes must be loosened at least to leave a point of the box: unknown n, the only task."""
+    """Return the least amount by which inequalities must be loosened for a solution inside the bounds, plus a margin.
+
+    The slack is unknown number n, and its size is the only task.
+    """
     u, r, n = p.u, p.r, p.size
     for i in range(n):
         u.want[i] = min(max(u.want[i], u.floor[i]), u.roof[i])
@@ -195,7 +209,7 @@ def least_slack(p):
 
 @inline
 def as_wanted(asked, taken):
-    """The rate wanted, bit for bit; no constraint is active."""
+    """Write the desired rates to `taken`, bit for bit, with no constraint active."""
     copy(asked.want, taken.x)
     for i in range(taken.x.shape[0]):
         taken.active[i] = 0
@@ -205,7 +219,7 @@ def as_wanted(asked, taken):
 
 @inline
 def recall(room, rows, taken):
-    """Start from what held at the end of the last step."""
+    """Set the solver's initial active set in `room` to that of the last step, in `taken`."""
     for i in range(taken.active.shape[0]):
         room.u.held[i] = taken.active[i] if taken.active[i] < 2 else 0
     for k in range(rows):
@@ -214,7 +228,7 @@ def recall(room, rows, taken):
 
 @inline
 def answer(p, asked, allowed, fastest, taken):
-    """Write the rate that was found, and what holds, in the caller's units."""
+    """Write the joint rates found and the active set to `taken`, in the caller's units."""
     u, r = p.u, p.r
     for i in range(taken.x.shape[0]):
         size = fastest if fastest > 0.0 else asked.size[i]
@@ -232,10 +246,11 @@ def answer(p, asked, allowed, fastest, taken):
 
 @inline
 def damping(p, asked):
-    """How much what the task misses damps the motion, and the speed of the fastest joint.
+    """Return the damping mu that an unmet task calls for, and the speed of the fastest joint.
 
-    The curvature of the tip's way that C leaves out is at most that of a circle of one kernel unit, the same for all joints,
-    however slow they are. Two thirds of the way (`Weak.caution`) are taken, as whole ways zigzag.
+    The curvature of the tip's path that the linear model neglects is at most that of a circle of one kernel unit (the
+    arm's reach), and the same for all joints, however slow. CAUTIOUS adds the margin of 3/2 because full steps zigzag
+    (`Weak.caution`).
     """
     miss, heavy, fastest = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):
@@ -249,13 +264,15 @@ def damping(p, asked):
 
 @inner
 def constrain(asked, allowed, room, taken):
-    """Take the rate that does the task as well as possible, then is nearest to the one wanted; return how it ended.
+    """Find the joint rates that do the task as well as possible and, among those, are nearest to the desired ones.
 
-    Status WANTED: it is the one wanted, bit for bit, which lies inside and does the task. MET: the task is done.
-    SHORT: not all of it can be; then what is missed damps the motion, as in `damp`: undamped, joints go to and fro at
-    full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration). RELAXED: the half-planes
-    contradict each other or the box and were loosened (tests/servo/test_obstacles.py). INEXACT: no optimum was found in the
-    iterations allowed, the rate is only inside the box.
+    Return a status.
+
+    WANTED: the desired rates are admissible and do the task; they are taken bit for bit. MET: the task is done. SHORT:
+    not all of the task can be done; the remaining error then damps the motion (`damp`), since joints would otherwise go
+    to and fro at full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration). RELAXED:
+    the inequalities contradict each other or the bounds and were loosened (tests/servo/test_obstacles.py). INEXACT: the
+    solver found no optimum in the iterations allowed; the rates only keep the bounds.
     """
     if fitting(asked, allowed):
         as_wanted(asked, taken)

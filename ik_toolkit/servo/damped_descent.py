@@ -1,13 +1,15 @@
-"""Before a target that stands and cannot be reached: down to the least error nearby, and to rest there.
+"""Damped least squares for an arm stuck before a target at rest: descend to the least error nearby, and stop there.
 
-A method brings each direction of the task to its own closest point. Where limits or a singular pose forbid some of that, the
-joints may creep, stop too early, or turn back and forth. Once the arm is stuck like that, its rates are those of
+A tracking method brings each direction of the task to its own closest point. Where limits or a singular pose forbid
+part of that, the joints may creep, stop too early, or turn back and forth. An arm that is stuck in this way gets the
+joint rates y of
 
-    min |W (J y - K e)|^2 + mu |y|^2    inside the box and the half-planes,    mu = share * max W * |W e|
+    min |W (J y - K e)|^2 + mu |y|^2    inside all bounds and inequality constraints,    mu = share * max W * |W e|
 
-(Levenberg and Marquardt). max W * |W e| is the most that one joint's curvature can add to J'W^2 J: that of a circle of one kernel
-unit. The more damped, the closer the way is to the steepest descent along the limits, so the joints rest only where none is left.
-The share is found by trying: joints that turn back went too far, and so did an error that does not come down.
+(Levenberg-Marquardt; e: error, W: weights, K: gain). max W * |W e| is the most that the curvature of one joint can add
+to J'W^2 J: that of a circle of one kernel unit (the arm's reach). With more damping the motion is closer to steepest
+descent along the limits, so the joints only stop where no descent is left. The share is adapted: it is raised when
+joints turn back (they went too far) or the error does not fall, and lowered while the error falls.
 """
 
 import math
@@ -19,34 +21,39 @@ from .null_space_motion import weigh
 from .singular_directions import GAIN
 from .viability import POSITION, ROW, approach, box_of, narrow
 
-STANDS = 1e-6  # [reaches or rad per s] below which a target stands
-SMALL = 1e-4  # weighted error below which the method goes on by itself
-STALLED = 0.1  # [s] without progress that make an arm stuck: a freeze is no shorter
-# By which the weighted error comes down in that time; where joints are slow, a share of what they would bring at full speed.
+STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing
+SMALL = 1e-4  # weighted error [arm reaches, rad] below which the method goes on by itself
+STALLED = 0.1  # [s] without progress after which an arm counts as stuck
+# Progress: the weighted error falls by PROGRESS within STALLED, or by PACE of what slow joints do at full speed.
 PROGRESS, PACE = 1e-3, 0.1
-IDLE = 0.01  # share of what is fed back below which the joints are idle: 0.3 at least is usual
-BACK = 0.1  # share of the joints' motion that goes back, above which they turn
-TURNS, FORGOTTEN = 2.0, 0.1  # turns that make it stuck, and [s] in which one is forgotten: four in 0.1 s are chatter
-# Shares: below the least joints turn again and again, the most is that of 16 joints.
+# share of the commanded feedback below which the joints count as idle; moving joints usually have 0.3 or more
+IDLE = 0.01
+BACK = 0.1  # share of the joints' motion that reverses in a step, above which they count as turning back
+TURNS, FORGOTTEN = 2.0, 0.1  # reversals of joints that make an arm count as stuck, and [s] after which one is forgotten
+# First, least and largest share in mu; below the least, joints turn back again and again.
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9  # its factors when joints turn, the error does not come down, or does
-FLOOR = 0.25  # of the share raised by TURNED, so twice that found too small: not gone below for a while ...
-FADING = 0.3  # [s] ... in which that is forgotten
-BRISK = 0.5  # share of the acceleration with which joints brake before the end of their way
+# factors of the share in mu when joints turn back, when the error does not fall, when it falls
+TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
+FLOOR = 0.25  # floor of the share in mu after joints turned back, over the raised share: twice the one found too small
+FADING = 0.3  # [s] time constant with which the floor of the share in mu fades
+BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 
 
 @inner
 def feedback(law, h):
-    """K [1/s]: not more than the method's own."""
+    """Return the feedback gain K [1/s] of the descent, which is at most the method's own."""
     return min(natural(law, h), GAIN / h)
 
 
 @inner
 def stuck(law, s, limits, square, h, state):
-    """Whether the arm is stuck before a target that stands; square: of the weighted error now.
+    """Return whether the arm is stuck before a standing target, so that this step is to be a damped descent.
 
-    It stands where neither its twist s.f (m,) nor the error moves from now, s.e, to the next sample, s.ahead: a caller may give a
-    twist of zero for a target that moves. Never where a published form is asked for.
+    Updates `state`.
+
+    square: squared weighted error now. The target stands if neither its twist s.f (m,) nor the difference between the
+    errors now (s.e) and at the next sample (s.ahead) is noticeable: a caller may give a zero twist for a target that
+    moves. Always False in mode CLIP, which keeps the published form.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
@@ -64,7 +71,7 @@ def stuck(law, s, limits, square, h, state):
 
 @inner
 def fastest(s, limits, error):
-    """How much the weighted error could fall in a second: by all joints that are not at limits, at full speed."""
+    """Return how fast [1/s] the weighted error could fall if all joints that are not at limits moved at full speed."""
     total = 0.0
     for i in range(s.J.shape[0]):
         slope = 0.0
@@ -77,7 +84,11 @@ def fastest(s, limits, error):
 
 @inner
 def notice(law, before, x, size, swings, code, square, h, state):
-    """Take notice of a step from the rates `before` to x (n,): what hindered the joints, whether they turned, how it went on."""
+    """Update `state` after a step from the rates `before` to x (n,): hindrance, reversals of joints, fall of the error.
+
+    size (n,): a speed for each joint; swings: see `viability.watch`; code (n,): limit bits; square: squared weighted
+    error.
+    """
     on, back, speed, swing, held = 0.0, 0.0, 0.0, False, False
     hindered, error = state[STATE.near] > 0.0, math.sqrt(square)
     for i in range(x.shape[0]):
@@ -99,7 +110,10 @@ def notice(law, before, x, size, swings, code, square, h, state):
 
 @inner
 def adapt(turned, error, h, state):
-    """Raise the share that damps the steps, or lower it."""
+    """Adapt the share in mu, the damping of a descent, after a step.
+
+    It is raised if joints turned back or the weighted error has stalled, and lowered while that error falls.
+    """
     share = state[STATE.share]
     state[STATE.stalled] += h
     state[STATE.lowest] *= max(1.0 - h / FADING, 0.0)
@@ -118,13 +132,17 @@ def adapt(turned, error, h, state):
 
 @inner
 def descend(law, s, limits, h, state):
-    """Write what `constrain` is asked for by a step down; returns mu."""
+    """Write the task of a damped descent step (s.ask, s.weight, desired rates 0) for `constrain`.
+
+    Return its damping mu.
+    """
     n, m = s.J.shape
     heavy, size, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), 0.0, feedback(law, h), False
     for k in range(m):
         size += s.e[k] * s.e[k]
         s.ask[k] = gain * s.e[k]
-        s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0  # all is weighed by now
+        # The Jacobian and the errors have been multiplied by the weights, so the weights become 1.
+        s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     mu = state[STATE.share] * heavy * math.sqrt(size)
     for i in range(n):
         limited = limited or limits[3, i] < math.inf
@@ -136,9 +154,9 @@ def descend(law, s, limits, h, state):
 
 @inner
 def brake(s, limits, mu, h):
-    """Narrow the box to rates from which each joint can still stop at the end of its way, that of a step without a box.
+    """Narrow the rate bounds so that each joint can stop at the end of its motion, that of an unbounded damped step.
 
-    Joints that are at limits and would go beyond do not take part in that.
+    Joints at limits that would have to go beyond them are left out of that step.
     """
     n, m = s.J.shape
     for i in range(n):

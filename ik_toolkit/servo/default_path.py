@@ -1,4 +1,4 @@
-"""Paths of the tips of a robot: circle, line and eight from where they stand, and one that every robot can follow."""
+"""Reference paths from where the tips are: circle, line and figure of eight, and one that every robot can follow."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -15,18 +15,27 @@ from ..validate import one_of, positive
 from .path_reach import References, freed
 from .result import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
 
-DURATION = 10.0  # [s]
-SWING = 0.15  # [rad, or reaches] by which a joint moves at most on the way that every robot can follow ...
-ROOM = 0.5  # ... and share of what there is to its farther limit
-SPEED = 0.5  # of a joint's limit: what the path asks for at most
-STRAIGHT = 0.4  # of the tolerances: how far a step straight ahead may leave the path, as the first one of `cv` does
-SEEN = 1000  # samples in which that is looked at
+DURATION = 10.0  # [s] default time for a path
+SWING = 0.15  # [rad or arm reaches] largest move of a joint in `joint_motion`
+ROOM = 0.5  # largest share of the distance to its farther limit that a joint moves in `joint_motion`
+SPEED = 0.5  # share of a joint's speed limit that `joint_motion` uses at most
+STRAIGHT = 0.4  # share of the tolerances by which a step at constant twist (the first one of `cv`) may leave the path
+SEEN = 1000  # number of samples of a path that are compared with steps at constant twist
 
 
 def eight(
     center: Any, radius: float, normal: Any, *, turns: float = 1.0, duration: float, law: str = "constant"
 ) -> Reference:
-    """Figure of eight about a centre (pose or position) in the plane across `normal`: `radius` [m] to each side."""
+    """Make a reference along a figure of eight in the plane across `normal`, at a fixed orientation.
+
+    Args:
+        center: Crossing point of the figure, as a pose or position, base frame [m].
+        radius: Distance [m] from the centre to either end of the figure.
+        normal: Normal (3,) of its plane, base axes.
+        turns: How often the figure is run through.
+        duration: Time for all turns [s].
+        law: "constant" or "minimum-jerk".
+    """
     p, R0 = split(center)
     u, w = shapes.plane(normal)
     k = 2.0 * np.pi * turns
@@ -50,10 +59,18 @@ def draw(
     law: str | None = None,
     turns: float = 0.0,
 ) -> Reference:
-    """Path of a kind (line, circle, eight) from where the tip stands (pose or position); size: its length or radius [m].
+    """Make a reference along a circle, line or figure of eight that begins at a pose or position.
 
-    axis: direction of a line (default base x), normal of the others (base z). turns: of circle and eight (0: one), rounds of a
-    line (0: one way). law: default constant speed, of a line minimum-jerk.
+    A figure of eight begins at its centre, where it crosses itself.
+
+    Args:
+        kind: "circle", "line" or "eight".
+        at: Where the tip is, as a pose or position, base frame [m].
+        size: Length of a line, radius of a circle or figure of eight [m].
+        axis: Direction of a line (default base x), normal of the others (default base z), base axes.
+        duration: Time for the path [s].
+        law: "constant" or "minimum-jerk"; default: minimum-jerk for a line, else constant.
+        turns: Turns of a circle or eight (0: one), round trips of a line (0: one way).
     """
     if one_of(kind, KINDS, "path") == "line":
         d = np.array((1.0, 0.0, 0.0) if axis is None else axis, dtype=float)
@@ -79,10 +96,21 @@ def joint_motion(
     dt: float = 0.01,
     position_tolerance: float = POSITION_TOLERANCE,
 ) -> References:
-    """Path of the tips while all joints swing a little from q0 (n,), default home, and back: a way that can be followed.
+    """Make references of the tips that every robot can follow: all joints move a little from q0 and back.
 
-    Every joint moves towards its farther limit, every second one there and back twice. duration [s]: default such that speeds
-    are half of their limits at most and, with samples every dt [s], a step leaves the path by less than position_tolerance [m].
+    Every joint moves towards its farther limit; every second joint does so twice.
+
+    Args:
+        robot: The robot.
+        q0: Joint values (n,) at start and end; default home.
+        position_only: Leave the orientation free.
+        duration: Time for the motion [s]. Default: such that joint speeds stay below half of their limits and a step of
+            dt at constant twist stays within a share of the tolerance.
+        dt: Sample time [s] of the run.
+        position_tolerance: Tolerance [m] of the run.
+
+    Returns:
+        One reference, or for a Tree a dict of references by tip.
     """
     q0 = robot.home if q0 is None else robot.check_q(q0, "q0")
     up, down = np.maximum(robot.upper - q0, 0.0), np.maximum(q0 - robot.lower, 0.0)
@@ -102,7 +130,7 @@ def joint_motion(
 
 
 def _swings(robot: Any, q0: np.ndarray, swing: np.ndarray, turns: np.ndarray, duration: float) -> dict[str, Reference]:
-    """The references of `joint_motion`, by tip."""
+    """Return the references of `joint_motion` by tip: joints at q0 + swing sin^2(turns t / duration), all (n,)."""
     made = {}
     for tip, arm, place in zip(robot.tips, robot.arms, robot.places, strict=True):
         function = partial(_tip_at, arm, q0[place], swing[place], turns[place] / positive(duration, "duration [s]"))
@@ -111,7 +139,7 @@ def _swings(robot: Any, q0: np.ndarray, swing: np.ndarray, turns: np.ndarray, du
 
 
 def _tip_at(arm: Any, q0: np.ndarray, swing: np.ndarray, pace: np.ndarray, t: np.ndarray) -> Samples:
-    """Motion of the tip of an arm whose joints are at q0 + swing sin^2(pace t)."""
+    """Return the tip's motion at t (N,) [s] of an arm whose joints are at q0 + swing sin^2(pace t)."""
     angle = 2.0 * pace * t[:, None]
     q, dq, ddq = 0.5 * (1.0 - np.cos(angle)), pace * np.sin(angle), 2.0 * pace**2 * np.cos(angle)
     return tip_motion(arm, q0 + swing * q, swing * dq, swing * ddq)
@@ -120,7 +148,19 @@ def _tip_at(arm: Any, q0: np.ndarray, swing: np.ndarray, pace: np.ndarray, t: np
 def paths(
     robot: Any, q: Any, kind: str, size: float, axis: Any, free: bool, relative: Mapping[str, str], **rest: Any
 ) -> References:
-    """The path from where the tips stand at q, by tip for a tree; a tip relative to another keeps its pose in its frame."""
+    """Make the references of `draw` from where the tips are at q (n,): one, or for a Tree a dict by tip.
+
+    Args:
+        robot: The robot.
+        q: Joint values (n,).
+        kind: As in `draw`.
+        size: As in `draw` [m].
+        axis: As in `draw`.
+        free: Leave the orientation free.
+        relative: Tips whose target is given in the frame of another tip, by name; such a tip keeps its pose in that
+            frame.
+        rest: Other arguments of `draw`.
+    """
     T: Any = robot.fk(q)
     if not robot.by_tip:
         return _drawn(T.homogeneous, kind, size, axis, free, rest)
@@ -133,4 +173,5 @@ def paths(
 
 
 def _drawn(at: np.ndarray, kind: str, size: float, axis: Any, free: bool, rest: Mapping[str, Any]) -> Reference:
+    """Make the reference of `draw` from a pose at (4, 4), or from its position only if `free`."""
     return draw(kind, at[:3, 3].copy() if free else at, size, axis, **rest)

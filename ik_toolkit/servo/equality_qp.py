@@ -1,6 +1,7 @@
-"""Two objectives, the second subject to the first, with the active constraints as equalities: one iteration of hierarchical_qp.py.
+"""Two least-squares objectives in order of priority, with the active constraints as equalities.
 
-Solved from scratch each time, by Gram-Schmidt with pivots and a second pass, at a cost of N r^2: errors do not accumulate.
+This is one iteration of hierarchical_qp.py. It is solved from scratch each time, by Gram-Schmidt with pivoting and
+reorthogonalisation at a cost of N r^2 for N unknowns and r rows, so that errors do not accumulate.
 """
 
 import math
@@ -13,15 +14,17 @@ from ..compile.jit import compiled, inline, spliced
 from ..kernel.records import Array
 
 NONE = -1
-SAME = 1e-10  # share of a row's length that remains after the others are removed, below which it depends on them
-CLEAR = 0.5  # share of a row's square that remains, from which on one pass is enough (Daniel et al., 1976, for 0.1 of its length)
-DOUBTFUL = 1e-6  # share of it below which what is left of it is no longer told by subtraction
-ROUNDING = 1e-13  # share of its terms below which a sum is rounding
+SAME = 1e-10  # a row depends on the others if less than this share of its length remains after their part is removed
+# a row needs no second pass of Gram-Schmidt if this share of its squared length remains (Daniel et al., 1976)
+CLEAR = 0.5
+# below this share of a row's squared length, what is left is computed anew: subtraction has lost its digits
+DOUBTFUL = 1e-6
+ROUNDING = 1e-13  # a sum below this share of the sum of its terms' magnitudes is rounding
 
 
 @compiled
 class Pair(NamedTuple):
-    """Multipliers first / eps + second of the two objectives, with eps -> 0 carried out on paper."""
+    """Lagrange multipliers first / eps + second in the limit eps -> 0: a part for each of the two objectives."""
 
     first: Array
     second: Array
@@ -29,47 +32,50 @@ class Pair(NamedTuple):
 
 @compiled
 class Unknowns(NamedTuple):
-    """What belongs to each of N unknowns."""
+    """Arrays (N,) with an entry for each of N unknowns."""
 
-    y: Array  # its value
-    want: Array  # what the second objective wants it to be
-    floor: Array  # its bounds
-    roof: Array
-    held: Array  # int8 -1 at its floor, 1 at its roof, 0 free
-    now: Pair  # multipliers of its bound, positive at the roof ...
-    new: Pair  # ... and those that the last equality problem asks for
+    y: Array  # (N,) solution of the last equality problem
+    want: Array  # (N,) values desired by the second objective
+    floor: Array  # (N,) lower bounds
+    roof: Array  # (N,) upper bounds
+    held: Array  # (N,) int8: -1 held at the lower bound, 1 at the upper bound, 0 free
+    now: Pair  # present multipliers of the bounds, positive at upper ones
+    new: Pair  # multipliers of the bounds from the last equality problem
 
 
 @compiled
 class Rows(NamedTuple):
-    """What belongs to each of K rows: half-planes P y <= rhs, each of norm 1, then the task P y = rhs."""
+    """Arrays with an entry for each of K rows: the inequalities P y <= rhs, each of norm 1, then the task P y = rhs."""
 
-    P: Array  # (K, N)
-    rhs: Array
-    length: Array
-    holds: Array  # int8 1 where a half-plane holds
-    now: Pair  # multipliers of half-planes ...
-    new: Pair  # ... and those that the last equality problem asks for; of the task's rows, what they miss is first
+    P: Array  # (K, N) coefficients
+    rhs: Array  # (K,) right sides
+    length: Array  # (K,) norms of the rows of P
+    holds: Array  # (K,) int8: 1 if the inequality is active
+    now: Pair  # (K,) present multipliers of the inequalities
+    new: Pair  # (K,) multipliers from the last equality problem; for a task row, `first` is its residual P y - rhs
 
 
 @compiled
 class Basis(NamedTuple):
-    """Scratch: an orthonormal basis of the rows that count, in the unknowns that are free."""
+    """Scratch: an orthonormal basis of the active rows and the task rows, restricted to the free unknowns."""
 
-    W: Array  # (K, N) the rows, made orthonormal
-    L: Array  # (K, K) row k is the sum of L[k, j] times basis vector j
-    U: Array  # (2 K, K) columns of L made orthonormal, and their coefficients
-    order: Array  # (K,) int64 row that gave each basis vector
-    rest: Array  # (K,) right side of a row without what held unknowns do
-    remain: Array  # squared length of a row that is left beside the basis; -1: it is in the basis
-    whole: Array  # ... and before anything was removed
-    along: Array  # y along each basis vector
-    off: Array  # ... less what is wanted along it
+    W: Array  # (K, N) the rows after orthonormalisation
+    L: Array  # (K, K) coefficients: row k is the sum over j of L[k, j] times basis vector j
+    U: Array  # (2 K, K) for a rank-deficient task: orthonormalised columns of L, and below them their coefficients
+    order: Array  # (K,) int64: the row that each basis vector came from
+    rest: Array  # (K,) right sides less the contribution of the held unknowns
+    remain: Array  # (K,) squared length of each task row outside the basis so far; -1: the row is in the basis
+    whole: Array  # (K,) squared length of each task row before any projection
+    along: Array  # (K,) component of y along each basis vector
+    off: Array  # (K,) component of y less the desired one, along each basis vector
 
 
 @compiled
 class TwoLevels(NamedTuple):
-    """Two objectives for the first `size` unknowns: `planes` half-planes, then `task` rows."""
+    """A problem with two objectives, in the first `size` unknowns.
+
+    Its rows are `planes` inequalities, followed by `task` rows of the task.
+    """
 
     size: int
     planes: int
@@ -81,13 +87,13 @@ class TwoLevels(NamedTuple):
 
 @inline
 def problem_space(N, K):
-    """Length of a block that has room for a `TwoLevels`."""
+    """Return the length of the block of floats that `problem_on` needs for N unknowns and K rows."""
     return 2 * K * N + 3 * K * K + 9 * N + 13 * K + 26 * LINE
 
 
 @spliced
 def problem_on(block, N, K):
-    """Room for problems of up to N unknowns and K rows, cut from a block of zeros."""
+    """Lay out a problem of up to N unknowns and K rows in a block of zeros."""
     P, W, L, U = cut(block, np.float64, ((K, N), (K, N), (K, K), (2 * K, K)))
     y, want, floor, roof, first, second, new_first, new_second = cut(block, np.float64, (N, N, N, N, N, N, N, N))
     rhs, length, rest, remain, whole, along, off, k0, k1, k2, k3 = cut(
@@ -105,13 +111,13 @@ def problem_on(block, N, K):
 
 @inline
 def resized(p, size, planes, task):
-    """The same arrays for so many unknowns, half-planes and rows of the task."""
+    """Return the problem with the same arrays but other numbers of unknowns, inequalities and task rows."""
     return TwoLevels(size, planes, task, p.u, p.r, p.b)
 
 
 @inline
 def dot(A, i, x, n):
-    """Product of row i of A and x, over their first n places."""
+    """Return the scalar product of row i of A with x, over their first n entries."""
     s = 0.0
     for k in range(n):
         s += A[i, k] * x[k]
@@ -120,7 +126,7 @@ def dot(A, i, x, n):
 
 @inline
 def remove(b, row, j, n):
-    """Subtract from a row of W its part along basis vector j, and add that to L."""
+    """Project basis vector j out of a row of W (first n entries), and add the coefficient to L."""
     base = b.order[j]
     s = 0.0
     for i in range(n):
@@ -132,7 +138,7 @@ def remove(b, row, j, n):
 
 @inline
 def square(A, k, n):
-    """Squared length of row k."""
+    """Return the squared length of the first n entries of row k of A."""
     s = 0.0
     for i in range(n):
         s += A[k, i] * A[k, i]
@@ -141,7 +147,7 @@ def square(A, k, n):
 
 @inline
 def take_in(b, row, q, size, n):
-    """Let a row that is left with a length be basis vector q."""
+    """Turn row `row` of W into basis vector q, by dividing it by its length `size`."""
     b.L[row, q] = size
     for i in range(n):
         b.W[row, i] /= size
@@ -150,9 +156,10 @@ def take_in(b, row, q, size, n):
 
 @inline
 def row_basis(p, last):
-    """Orthonormal basis of the rows among free unknowns: half-planes that hold, `last` at the end, then the task.
+    """Build the orthonormal basis of the rows in the free unknowns: active inequalities (`last` last), then the task.
 
-    Returns the numbers of basis vectors from half-planes and from all, and a half-plane that depends on the others, or NONE.
+    Returns the number of basis vectors from inequalities, their total number, and an active inequality that depends
+    linearly on the others, or NONE.
     """
     u, r, b = p.u, p.r, p.b
     n, K = p.size, p.planes + p.task
@@ -207,9 +214,10 @@ def row_basis(p, last):
 
 @inline
 def back(p, first, end, out, sign, lower):
-    """Multipliers `out` (K,) of the rows of basis vectors first to end: L' out = -sign off, less what the task's rows take.
+    """Solve L' out = -sign off for the multipliers out (K,) of the rows behind basis vectors first to end.
 
-    sign 0: of the first objective, which has no other right side; lower: whether `out` holds the task's already.
+    sign: 1 for the second objective, 0 for the first, which has no right side of its own. lower: whether `out` already
+    holds the multipliers of the task rows, whose part is then subtracted.
     """
     b = p.b
     for j in range(end - 1, first - 1, -1):
@@ -225,9 +233,10 @@ def back(p, first, end, out, sign, lower):
 
 @inline
 def equality(p, last):
-    """The two objectives with what holds held as equalities: y and the new multipliers.
+    """Solve the two objectives with all active constraints as equalities: write y and the new multipliers.
 
-    Returns NONE, or a half-plane that depends on the other active ones (`last` if it does); then no solution is found.
+    Returns NONE, or an active inequality that depends linearly on the others (`last` if that is one); then nothing is
+    solved.
     """
     u, r, b = p.u, p.r, p.b
     n, K = p.size, p.planes + p.task
@@ -271,7 +280,7 @@ def equality(p, last):
 
 @inline
 def price_bounds(p, noise):
-    """New multipliers of the bounds that hold; those of the first objective that are rounding become 0."""
+    """Compute the multipliers of the active bounds; in those of the first objective, values up to `noise` become 0."""
     u, r = p.u, p.r
     for i in range(p.size):
         u.new.first[i], u.new.second[i] = 0.0, u.want[i] - u.y[i]
@@ -293,7 +302,11 @@ def price_bounds(p, noise):
 
 @inline
 def least_squares(p, planes, rank):
-    """y along the task's basis vectors where its rows are dependent; U, its lower half the coefficients."""
+    """Write the components of y along the task's basis vectors (b.along) if the task rows are linearly dependent.
+
+    planes: basis vectors from inequalities, which come first; rank: those of the task. Uses the scratch U as described
+    in `Basis`.
+    """
     b = p.b
     U, K, m = b.U, p.planes + p.task, p.task
     for k in range(p.planes, K):
@@ -334,9 +347,9 @@ def least_squares(p, planes, rank):
 
 @inline
 def closeness_of_task(p, planes, rank):
-    """Multipliers of the second objective of the task's rows, where these are dependent: the shortest ones."""
+    """Write the multipliers of the second objective for linearly dependent task rows: the solution of least norm."""
     b, K = p.b, p.planes + p.task
-    for j in range(rank):  # U' coefficients = -off
+    for j in range(rank):  # Forward substitution: transpose(U's coefficients) times along equals -off.
         s = -b.off[planes + j]
         for h in range(j):
             s -= b.U[K + h, j] * b.along[h]
@@ -350,7 +363,7 @@ def closeness_of_task(p, planes, rank):
 
 @inline
 def residual(p):
-    """What the task's rows miss, zero where that is rounding; returns what of its products with columns is rounding."""
+    """Write the residuals P y - rhs of the task rows, all 0 if they are rounding; return their rounding error."""
     u, r = p.u, p.r
     size, terms, noise = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):

@@ -1,14 +1,15 @@
-"""Two objectives, the second subject to the first, inside bounds and half-planes: exact, by a dual active set.
+"""Two least-squares objectives in order of priority, inside bounds and inequalities, by a dual active-set method.
 
     first    |C y - d|^2 least
     second   |y - want|^2 least among those
     always   floor <= y <= roof, A y <= b
 
-It is the method of Goldfarb and Idnani (1983) for |y - want|^2 + |C y - d|^2 / eps with eps -> 0 carried out on paper: each
-multiplier is a pair (first / eps + second) that is compared as one number with an infinitesimal. What is left in each iteration
-is a problem with equalities only (equality_qp.py), and the active set of the last step is a start of one iteration.
+It is the method of Goldfarb and Idnani (1983) for |y - want|^2 + |C y - d|^2 / eps in the limit eps -> 0. Each
+multiplier is a pair (first / eps + second) that is compared as one number with an infinitesimal part. Each iteration
+solves a problem with equalities only (equality_qp.py). Started from the active set of the last control step, one
+iteration is usually enough.
 
-A constraint is a number: unknown i is i, half-plane k is p.size + k.
+A constraint is identified by a number: the bounds of unknown i by i, inequality k by p.size + k.
 """
 
 import math
@@ -19,15 +20,21 @@ from ..compile.jit import inline, inner
 from .equality_qp import NONE, SAME, dot, equality, square
 
 DONE, STUCK, CONTRADICTION = range(3)
-OUT = 1e-12  # by how much a bound or half-plane may be broken; speeds are of order 1, and the caller clips to bounds
-WRONG = 1e-11  # by how much a multiplier of the second objective may have the wrong sign
+# tolerance of bounds and inequalities for unknowns of order 1 (shares of a joint's speed); callers clip to the bounds
+OUT = 1e-12
+WRONG = 1e-11  # tolerance of a multiplier of the second objective with the wrong sign
 SAME_TASK = 1e-9  # share of the task by which it may be missed and still count as met
-PER = 10  # iterations allowed for each unknown and half-plane
+PER = 10  # iterations allowed for each unknown and inequality
 
 
 @inline
 def wrong(one, two, side):
-    """How wrong the sign of a multiplier is: a pair compared as one number with an infinitesimal; 0: right."""
+    """Return how much a multiplier (one / eps + two) has the wrong sign, 0 if it is right.
+
+    side: the right sign, 1 or -1.
+
+    A wrong first part gives a value above 1, so that it always counts more than a wrong second part.
+    """
     if one * side != 0.0:
         return 1.0 - one * side if one * side < 0.0 else 0.0
     return min(-two * side, 1.0) if two * side < -WRONG else 0.0
@@ -35,9 +42,10 @@ def wrong(one, two, side):
 
 @inline
 def violated(p):
-    """Constraint broken most, and its side; NONE."""
+    """Return the number of the most violated inactive constraint, or NONE, and its side: -1 lower, 1 upper."""
     u, r, n = p.u, p.r, p.size
-    top = 1.0  # a large unknown leaves its rounding in the others
+    # The rounding error of one large unknown spreads to the others, so the tolerance grows with the largest one.
+    top = 1.0
     for i in range(n):
         top = max(top, abs(u.y[i]))
     which, side, most = NONE, 0, OUT
@@ -57,7 +65,7 @@ def violated(p):
 
 @inline
 def wrong_most(p):
-    """What holds with the multiplier whose sign is most wrong; NONE."""
+    """Return the number of the active constraint whose multiplier has the most wrong sign, or NONE."""
     u, r = p.u, p.r
     worst, which = 0.0, NONE
     for i in range(p.size):
@@ -75,7 +83,7 @@ def wrong_most(p):
 
 @inline
 def unmet(p):
-    """Whether the last answer misses the task by more than rounding."""
+    """Return whether the last solution misses the task by more than the share SAME_TASK."""
     miss, size = 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):
         miss += p.r.new.first[k] * p.r.new.first[k]
@@ -85,7 +93,10 @@ def unmet(p):
 
 @inline
 def begin(p, cold):
-    """Lengths of the rows, and where to start: what held last time, or nothing; joints that cannot move are held."""
+    """Compute the row norms and set the initial active set: the present one, or none if `cold`.
+
+    Unknowns with equal bounds are always held.
+    """
     u, r = p.u, p.r
     for k in range(p.planes + p.task):
         r.length[k] = math.sqrt(square(r.P, k, p.size))
@@ -101,7 +112,7 @@ def begin(p, cold):
 
 @inline
 def release(p, which):
-    """Let a constraint not hold."""
+    """Remove constraint number `which` from the active set."""
     if which < p.size:
         p.u.held[which] = 0
     else:
@@ -110,7 +121,7 @@ def release(p, which):
 
 @inline
 def enforce(p, which, side):
-    """Let a constraint hold, at no price yet."""
+    """Add constraint number `which` to the active set, at the given side and with a multiplier of 0."""
     if which < p.size:
         p.u.held[which] = side
         p.u.now.first[which], p.u.now.second[which] = 0.0, 0.0
@@ -122,14 +133,17 @@ def enforce(p, which, side):
 
 @inner
 def solve_levels(p):
-    """Solve; what holds is where to start, and what holds in the end. Returns DONE, STUCK or CONTRADICTION (of A y <= b)."""
+    """Solve the problem p; the active set in it is the start, and afterwards the final one.
+
+    Returns DONE, STUCK (out of iterations) or CONTRADICTION (the inequalities and bounds have no common solution).
+    """
     n = p.size
-    for attempt in range(2):  # from what held last time, then from nothing
+    for attempt in range(2):  # The second attempt, if the first is stuck, starts from an empty active set.
         begin(p, attempt > 0)
         new = NONE
-        adding = False  # first members of the start whose multipliers have the wrong sign are dropped
+        adding = False  # First, members of the initial active set whose multipliers have the wrong sign are dropped.
         for _ in range(PER * (n + p.planes)):
-            last = new - n  # below 0: no half-plane
+            last = new - n  # below 0: the constraint added last is a bound, no inequality
             dependent = equality(p, last)
             if not adding:
                 drop = n + dependent if dependent != NONE else wrong_most(p)
@@ -154,7 +168,7 @@ def solve_levels(p):
 
 @inline
 def accept(p):
-    """The multipliers just found become the present ones."""
+    """Make the multipliers of the last equality problem the present ones."""
     u, r = p.u, p.r
     for i in range(p.size):
         u.now.first[i], u.now.second[i] = u.new.first[i], u.new.second[i]
@@ -164,7 +178,10 @@ def accept(p):
 
 @inline
 def share(now, new, at, side):
-    """How far the multiplier at a place can go from now to new before its sign turns: t + dt eps; t > 1: all the way."""
+    """Return the share t + dt eps by which multiplier number `at` can move from now to new before its sign is wrong.
+
+    The result is the pair (t, dt); t = 2 means all the way. side: the right sign.
+    """
     one, two, next_one, next_two = now.first[at], now.second[at], new.first[at], new.second[at]
     if wrong(next_one, next_two, side) == 0.0:
         return 2.0, 0.0
@@ -176,7 +193,7 @@ def share(now, new, at, side):
 
 @inline
 def go(now, new, count, t, dt):
-    """Move multipliers by t + dt eps of the way to the new ones."""
+    """Move the first `count` multipliers by the share t + dt eps of the way from now to new."""
     for k in range(count):
         one, two = new.first[k] - now.first[k], new.second[k] - now.second[k]
         now.first[k] += t * one
@@ -185,7 +202,10 @@ def go(now, new, count, t, dt):
 
 @inline
 def move_on(p, newest):
-    """Move the multipliers towards those just found until one becomes zero; that one, or NONE."""
+    """Move all multipliers towards those just found, until that of a constraint other than `newest` becomes zero.
+
+    Returns the number of that constraint, or NONE if there is none.
+    """
     u, r, n = p.u, p.r, p.size
     t, dt, blocking = 2.0, 0.0, NONE
     for i in range(n):
@@ -206,7 +226,10 @@ def move_on(p, newest):
 
 @inline
 def parts(p, dependent):
-    """Write to new.first the parts of bounds and half-planes in a half-plane that is a sum of them; its own is -1."""
+    """Express an inequality that depends linearly on active constraints in terms of them; its own coefficient is -1.
+
+    The coefficients are written to new.first of the bounds and inequalities.
+    """
     u, r, b = p.u, p.r, p.b
     planes = 0
     for k in range(p.planes):
@@ -229,7 +252,7 @@ def parts(p, dependent):
 
 @inline
 def pay(now, parts, count, one, two):
-    """Take so much of each part from the multipliers."""
+    """Subtract (one / eps + two) times the coefficients `parts` (see there) from the first `count` multipliers."""
     for k in range(count):
         now.first[k] -= one * parts[k]
         now.second[k] -= two * parts[k]
@@ -237,15 +260,19 @@ def pay(now, parts, count, one, two):
 
 @inner
 def exchange(p, dependent, newest):
-    """What is new is a sum of what holds: whose place it takes, after moving the multipliers; NONE: it contradicts them.
+    """Replace an active constraint by the new one that depends linearly on the active set.
 
-    A half-plane that depends on the rest gives the sum, in which the new one, a bound or that half-plane, has its part.
+    Move the multipliers accordingly.
+
+    `dependent` is the inequality whose linear combination is known; the new constraint, a bound or that inequality, is
+    part of it. Returns the number of the constraint to drop, or NONE if the new constraint contradicts the others.
     """
     u, r, n = p.u, p.r, p.size
     parts(p, dependent)
     side = u.held[newest] if newest < n else 1
     part = u.new.first[newest] if newest < n else r.new.first[newest - n]
-    if not abs(part) > SAME:  # it has none: by rounding alone the half-plane had seemed to be independent
+    # The new constraint is no part of the combination, so the inequality seemed independent only through rounding.
+    if not abs(part) > SAME:
         return n + dependent
     for i in range(n):
         u.new.first[i] *= -side / part
@@ -264,7 +291,7 @@ def exchange(p, dependent, newest):
             a, c = r.now.first[k] / part, r.now.second[k] / part
             if a < one or (a == one and c < two):
                 one, two, blocking = a, c, n + k
-    if blocking != NONE:  # the new one's part is -side, so its multiplier grows
+    if blocking != NONE:  # The new constraint's own coefficient is -side, so its multiplier grows.
         pay(u.now, u.new.first, n, one, two)
         pay(r.now, r.new.first, p.planes, one, two)
     return blocking

@@ -1,12 +1,14 @@
-"""Following a moving target, one step: rate of the Jacobian, pseudo-inverse, the published commands, limits.
+"""The published tracking laws as pure functions of one step: pseudo-inverse, dJ/dt, command, limits on the feedback.
 
-All pure: `factor` inverts the Jacobian, `prepare` says at which joint velocities dJ/dt is wanted, `command` turns errors into
-the next joint rate. The compiled loop (loop.py) and the paper's cases that are no robots (servo/methods.py) call these.
+`factor` prepares the pseudo-inverse of the Jacobian, `prepare` says at which joint velocities dJ/dt is needed, and
+`command` turns errors into the next joint rates. The compiled loop (loop.py) and the systems of servo/methods.py that
+are no robots call them.
 
-All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'). gamma is 1 at velocity
-level, 1/2 for the paper's acceleration level and free for `aad`.
+All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'), where ' is the next
+sample. gamma is 1 at velocity level, 1/2 at the paper's acceleration level and free for `aad`.
 
-Sign: e = target - actual (Patko and Zelei, 2019, use the opposite). J is (n, m), one joint a row.
+Sign: e = target - actual (Patko and Zelei, 2019, use the opposite). J is (n, m): one joint a row, the transpose of the
+usual.
 """
 
 from typing import NamedTuple
@@ -19,78 +21,78 @@ from ..kernel.records import Array
 from .viability import approach
 
 CV, AV, CA, AA = range(4)
-CLIP = 2  # beside LEAVE and DIRECT of constrained_step.py: each joint clipped on its own
-AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
-MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, with the rate given; go on; all is known
+CLIP = 2  # third mode beside those of constrained_step.py: each joint clipped on its own
+AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where `aa` evaluates dJ/dt: readings 1, 2, 3 of eq (25)
+MOVING, GIVEN, RUNNING, READY = range(4)  # how a step begins: target's rate, given rate, method going on, no command
 FINE, NOT_FINITE, RUNAWAY = range(3)
-SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which the joints cannot move along a row
-FAR = 0.25  # of curvature times error: damped by it, a direction asks for at most the root of error over curvature
-SLUGGISH = 0.1  # of the fastest joint's speed, below which others are asked first
-AT = 1e-9  # [rad, or reaches] from a limit within which a joint counts as at the limit
-REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
+SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row has no motion
+FAR = 0.25  # damping of a blocked correction over curvature * error; it then is at most sqrt(error / curvature) long
+SLUGGISH = 0.1  # share of the fastest joint's speed limit below which a joint counts as slow
+AT = 1e-9  # [rad or arm reaches] distance within which a joint counts as at its limit
+REGION = 2.0  # damping grows from 0 where the smallest singular value is below REGION * damping
 
 
 class State(NamedTuple):
-    """What a tracker keeps between steps, as an array that Python passes in."""
+    """Layout of the array of numbers that a tracker's loop keeps between steps; STATE holds the indices."""
 
-    start: int  # how the next step begins: MOVING, GIVEN, RUNNING
+    start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY, see there
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
-    near: int  # 1: near a singular pose in the last step, and [s] for which the target counts as out of reach; -1: once, 0: never
-    share: int  # of the curvature, by which steps down are damped, 0: the method's own steps; see damped_descent.py
-    lowest: int  # ... which it is not lowered below
-    nearest: int  # weighted error from which it has to come down
-    stalled: int  # [s] for which limits or a singular pose have kept it from that; in a step down, since it last did
-    turned: int  # how often the joints have turned back meanwhile
-    free: int  # [s] since limits, half-planes or a singular pose have hindered the joints
-    pressed: int  # [s] for which errors beyond their slack are closed like others, as half-planes could not be kept
+    near: int  # near a singular pose 1 + time [s] for which the target counts as out of reach; -1: earlier; 0: never
+    share: int  # share in the damping mu of a descent (damped_descent.py); 0: no descent
+    lowest: int  # value below which the share in mu is not lowered for now
+    nearest: int  # least weighted error so far, that an arm which is not stuck improves upon
+    stalled: int  # [s] without fall of the weighted error; before a descent only while joints are hindered
+    turned: int  # reversals of joints before a descent, which fade with time
+    free: int  # [s] since limits, inequalities or a singular pose last hindered the joints
+    pressed: int  # [s] for which errors beyond their slack are closed like others
 
 
-STATE = State._make(range(len(State._fields)))  # places in the array
+STATE = State._make(range(len(State._fields)))
 
 
 @compiled
 class Law(NamedTuple):
-    """A tracking method and its gains; those it does not have are 0. Python passes it as an array."""
+    """A tracking method and its gains (0 for those it does not have); Python passes it to the loop as an array."""
 
-    code: float  # CV, AV, CA, AA
-    kappa: float
-    kp: float
-    kd: float
-    gamma: float
+    code: float  # CV, AV, CA or AA
+    kappa: float  # [1/s] gain of cv
+    kp: float  # [1/s^2] gain of ca
+    kd: float  # [1/s] gain of ca
+    gamma: float  # weight of the new rate in a step
     null: float  # damping of null-space motion [1/s]
-    damping: float
-    reading: float  # AT_RATE, AT_RATE_AND_STEP, AT_STEP
-    runaway: float  # largest mean move of a joint in a step; inf: hold still instead of stopping
-    brake: float  # 1: come to rest
-    late: float  # longest step that may follow [s]
-    mode: float  # LEAVE, DIRECT, CLIP
-    avoid: float  # [1/s] how strongly joints are led away from their limits
-    rows: float  # half-planes that hold
-    measured: float  # 1: error and Jacobian are taken at the joints measured
-    omit: float  # share of the error that AV and AA leave to later steps
+    damping: float  # [arm reaches per rad] of the pseudo-inverse near singular poses
+    reading: float  # where dJ/dt is evaluated: AT_RATE, AT_RATE_AND_STEP or AT_STEP
+    runaway: float  # [rad or arm reaches] largest mean move of a joint in a step; inf: hold instead of ending
+    brake: float  # 1: brake to rest, whatever the target
+    late: float  # longest later step [s] for which limits must hold
+    mode: float  # LEAVE, DIRECT or CLIP
+    avoid: float  # [1/s] gain of the motion away from joint limits
+    rows: float  # number of inequality constraints in use
+    measured: float  # 1: error and Jacobian are evaluated at the measured joints
+    omit: float  # share of the error that av, aa and aad leave to later steps
 
 
-PLACE = Law._make(range(len(Law._fields)))  # in the array that Python passes in
+PLACE = Law._make(range(len(Law._fields)))  # indices in the array that Python passes to the loop
 
 
 @compiled
 class TargetMotion(NamedTuple):
-    """Where a target is and how it moves, arrays (m,)."""
+    """A target's pose error and motion, arrays (m,)."""
 
-    e: Array  # target now minus the tip now
-    ahead: Array  # target at the end of the step minus the tip now
-    v: Array  # its velocity
-    a: Array  # and acceleration now
-    bias: Array  # the product with dJ/dt that `prepare` has asked for
+    e: Array  # error: target now minus tip now
+    ahead: Array  # target at the end of the step minus tip now
+    v: Array  # velocity of the target now
+    a: Array  # acceleration of the target now
+    bias: Array  # the product (dJ/dt along x1) x2 that `prepare` has asked for
 
 
 @compiled
 class PseudoInverse(NamedTuple):
-    """A Jacobian and what is needed to invert it."""
+    """A Jacobian, its factor for the pseudo-inverse, and scratch."""
 
-    J: Array  # (n, m)
-    G: Array  # (k, k) what `factor` has made of it, k the larger of n and m
+    J: Array  # (n, m) transposed Jacobian
+    G: Array  # (k, k) Cholesky factor written by `factor`; k is the larger of n and m
     H: Array  # (k, k) scratch for another factor
     y: Array  # (k,) scratch
     t: Array  # (m,) scratch
@@ -98,27 +100,27 @@ class PseudoInverse(NamedTuple):
 
 @compiled
 class JointMotion(NamedTuple):
-    """What a step makes of joints, arrays (n,)."""
+    """Joint-space quantities of a step, arrays (n,), written by `prepare` and `command`."""
 
-    move: Array  # J^+ ahead, less what of the error is left to later steps
-    null: Array  # (1 - J^+ J) rate
-    x1: Array  # the product with dJ/dt along x1 of x2 is wanted
-    x2: Array
-    x: Array  # rates wanted at the end of the step
+    move: Array  # J^+ ahead, less the part of the error that is left to later steps
+    null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates
+    x1: Array  # the joint rates along which dJ/dt is evaluated
+    x2: Array  # the joint rates by which that dJ/dt is multiplied
+    x: Array  # commanded rates at the end of the step
 
 
 @compiled
 class Briskness(NamedTuple):
-    """How fast an error is closed."""
+    """How fast an error may be closed, see `ease`."""
 
-    fast: float  # share of each joint's speed
-    quick: float  # share of each joint's acceleration
-    bend: float  # curvature of the tip's way times the error, 0: it is not looked at
+    fast: float  # share of each joint's speed limit
+    quick: float  # share of each joint's acceleration limit
+    bend: float  # curvature of the tip's path times the error; 0: neglected
 
 
 @dual
 def gram(J, m, wide, extra, G):
-    """Lower half of JJ' (wide) or J'J plus `extra` on the diagonal; a row that is zero (a planar arm's) gets a 1 there."""
+    """Write to G the lower half of JJ' (if wide) or J'J, plus `extra` on the diagonal, where zeros become 1."""
     n = J.shape[0]
     k = m if wide else n
     top = 0.0
@@ -139,7 +141,7 @@ def gram(J, m, wide, extra, G):
 
 @dual
 def invert(G, k, y):
-    """Factor G in place; return 1 / trace(inverse), a lower bound of the smallest eigenvalue (0 or NaN: singular)."""
+    """Factor G (k, k) in place and return 1 / trace(inverse), a lower bound of its smallest eigenvalue."""
     cholesky(G, k, TINY)
     trace = 0.0
     for c in range(k):
@@ -154,10 +156,10 @@ def invert(G, k, y):
 
 @dual
 def factor(J, m, damping, G, y):
-    """Prepare J^+ for `apply`: exact where J is well conditioned, damped near singularities. Returns lambda^2 used.
+    """Factor G for the pseudo-inverse J^+ of `apply`, damped only near singularities; return the damping lambda^2.
 
-    lambda^2 = damping^2 (1 - s^2 / (REGION damping)^2) for s below REGION damping, s a lower bound of the smallest
-    singular value (Nakamura and Hanafusa, 1986, with s instead of the manipulability). damping = 0 never damps.
+    lambda^2 = damping^2 (1 - s^2 / (REGION damping)^2) for s below REGION damping, with s a lower bound of the smallest
+    singular value (Nakamura and Hanafusa, 1986, with s for the manipulability). damping = 0 never damps.
     """
     wide = J.shape[0] >= m
     k = m if wide else J.shape[0]
@@ -174,7 +176,7 @@ def factor(J, m, damping, G, y):
 
 @dual
 def apply(J, m, G, b, y, out):
-    """Return in out (n,) the product J^+ b (b has m values), after `factor`."""
+    """Write to out (n,) the product J^+ b of the pseudo-inverse with b (m,), after `factor`."""
     n = J.shape[0]
     wide = n >= m
     k = m if wide else n
@@ -199,7 +201,10 @@ def apply(J, m, G, b, y, out):
 
 @dual
 def prepare(p, inverse, target, rate, h, joints):
-    """First half of a step of h [s], after `factor`, from the joint rates (n,): all but `x` of `joints`."""
+    """First half of a step of h [s]: write all of `joints` except the commanded rates `x`; `factor` comes before.
+
+    rate (n,): present joint rates. The caller then puts (dJ/dt along joints.x1) joints.x2 into target.bias.
+    """
     J, t = inverse.J, inverse.t
     n, m = J.shape
     code = int(p.code)
@@ -219,20 +224,19 @@ def prepare(p, inverse, target, rate, h, joints):
         reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
             joints.null[i] = rate[i] - joints.null[i]
-            expected = (
-                joints.move[i] / h + joints.null[i]
-            )  # with the null part; without it a redundant arm loses an order
+            # Without the null-space part a redundant arm would lose an order of accuracy.
+            expected = joints.move[i] / h + joints.null[i]
             joints.x1[i] = expected if reading == AT_STEP else rate[i]
             joints.x2[i] = rate[i] if reading == AT_RATE else expected
 
 
 @dual
 def command(p, inverse, target, rate, prev, h, ratio, joints):
-    """Second half: the joint rates joints.x wanted at the end of the step.
+    """Second half of a step: write the joint rates joints.x commanded for the end of the step.
 
-    prev (n,): the command before (replaced by this one); ratio: this step's h over the last one's, 0 at the start (then
-    Adams-Bashforth begins as Euler). Eqs (11), (16), (21), (25) of Patko and Zelei (2019) with the time steps of (26),
-    (27), (29), (32), (33).
+    prev (n,): the previous command, replaced by this one; ratio: this step's h over the last one's, 0 at the start
+    (Adams-Bashforth then begins with an Euler step). Eqs (11), (16), (21), (25) of Patko and Zelei (2019) with the time
+    steps of (26), (27), (29), (32), (33).
     """
     J, t, x, null, move = inverse.J, inverse.t, joints.x, joints.null, joints.move
     n, m = J.shape
@@ -270,7 +274,7 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
 
 @dual
 def natural(p, h):
-    """Rate [1/s] at which a method by itself removes an error; 0 where it feeds back none, or damps nothing."""
+    """Return the rate [1/s] at which a method by itself removes an error; 0 if it has no feedback."""
     if p.code == CV:
         return p.kappa
     if p.code == CA:
@@ -280,7 +284,11 @@ def natural(p, h):
 
 @dual
 def possible(c, pace, h, q, limits, fast, quick, walls):
-    """Share of a correction c (n,) that all joints can brake before, and whether a joint at its limit is in its way, see `ease`."""
+    """Return the share (0 to 1) of a correction c (n,) from which joints can brake, and whether a limit blocks it.
+
+    pace [1/s]: the feedback rate; fast, quick: shares of speed and acceleration limits to use; walls: whether joints at
+    their position limits block the correction instead of being slowed for, see `ease`.
+    """
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
         size = abs(c[i])
@@ -290,16 +298,16 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
         cap = fast * limits[2, i]
         if limits[3, i] < np.inf:
             cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
-        if pace * size > cap > 0.0:  # a locked joint does not count: the others close the error
+        if pace * size > cap > 0.0:  # A locked joint is skipped: the others close the error.
             f = min(f, cap / (pace * size))
     return f, stopped
 
 
 @dual
 def spare(J, m, e, limits, H, y, c):
-    """Correction c (n,) of e that spares slow joints; False where none is slow, or where it is not finite.
+    """Write to c (n,) a correction of the error e (m,) that moves slow joints less; return False if no joint is slow.
 
-    The pseudo-inverse weighted by speed; by powers of 2, so that J is afterwards what it was before.
+    It uses the pseudo-inverse weighted by speed. The weights are powers of 2, so that J is restored exactly.
     """
     top, slow = 0.0, False
     for i in range(c.shape[0]):
@@ -327,7 +335,7 @@ def spare(J, m, e, limits, H, y, c):
 
 @dual
 def halved(speed, top):
-    """The weight of a joint: 1, for a slow one the largest power of 2 that is not above its share of the top speed."""
+    """Return a joint's weight in `spare`: 1, or if slow the largest power of 2 up to its share of the top speed."""
     w = 1.0
     while 0.0 < speed < SLUGGISH * top and speed < w * top:
         w *= 0.5
@@ -336,12 +344,12 @@ def halved(speed, top):
 
 @dual
 def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
-    """Shrink the error fed back (target.e and ahead, in place) until the joints can brake before it reaches zero.
+    """Shrink the error that is fed back (target.e and ahead, in place) until joints can brake before it is zero.
 
-    A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
-    and swings for ever. Joints at their limits have no say. Where they or half-planes are in the way J^+ e, that way is not the one
-    the joints take: with a bend it is looked at again, damped, as along a weak direction it ends long before. Neither is looked at
-    where allowed.rows is -1. c (n,) is scratch. Returns whether they are in the way.
+    A method that removes a large error in one step asks for more acceleration than there is; clipped, it overshoots and
+    oscillates for ever. Joints at their limits are not slowed for. If they or inequalities block the correction J^+ e,
+    it is computed again with damping from brisk.bend, as the real motion along a nearly singular direction is much
+    shorter. With allowed.rows = -1 neither is checked. c (n,) is scratch. Returns whether the correction is blocked.
     """
     J, e, H, y = inverse.J, target.e, inverse.H, inverse.y
     n, m = J.shape
@@ -371,7 +379,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
 
 @dual
 def settle(p, h, rate_before, x, code, prev):
-    """After limits: the rate that a held-back joint really took becomes its previous command (no wind-up)."""
+    """For each joint that was clipped, write the rate it took to `prev`, the previous command, to prevent wind-up."""
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
             if code[i] > 0:
@@ -380,7 +388,10 @@ def settle(p, h, rate_before, x, code, prev):
 
 @dual
 def own_up(p, h, ratio, wanted, x, prev):
-    """The same where all joints were changed: the earlier command becomes the one that the rates taken would have come from."""
+    """Change `prev` to the command from which the rates taken, x (n,), would have followed: no wind-up of any joint.
+
+    wanted (n,): the rates that the law had commanded; ratio: this step's h over the last one's, 0 at the start.
+    """
     ahead = 0.5 * ratio
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):

@@ -1,14 +1,14 @@
-"""The compiled tracker loop: from where the target is to the next joint rates, inside every limit, one sample after the other.
+"""The compiled loop of a tracker: from the target's motion to joint rates inside every limit, sample by sample.
 
-A method (a published law, or a solver's rule taken one step a sample) says which joint rates it wants. Their part along
-directions in which the tip can hardly move is replaced (singular_step.py), secondary wishes are added in the null space, and where
-limits or half-planes forbid the outcome `constrain` finds the best that they allow. Where nothing forbids it, the rates wanted
-are taken as they are, so a published form stays one. An arm that is stuck before a target that stands goes down to the least
-error nearby (damped_descent.py). CLIP is the published form whole: damped as a whole near singular
-poses, each joint clipped on its own.
+A method (a published law, or a solver's rule with one iteration a sample) commands joint rates. Their part along
+singular directions, in which the tip can hardly move, is replaced (singular_step.py), and secondary motion is added in
+the null space. If limits or inequality constraints forbid the result, `constrain` finds the best that they allow;
+otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a standing target descends
+to the least error nearby (damped_descent.py). Mode CLIP is the published form throughout: damped in all directions near
+singular poses, each joint clipped on its own.
 """
 
-# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# The type checker does not know that numba calls the overloads below, nor that it takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
@@ -59,12 +59,12 @@ from .viability import (
 )
 from .workspace import bench_on, bench_space, carried_of, record_of, samples_of, settings_of
 
-LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
+LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above which a command counts as not finite
 
 
 @inner
 def set_out(law, J, f, G, y, limits, q, rate, state):
-    """Rate at the start: the target's where none was given, as far as the joints could still brake."""
+    """Set the joint rates at the start: if none were given, J^+ f (f: target twist), cut to what can be braked."""
     if state[STATE.start] == MOVING:
         factor(J, J.shape[1], law.damping, G, y)
         apply(J, J.shape[1], G, f, y, rate)
@@ -78,7 +78,10 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
 
 @inline
 def take_stock(task, look, s, V, A, plain, counts, E):
-    """Error, Jacobian and the target's motion as they count, to the bench; the error as it is reported to E (m,)."""
+    """Write error, Jacobian, target twist V and acceleration A to the scratch s, and the error [m, rad] to E (m,).
+
+    E is in base axes, less the part that slack (counts[2]) forgives.
+    """
     copy(task.desk.y, s.e)
     task.jacobian(look)
     copy_rows(task.desk.J, s.J)
@@ -96,7 +99,7 @@ def take_stock(task, look, s, V, A, plain, counts, E):
 
 @inner
 def leave_out(J, floor, roof):
-    """Take joints that have to stand still, a locked one say, out of the Jacobian: what is singular is so for the others."""
+    """Set the rows of J to zero for joints that cannot move (locked ones), to judge singularity without them."""
     for i in range(floor.shape[0]):
         if floor[i] == 0.0 and roof[i] == 0.0:
             for k in range(J.shape[1]):
@@ -105,14 +108,20 @@ def leave_out(J, floor, roof):
 
 @inline
 def quieten(law, s, rate, swings, h, state):
-    """Let joints that swing gain speed gradually where something hinders them; what a target alone asks for is no swing."""
+    """Limit the acceleration of oscillating joints (`calm`), if something has hindered joints lately.
+
+    Otherwise the target itself may ask for the reversals.
+    """
     if law.mode != CLIP and state[STATE.free] < LASTING:
         calm(rate, s.size, swings, h, box_of(s))
 
 
 @inline
 def look_on(law, s, code, swings, h, state):
-    """Look at a step from the rates s.before to s.x: whether joints turn back, and what but `calm` hinders them."""
+    """Update the detection of oscillation, and the time since joints were hindered, after a step from s.before to s.x.
+
+    The limit on oscillation itself (CALMED) does not count as a hindrance.
+    """
     watch(swings, s.before, s.x, s.size, law.gamma, h)
     hindered = state[STATE.near] > 0.0
     for i in range(code.shape[0]):
@@ -122,7 +131,10 @@ def look_on(law, s, code, swings, h, state):
 
 @inner
 def gather(law, lines, level, planes, edges):
-    """Copy the half-planes that hold to where those of slacks are added."""
+    """Copy the collision inequalities, law.rows of them, to `planes` and `edges`, where others are added.
+
+    Return their number.
+    """
     for k in range(int(law.rows)):
         copy(lines[k], planes[k])
         edges[k] = level[k]
@@ -131,7 +143,10 @@ def gather(law, lines, level, planes, edges):
 
 @inline
 def clip_rates(law, s, still, h, memory, code):
-    """Rates clipped joint by joint, to s.x: the published form, and the brake."""
+    """Clip the rates s.x to their bounds, joint by joint: for mode CLIP, and for a brake (still).
+
+    The method's memory then gets the rates that clipped joints really took (CLIP), or zeros (brake).
+    """
     clip(s.x, box_of(s), code)
     if not still:
         settle(law, h, s.before, s.x, code, memory)
@@ -145,7 +160,10 @@ def clip_rates(law, s, still, h, memory, code):
 # ---------------------------------------------------------------------------------------------------- inside the limits
 @inline
 def judge(wanted, h, p, state):
-    """Set the joint speeds `wanted` to zero where they cannot be followed or the arm brakes; returns whether to stop, to hold."""
+    """Set commanded rates to zero if they are not finite or the arm is to brake.
+
+    Return whether the loop ends, and whether to brake.
+    """
     largest = 0.0
     for k in range(wanted.shape[0]):
         largest += abs(wanted[k])
@@ -154,7 +172,8 @@ def judge(wanted, h, p, state):
     if still:
         for k in range(wanted.shape[0]):
             wanted[k] = 0.0
-    elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):  # otherwise the box decides
+    # In the other modes the rate bounds limit a command that is large but finite.
+    elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):
         state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
         return True, still
     return False, still
@@ -162,9 +181,10 @@ def judge(wanted, h, p, state):
 
 @inline
 def by_constraints(law, s, count, mu, h, own, work, code):
-    """Rates that the limits allow, to s.x; returns whether anything prevented those wanted.
+    """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from those commanded.
 
-    mu above 0: those of a step down, which `descend` has asked for.
+    count: number of inequality constraints. mu above 0: the step is a damped descent, whose task `descend` has written.
+    code (n,) receives the limit bits.
     """
     n, m = s.J.shape
     mode, size = int(law.mode), s.size
@@ -202,13 +222,19 @@ def by_constraints(law, s, count, mu, h, own, work, code):
 
 @inline
 def by_clipping(law, s, count, mu, h, own, work, code):
-    """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
+    """The same as `by_constraints` for a solver's rule: each joint clipped on its own; always returns False.
+
+    Compiling `constrain` into the loop of every rule would take a minute.
+    """
     clip(s.x, box_of(s), code)
     return False
 
 
 def obey(rule, law, s, count, mu, h, own, work, code):
-    """Rates that the limits allow, see `by_constraints`."""
+    """Write the rates that limits allow, by `by_constraints` or `by_clipping`.
+
+    Numba compiles the overload below instead.
+    """
     how = by_constraints if isinstance(rule, Published) else by_clipping
     return how(law, s, count, mu, h, own, work, code)
 
@@ -219,10 +245,10 @@ def _obey(rule, law, s, count, mu, h, own, work, code):
     return lambda rule, law, s, count, mu, h, own, work, code: how(law, s, count, mu, h, own, work, code)
 
 
-# --------------------------------------------------------------------------------------------------------------------- the loop
+# ----------------------------------------------------------------------------------------------------------- the loop
 @inner
 def error_squared(weight, e):
-    """Squared error as it counts."""
+    """Return the squared weighted error."""
     total = 0.0
     for k in range(e.shape[0]):
         total += (weight[k] * e[k]) ** 2
@@ -231,7 +257,10 @@ def error_squared(weight, e):
 
 @inline
 def run(step, arm, given, own, samples, out, h, block):
-    """The loop of `servo` on views, with zeros to cut its scratch from."""
+    """Run the loop of `servo` on array views and return the number of steps.
+
+    block: zeros that the scratch is cut from.
+    """
     (rows, ends, orders), (_, p, counts, limits, wish, lines, level, measured) = arm, given
     (_, T, V, A), (_, Q, R, E, S, C) = samples, out
     q, rate, memory, swings, state = own.motion[0], own.motion[1], own.memory, own.swings, own.state
@@ -247,7 +276,7 @@ def run(step, arm, given, own, samples, out, h, block):
     for i in range(E.shape[0]):
         copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)
-        for stage in range(2):  # where the target is now, then where it will be
+        for stage in range(2):  # Stage 0 evaluates the target at this sample, stage 1 at the next one.
             task.head_for(T[i + stage])
             look = task.see()
             task.stack(look)
@@ -293,20 +322,22 @@ def run(step, arm, given, own, samples, out, h, block):
         if not still:
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         move(q, rate, s.x, law.gamma, h)
-        state[STATE.start] = RUNNING if mu == 0.0 else READY  # no command of the method to go on from
+        # A descent step leaves no command that the method could go on from.
+        state[STATE.start] = RUNNING if mu == 0.0 else READY
         state[STATE.period] = h
     return 0
 
 
 @functools.cache
 def servo(cls: type | None = None) -> Callable:
-    """Return the compiled loop of the published laws, or of a solver's rule.
+    """Return the compiled loop of the published laws (cls None), or of a solver's rule class.
 
-    follow(rows, ends, orders, settings, carried, samples, out, h) takes as many steps of h [s] as the record `out` has room
-    for, at most; returns how many.
+    follow(rows, ends, orders, settings, carried, samples, out, h) takes at most as many steps of h [s] as the record
+    `out` has room for, and returns how many it took.
 
-    rows, ends: of the chain (several tips: ends (F, ...)); orders: HEAD, a Task a tip (weights 1 or 0, no slack), joint weights
-    (n,), parameters of the rule. The others are blocks, see workspace.py. Kernel units, but for h, T, V, A, errors and tolerances.
+    rows, ends: the packed chain (several tips: ends (F, ...)); orders: HEAD numbers, a Task for each tip (weights 1 or
+    0, no slack), joint weights (n,), parameters of the rule. The others are blocks, see workspace.py. All is in kernel
+    units (rad, arm reaches), except h, T, V, A, errors and tolerances, which are in s, m and rad.
     """
     step: Any = Published if cls is None else step_class(cls)
 

@@ -1,23 +1,27 @@
-"""The tracking methods, their options, and a runner for systems that are no robots.
+"""The tracking methods and their options, and a runner for systems that are no robots.
 
-Four published methods (Patko and Zelei, 2019) and one of ours. With e = target - actual (the paper's sign is opposite),
-J^+ the (damped) pseudo-inverse, s = J^+ (target one step ahead - actual):
+Four methods are published (Patko and Zelei, 2019) and one is ours. With e = target - actual (the paper has the opposite
+sign), J^+ the (damped) pseudo-inverse, qd the joint rates, v and a_d the target's velocity and acceleration, and s =
+J^+ (target one step ahead - actual):
 
     cv   u = J^+ (v + kappa e),                                  Adams-Bashforth 2 on the joint rate        (11), (29)
     av   q' = q + s                                              one Newton step                            (16)
-    ca   a = J^+ (a_d + kd (v - J qd) + kp e - Jdot qd),         AB2 on the rate, trapezoid on the angle    (21), (32), (33)
+    ca   a = J^+ (a_d + kd (v - J qd) + kp e - Jdot qd),         AB2 on the rate, trapezoid on the angle    (21), (32),
+        (33)
     aa   a = 2 s / h^2 - 2 J^+ J qd / h - J^+ Jdot(x) y,         trapezoid                                  (25)-(27)
     aad  a = (s/h - J^+ J qd) / (gamma h) - J^+ Jdot(w) w / (2 gamma),   q' = q + h qd + gamma h^2 a        ours
 
-(29) and (32) print the indices i+1, i: read "the command computed now, and the one before"; only that gives the paper's
-matrices. Which dJ/dt stands in (25) is not decidable from the text; with w = s/h + (1 - J^+ J) qd the readings are
-1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default, as this is the form the paper ends with), 3:
-Jdot(w) w. aa keeps an eigenvalue -1 (the rate may zigzag for ever); aad with gamma > 1/2 damps it at the same accuracy.
+Eqs (29) and (32) print the indices i+1 and i. They must mean "the command computed now, and the one before", as only
+that gives the paper's matrices. The text does not decide at which rates dJ/dt is taken in (25). With w = s/h + (1 - J^+
+J) qd the readings are 1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default, as the paper ends
+with this form), 3: Jdot(w) w. `aa` keeps an eigenvalue -1, so its rate may zigzag for ever; `aad` with gamma > 1/2
+damps it at the same accuracy.
 
-av, aa and aad remove all of an error in a step, which bears no delay: of joints measured late they take a share of it (ours),
-s = J^+ (target one step ahead - actual - (1 - share) e).
+av, aa and aad remove the whole error in one step, which becomes unstable with delay. For joints that are measured late
+they remove only a share of it (our addition): s = J^+ (target one step ahead - actual - (1 - share) e).
 
-On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping), without which null motion grows.
+On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping k), without which null-space motion
+grows.
 """
 
 from collections.abc import Callable
@@ -33,11 +37,12 @@ from .command import TAKEN_UP
 from .orbit_stability import null_rate
 from .stability import GAMMA, best_gains
 
-DAMPING = 0.02  # lengths over the arm's reach; joint speed per tip speed stays below 1 / (2 * 0.02)
-# Slower, what is left of a turn carries joints to where the next one needs more than they have.
-NULL_DAMPING = TAKEN_UP  # [1/s]
+# [arm reaches per rad] damping of the pseudo-inverse; joint speed per tip speed stays below 1 / (2 * 0.02)
+DAMPING = 0.02
+# [1/s] If slower, null-space motion left from one turn of a path leaves joints badly placed for the next turn.
+NULL_DAMPING = TAKEN_UP
 
-# name: (code in the kernel, options it takes, one line)
+# For each method: its code in the kernel, the options it takes, and a description of one line.
 METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
     "cv": (laws.CV, ("kappa",), "velocity level, error fed back with kappa (classical)"),
     "av": (laws.AV, ("share",), "one Newton step a sample (alternative velocity level)"),
@@ -55,10 +60,11 @@ METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
 class Method:
     """A tracking method and its options; None means the default, which may depend on the sample time.
 
-    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. share of an error
-    removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form, but what bears the delay best where
-    joints are measured. reading 1, 2 or 3 of eq (25) (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration
-    level, at most 1/h (ca: 2/3 of it). damping of the pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
+    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. share of
+    an error removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form, or for measured
+    joints the share that tolerates their delay best. reading: 1, 2 or 3 of eq (25) (aa). gamma (aad): weight of the new
+    rate in a step. null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it). damping of
+    the pseudo-inverse near singularities [arm reaches per rad]; 0 inverts exactly.
     """
 
     name: str
@@ -72,7 +78,7 @@ class Method:
     damping: float = DAMPING
 
     def __post_init__(self) -> None:
-        """Check name and options. Raises InvalidOption."""
+        """Check the name and the options. Raises InvalidOption."""
         one_of(self.name, METHODS, "tracking method")
         for name in ("kappa", "kp", "kd", "reading", "gamma", "share", "null_damping", "damping"):
             value = getattr(self, name)
@@ -91,23 +97,29 @@ class Method:
                 raise InvalidOption(f"{name} must not be negative, not {getattr(self, name):g}")
 
     def gains(self, h: float, delay: float = 0.0) -> dict[str, float]:
-        """Gains used at sample time h [s] as `check_gains` takes them, for joints measured `delay` samples ago."""
+        """Return the gains in use at sample time h [s], by name, for joints measured `delay` samples ago."""
         best = best_gains(self.name, h, delay)
         given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma, "share": self.share}
         return {name: best[name] if given[name] is None else float(given[name] or 0.0) for name in best}
 
     @property
     def velocity_level(self) -> bool:
-        """Whether the joint rate, not its derivative, is commanded (the motion between samples is straight)."""
+        """Whether the joint rate, not its derivative, is commanded.
+
+        Joints then move at constant rate between samples.
+        """
         return self.name in ("cv", "av")
 
     @property
     def rate_weight(self) -> float:
-        """Return gamma of q' = q + h ((1 - gamma) rate + gamma rate')."""
+        """Weight gamma of the new rate in a step: q' = q + h ((1 - gamma) rate + gamma rate')."""
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
     def pack(self, h: float, delay: float = 0.0) -> np.ndarray:
-        """Parameters as the kernel reads them (a `motion.Law`), see `gains`; what belongs to a run is 0."""
+        """Return a `laws.Law` as an array, with the gains of `gains`.
+
+        Entries that belong to a run and not to the method are 0.
+        """
         gains = self.gains(h, delay)
         law = laws.Law(
             *np.zeros(len(laws.Law._fields)),
@@ -126,18 +138,25 @@ class Method:
 
 
 def make_method(method: str | Method, **options: Any) -> Method:
-    """Return a Method from its name (cv, av, ca, aa, aad) and options. Raises InvalidOption (unknown or out of range)."""
+    """Return a Method, from its name (cv, av, ca, aa, aad) and options.
+
+    Raise InvalidOption if one is unknown or out of range.
+    """
     made = method if isinstance(method, Method) else Method(method)
     allowed = (*METHODS[made.name][1], "damping")
     for option, value in options.items():
         if option not in allowed:
             raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
-        number(value, option)  # None, too, is no choice that somebody makes
+        number(value, option)  # None is refused as well: an option that is named needs a value.
     return replace(made, **options)
 
 
 class System(NamedTuple):
-    """Anything with a task: position(q) -> (m,), jacobian(q) -> (m, n), rate(q, x, y) -> (m,), which is (dJ/dt along x) y."""
+    """Any system with m task coordinates and n joints, given by three functions.
+
+    position(q) -> (m,); jacobian(q) -> (m, n); rate(q, x, y) -> (m,) is the product (dJ/dt) y while the joints move at
+    rates x.
+    """
 
     position: Callable[[np.ndarray], np.ndarray]
     jacobian: Callable[[np.ndarray], np.ndarray]
@@ -145,9 +164,9 @@ class System(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What `simulate` returns: arrays over the samples that were reached, the last command of cv and ca, and a sentence.
+    """Result of `simulate`: arrays over the samples reached, the last command of cv and ca, and why the run ended.
 
-    stopped says why the run ended before its end ('' = it did not).
+    stopped is a sentence if the run ended early, else ''.
     """
 
     t: np.ndarray
@@ -159,7 +178,7 @@ class Run(NamedTuple):
     stopped: str
 
     def between(self, system: System, path: Callable[[float], np.ndarray], fractions: np.ndarray) -> np.ndarray:
-        """Error norms (N, k) between samples, at the given fractions of a step, on the motion the method itself assumes."""
+        """Return error norms (N, k) at fractions (k,) of each step, on the motion that the method assumes."""
         h = self.t[1] - self.t[0]
         out = np.empty((len(self.t) - 1, len(fractions)))
         for j, f in enumerate(fractions):
@@ -171,7 +190,10 @@ class Run(NamedTuple):
 
 
 def interpolate(q: np.ndarray, rate: np.ndarray, gamma: float, h: float, f: float) -> np.ndarray:
-    """Joint values (N, n) a fraction f into each step: straight at velocity level, else with the constant acceleration."""
+    """Return joint values (N, n) a fraction f into each step: linear if gamma is 1, else of constant acceleration.
+
+    q, rate (N + 1, n): joint values and rates at the samples; h [s]: length of a step.
+    """
     d = np.diff(q, axis=0)
     return q[:-1] + f * d if gamma == 1.0 else q[:-1] + f * (1.0 - f) * h * rate[:-1] + f * f * d
 
@@ -189,12 +211,23 @@ def simulate(
     runaway: float = 1e6,
     **options: Any,
 ) -> Run:
-    """Track path(t) -> (position, velocity, acceleration) with a method on any system, for `steps` samples of h [s].
+    """Track a target with a method on any system, with the same step functions as on robots.
 
-    Same step functions as on robots. rate0: joint rate at the start, default J^+ velocity(0); command0: the command before
-    the first (cv, ca), default equal to the first (an Euler step), as nothing else is published. Ends early, with a sentence,
-    when a value is not finite (left the domain) or a joint moves more than `runaway` in a step. damping defaults to 0 here:
-    the exact inverse.
+    Args:
+        system: The system.
+        path: The target's position, velocity and acceleration (m,) as a function of time [s].
+        method: A Method or its name.
+        h: Sample time [s].
+        steps: Number of steps.
+        q0: Joint values (n,) at the start.
+        rate0: Joint rates (n,) at the start; default J^+ velocity(0).
+        command0: The command (n,) before the first one (cv, ca); default equal to the first (an Euler step), as the
+            paper gives none.
+        runaway: Largest move of a joint in one step; beyond it the run ends.
+        options: Options of the method; damping is 0 by default here, which inverts J exactly.
+
+    Returns:
+        The run. It ends early, with a sentence, when a value is not finite (q left the domain) or a joint runs away.
     """
     made = make_method(method, **{"damping": 0.0, **options})
     p = laws.Law._make(made.pack(h).tolist())

@@ -1,4 +1,4 @@
-"""Limits of joints as the compiled loop takes them."""
+"""Joint limits as arrays for the compiled tracking loop."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from ..validate import switch
 from .viability import UNLIMITED
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
-INSTEAD = {  # of assigning an attribute of a Tracker
+INSTEAD = {  # Advice in the error for assigning an attribute of a Tracker, by attribute; "" stands for all others.
     **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
     "q": "use reset(q0), or pass q= to update where joints are measured",
     "": "make a Tracker with the robot, method and options that are meant",
@@ -20,7 +20,20 @@ INSTEAD = {  # of assigning an attribute of a Tracker
 
 
 def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> np.ndarray:
-    """Rows lower, upper, speed, acceleration (4, n) in kernel units; infinite where there is none."""
+    """Return the limits (4, n) of the joints in kernel units: rows lower, upper, speed, acceleration.
+
+    Infinite where there is none.
+
+    Kernel units are rad for a revolute joint, and the arm's reach (`chain.scale`) for a prismatic one.
+
+    Args:
+        robot: The robot whose position and speed limits are read.
+        limits: Whether position and speed limits apply.
+        acceleration_limits: None, a number or (n,) [rad/s^2 or m/s^2].
+
+    Raises:
+        InvalidOption: acceleration_limits has a wrong shape or is not positive, or is given without limits.
+    """
     n, unit = robot.n, robot.chain.unit
     rows = np.full((4, n), np.inf)
     rows[0] = -np.inf
@@ -42,12 +55,23 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
 
 
 def speeds(limits: np.ndarray) -> np.ndarray:
-    """Speed (n,) of each joint of limits (4, n), with a usual one where there is no limit."""
+    """Return the speed limits (n,) of the rows limits (4, n), with UNLIMITED instead of an infinite one."""
     return np.where(limits[2] < np.inf, limits[2], UNLIMITED)
 
 
 def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
-    """Rows (4, n) with those given by name replaced: a number, (n,), a dict by joint, or None. Raises InvalidOption."""
+    """Return a copy of the limits (4, n) [kernel units] with some of its rows replaced.
+
+    Args:
+        robot: The robot, for the names and units of its joints.
+        rows: Present limits (4, n): lower, upper, speed, acceleration.
+        given: For each of these four names a number, an array (n,), a dict by joint name [rad or m, per s, per s^2], or
+            None to keep the row.
+
+    Raises:
+        InvalidOption: A value is no number, there is no such joint, a speed or acceleration is negative, or lower is
+            above upper.
+    """
     rows, unit = rows.copy(), robot.chain.unit
     for row, name in zip(rows, LIMIT_NAMES, strict=True):
         value = given[name]

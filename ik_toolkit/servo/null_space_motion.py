@@ -1,4 +1,4 @@
-"""What a tracker does besides its task: slack as half-planes, secondary motion in the null space, free turns.
+"""What a tracker does besides its task: slack as inequalities, secondary motion in the null space, free turns.
 
 The options of the null space are read once (`Secondary`); the compiled part turns them into a motion at every step.
 """
@@ -14,17 +14,23 @@ from ..errors import InvalidOption, floats, near_match
 from ..validate import number
 from .laws import STATE, apply
 
-FADING = 0.15  # share of its range, next to a limit, in which a joint is moved away from the limit
-STEP = 1e-5  # of a difference [rad, or reaches]: squared it is the error, and what rounding leaves is 1e-16 over it
-NEARLY = 0.5  # share of an error's slack that may be used up in a sample
-# Share of it by which an error is beyond where half-planes cannot be kept: less may be rounding; and [reaches, rad] where they can.
+FADING = 0.15  # share of a joint's range, next to each limit, in which the joint is moved away from the limit
+# [rad or arm reaches] step of a difference quotient: its error is the square of the step, plus rounding of 1e-16 / step
+STEP = 1e-5
+NEARLY = 0.5  # share of the slack left that an error may use up in one sample
+# Excess over its slack from which an error is closed like any other.
+# BEYOND: while inequalities cannot be kept, as a share of the slack (less may be rounding). FAR: else [arm reaches,
+# rad].
 BEYOND, FAR = 1e-3, 1e-2
-PRESSED = 0.1  # [s] after which half-planes are tried again
+PRESSED = 0.1  # [s] after which inequalities for slack are tried again
 
 
 @inline
 def reflect(flip, y):
-    """Mirror the rotations in y (m,), three a tip, so that the turn that is free comes last."""
+    """Mirror the rotation components of y (m,), three a tip, in place, so that a free turn becomes the last of them.
+
+    flip (F, 3): the unit normal of the mirror plane of each tip, zero for a tip without a free turn.
+    """
     for f in range(flip.shape[0]):
         k = 6 * f + 3
         s = 2.0 * (flip[f, 0] * y[k] + flip[f, 1] * y[k + 1] + flip[f, 2] * y[k + 2])
@@ -35,7 +41,7 @@ def reflect(flip, y):
 
 @inner
 def lay_aside(flip, J, e):
-    """`reflect` the rows of J (n, m) and the error; the free ones are zero up to rounding and become exactly zero."""
+    """Mirror J (n, m) and the error e (m,) as in `reflect`, and set what is left of free turns (rounding) to zero."""
     reflect(flip, e)
     for f in range(flip.shape[0]):
         if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
@@ -49,7 +55,10 @@ def lay_aside(flip, J, e):
 
 @inner
 def weigh(weight, J, e, ahead, f, a):
-    """Weigh the rows of a task: J (n, m), errors e and ahead, the target's twist and acceleration. Returns the largest weight."""
+    """Multiply the task's rows by their weights (m,), in place, and return the largest weight.
+
+    J (n, m), errors e and ahead, target twist f and acceleration a (m,).
+    """
     most = 0.0
     for k in range(e.shape[0]):
         w = weight[k]
@@ -62,11 +71,14 @@ def weigh(weight, J, e, ahead, f, a):
 
 @inner
 def slack_rows(slack, s, count, h, state):
-    """Turn errors with slack into half-planes of the bench from row `count` on, and leave them out of the task; returns the count.
+    """Turn errors with slack into inequalities, from row `count` of s.planes on, and remove them from the task.
 
-    Inside its slack an error may use up at most NEARLY of the rest in a sample, a little outside it is brought back. What of an
-    error is further beyond its slack is one to close like any other; and all that is beyond, where half-planes are in the way of
-    the task or contradict the limits (STATE.pressed): hard ones let joints turn at full speed there.
+    Return the new count.
+
+    Inside its slack an error may use up at most NEARLY of what is left in one sample; slightly outside, it is brought
+    back. An error further outside stays in the task, reduced by its slack. So does every error beyond its slack while
+    inequalities block the task or contradict the limits (STATE.pressed), where hard inequalities would let joints turn
+    at full speed.
     """
     n, m = s.J.shape
     e = s.e
@@ -94,7 +106,7 @@ def slack_rows(slack, s, count, h, state):
 
 @inner
 def away_from_limits(q, limits, gain, g):
-    """Add to g (n,) a speed away from near limits: smooth, and 0 in the middle of the range."""
+    """Add to g (n,) a velocity away from near position limits, smooth and 0 in the middle of the range (gain [1/s])."""
     for i in range(q.shape[0]):
         lower, upper = limits[0, i], limits[1, i]
         wide = upper - lower
@@ -109,7 +121,7 @@ def away_from_limits(q, limits, gain, g):
 
 @inner
 def clip_wish(g, x, low, top):
-    """Scale the wish g so that x + g keeps half of the room that x leaves in the box."""
+    """Scale the secondary motion g (n,) to use at most half of the margin between x and the rate bounds low, top."""
     scale = 1.0
     for i in range(x.shape[0]):
         if g[i] > 0.0:
@@ -124,7 +136,7 @@ def clip_wish(g, x, low, top):
 
 @inner
 def into_null_space(J, m, G, y, t, g, part):
-    """g -= J^+ J g, after `factor`."""
+    """Project g (n,) into the null space of the task, in place: g -= J^+ J g; `factor` comes before."""
     for k in range(m):
         s = 0.0
         for i in range(g.shape[0]):
@@ -135,32 +147,34 @@ def into_null_space(J, m, G, y, t, g, part):
         g[i] -= part[i]
 
 
-AVOID = 1.0  # [1/s] gain of the motion away from limits; at the limit itself it moves 15 % of the range in a second
+# [1/s] gain of the motion away from limits; at the limit itself a joint moves 15 % of its range in a second
+AVOID = 1.0
 POSTURE = 1.0  # [1/s] gain of the motion towards a posture
-DIFFERENCE = 1e-5  # [rad or m] of the difference that finds the slope of a caller's cost
+DIFFERENCE = 1e-5  # [rad or m] step of the difference quotient for the gradient of a caller's cost
 
 
 class Secondary(Holds):
-    """Options of the null space, as numbers. See `Tracker`."""
+    """The null-space options of a `Tracker`, as numbers."""
 
     FUNCTION = "cost"
 
     def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
-        """Keep them; wish (3, n): posture, its rate, a speed asked for [kernel units]."""
+        """Store the options; wish (3, n) [kernel units]: posture, gain towards it [1/s], and an additional velocity."""
         self.robot, self.avoid, self.nimble, self.wish, self.sides, self.cost = robot, avoid, nimble, wish, sides, cost
-        self.each_step = cost is not None or nimble > 0.0  # whether it must be evaluated at every step
+        # whether the cost or manipulability must be evaluated before every step
+        self.each_step = cost is not None or nimble > 0.0
 
     def confine(self, limits: np.ndarray) -> None:
-        """Keep joints on their side of zero, in limits (4, n)."""
+        """Narrow the limits (4, n) in place so that each joint stays on the side of zero that `elbow` chose."""
         limits[0] = np.where(self.sides > 0.0, np.maximum(limits[0], 0.0), limits[0])
         limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
 
     def side(self, away: np.ndarray) -> None:
-        """Where joints go from a pose in which they are straight: their side, or anywhere."""
+        """Write to away (n,) the side to which joints leave a straight pose: the one chosen, or 1 for all."""
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:
-        """Ask for what lowers the caller's cost, and raises manipulability, at q (n,) [kernel units]."""
+        """Set wish[2] to the velocity that lowers the cost and raises manipulability, at q (n,) [kernel units]."""
         unit = self.robot.chain.unit
         at = q * unit
         slope = np.zeros(len(at))
@@ -178,12 +192,12 @@ class Secondary(Holds):
         self.wish[2] = -slope / unit
 
     def _slope(self, cost: Callable, at: np.ndarray) -> np.ndarray:
-        """Slope of a number by differences."""
+        """Return the gradient (n,) of a scalar function by central differences."""
         steps = DIFFERENCE * np.eye(len(at))
         return np.array([(float(cost(at + d)) - float(cost(at - d))) / (2.0 * DIFFERENCE) for d in steps])
 
     def _volume(self, q: np.ndarray) -> float:
-        """Logarithm of the manipulability: the product of the singular values."""
+        """Return the logarithm of the manipulability (the product of the singular values of J) at q (n,) [rad or m]."""
         arms = zip(self.robot.arms, self.robot.places, strict=True)
         J = np.zeros((6 * len(self.robot.arms), len(q)))
         for f, (arm, place) in enumerate(arms):
@@ -194,7 +208,10 @@ class Secondary(Holds):
 def read_secondary(
     robot: Any, avoid_limits: Any, posture: Any, elbow: Any, manipulability: Any, cost: Any
 ) -> Secondary:
-    """Validate the options of the null space. Raises InvalidOption, InvalidConfiguration."""
+    """Check the null-space options of a `Tracker` and return them as numbers.
+
+    Raises InvalidOption, InvalidConfiguration.
+    """
     if isinstance(avoid_limits, bool | np.bool_):
         avoid = AVOID if avoid_limits else 0.0
     else:

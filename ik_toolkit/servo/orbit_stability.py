@@ -1,9 +1,10 @@
-"""How a small error grows along a moving target: the tracking methods linearised about the exact motion, sample by sample.
+"""How a small error grows along a moving target: tracking methods, linearised about the exact motion at every sample.
 
-At rest every method has one matrix for every arm (stability.py). In motion dJ/dt enters: with D(x) the derivative of J along
-a joint velocity x, a disturbance dq changes J^+ v by -J^+ D(qd) dq, so cv has kappa I + J^+ D(qd) in place of kappa; the
-acceleration level gets the second derivative of J along the motion, too. The product of the matrices over a closed path is
-the derivative of its lap map; its spectral radius is the factor by which an error grows a lap (Floquet).
+At rest a method has the same matrix for every arm (stability.py). In motion dJ/dt enters. With D(x) the derivative of J
+along a joint velocity x, a disturbance dq changes J^+ v by -J^+ D(qd) dq, so `cv` has kappa I + J^+ D(qd) in place of
+kappa. The acceleration level also has the second derivative of J along the motion. The product of the matrices over a
+closed path is the derivative of the map from one lap to the next; its spectral radius is the factor by which an error
+grows per lap (Floquet).
 """
 
 from typing import NamedTuple
@@ -15,17 +16,20 @@ from ..motion.reference import Reference, log
 from ..robot.robot import Robot
 from .command import SHARE
 
-STEP = 1e-5  # rad (lengths over reach) of the differences of J: their error is about 1e-10
-SECOND = 1e-4  # the same for second derivatives: about 1e-8
-LARGEST = 700.0  # nearly the logarithm of the largest factor that a float can hold
-ITERATIONS = 50  # of Newton's method for one sample; it needs two or three
-EXACT = 1e-10  # m and rad: a sample on the path
-SINGULAR = 1e-9  # share of the largest singular value below which the joints cannot move along a direction
-CLOSED = 1e-6  # m, rad and per second: start and end are the same
+STEP = 1e-5  # [rad or arm reaches] step of the first differences of J, with an error of about 1e-10
+SECOND = 1e-4  # [rad or arm reaches] step of the second differences of J, with an error of about 1e-8
+LARGEST = 700.0  # just below the logarithm of the largest factor that a float can hold
+ITERATIONS = 50  # largest number of Newton iterations for one sample; two or three are needed
+EXACT = 1e-10  # [m, rad] error below which a sample counts as on the path
+SINGULAR = 1e-9  # singular values below this share of the largest count as 0 in pseudo-inverses
+CLOSED = 1e-6  # [m, rad, per s] difference up to which start and end of a path count as the same
 
 
 class Growth(NamedTuple):
-    """Growth of a small error of the tip along a path: over all of it, a sample's mean factor, and whether the path is closed."""
+    """Growth of a small error of the tip along a path.
+
+    factor: over the whole path; per_step: mean factor per sample; closed: whether the path is closed.
+    """
 
     factor: float
     per_step: float
@@ -33,8 +37,10 @@ class Growth(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """The exact motion, a row a step: J^+ J, J^+ D(qd), J^+ D(qdd), J^+ D(J^+ D(qd) qd), J^+ of J's second derivative; J at both
-    ends.
+    """Matrices of the exact motion, one for each of N steps, in the notation of the module.
+
+    row: J^+ J; rate: J^+ D(qd); acceleration: J^+ D(qdd); bend: J^+ D(J^+ D(qd) qd); second: J^+ times the second
+    derivative of J; each (N, n, n). first, last (m, n): J at the start and at the end.
     """
 
     row: np.ndarray
@@ -49,10 +55,23 @@ class Motion(NamedTuple):
 def growth(
     robot: Robot, reference: Reference, method: str, h: float, gains: dict[str, float], *, null_damping: float = 0.0
 ) -> Growth:
-    """Growth of the error of `method` along a reference, with the gains at sample time h [s] and without limits.
+    """Return how an error of a method grows along a reference, without limits.
 
-    A closed path gives the spectral radius of its lap map, an open one the largest factor between an error at its start and
-    the one at its end. Raises InvalidTarget where the path cannot be followed, InvalidOption for a path that is not a Reference.
+    Args:
+        robot: The robot.
+        reference: The path.
+        method: Name of the method.
+        h: Sample time [s].
+        gains: Its gains by name.
+        null_damping: Damping of null-space motion [1/s].
+
+    Returns:
+        The growth: for a closed path the spectral radius of the map from lap to lap, for an open one the largest factor
+            between an error at its start and at its end.
+
+    Raises:
+        InvalidTarget: The path cannot be followed.
+        InvalidOption: robot or reference is of the wrong type, or h is longer than the path.
     """
     if not isinstance(robot, Robot) or not isinstance(reference, Reference):
         raise InvalidOption("gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)")
@@ -66,22 +85,23 @@ def growth(
     for A in steps:
         total = A @ total
         largest = np.abs(total).max()
-        if not 1e-100 < largest < 1e100:  # an unstable path exceeds what a float can hold
+        # The product along an unstable path exceeds what a float can hold, so its scale is kept as a logarithm.
+        if not 1e-100 < largest < 1e100:
             largest = max(largest, 1e-300)
             total, scale = total / largest, scale + np.log(largest)
-    # In coordinates of the tip: motion of the arm that leaves the tip where it is does not count as error.
+    # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
     blocks = np.eye(size)
     lap = np.kron(blocks, made.last) @ total @ np.kron(blocks, np.linalg.pinv(made.first, rcond=SINGULAR))
     T, V, _ = reference.at(np.array([0.0, times[-1]]))
     off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
-    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())  # the last sample may fall short of the end by a part of h
+    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())  # The last sample may be before the end by up to h.
     value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
     logarithm = float(np.log(max(value, 1e-300)) + scale)
     return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
 
 
 def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motion:
-    """Joint motion that keeps the tip on the reference, without null motion, and the derivatives of J along it."""
+    """Return the Motion that keeps the tip on the reference at times (N,) [s], without null-space motion."""
     from ..solvers.solve import solve
 
     T, V, A = reference.at(times)
@@ -103,7 +123,7 @@ def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motio
         return chain.forward(at, jacobian=True)[1][:, :m]
 
     def along(x: np.ndarray) -> np.ndarray:
-        """D(x): derivative of J along joint velocities x (N, n)."""
+        """Return D(x), the derivative (N, m, n) of J along joint velocities x (N, n)."""
         size = np.maximum(np.abs(x / chain.unit).max(axis=1), 1e-12)[:, None]
         move = STEP * x / size
         return (jacobians(Q + move) - jacobians(Q - move)) * (size / (2.0 * STEP))[:, :, None]
@@ -123,14 +143,16 @@ def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motio
 
 
 def null_rate(method: str, null_damping: float, h: float) -> float:
-    """Damping of null motion [1/s] in steps of h [s]: what is asked for, as far as the method bears it."""
+    """Return the damping of null-space motion [1/s] in steps of h [s], at most what the method tolerates."""
     return min(null_damping, (SHARE if method == "ca" else 1.0) / h)
 
 
 def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0) -> np.ndarray:
-    """Matrices (N, k n, k n) that carry a small disturbance over each step; states as in `mapping_matrix`.
+    """Return the matrices (N, k n, k n) that carry a small disturbance over each step.
 
-    aa is taken with its second reading, the default of `Method`.
+    The states are those of `mapping_matrix`.
+
+    `aa` is taken with its second reading of dJ/dt, the default of `Method`.
     """
     eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
     null = null_rate(method, null_damping, h) * (eye - m.row)
@@ -149,8 +171,9 @@ def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], nul
                 [-P, -D, 0.0 * eye],
             ]
         )
-    # a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g) with s = J^+ ahead and w = s / h + (1 - J^+ J) qd; x is qd (aa) or w
-    # (aad), y is w. A part of J^+ that turns moves the arm behind its tip only.
+    # The law is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) w / (2 g), where x is qd for aa and w for aad.
+    # Here s = J^+ (error to the next target) and w = s / h + (1 - J^+ J) qd.
+    # The derivative of J^+ itself is left out, as it only causes null-space motion.
     g = 0.5 if method == "aa" else gains["gamma"]
     times_w = 1.0 if method == "aa" else 2.0
     w_by_q, w_by_rate = -(gains["share"] * m.row / h + m.rate), eye - m.row

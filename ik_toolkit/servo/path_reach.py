@@ -1,4 +1,4 @@
-"""Where along a reference the poses can be reached at all, found before the run: from the start, moving continuously."""
+"""Which poses of a reference can be reached at all, found by following it continuously from its start."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,30 +11,34 @@ from ..robot.joints import Joints
 from ..robot.pose import length
 from ..robot.rotation import angles_between
 
-CLOSE = (1e-4, 2e-4)  # [m, rad] error that counts as reached: a tenth of what a run is allowed by default
-DENSE = 1000  # samples from which the length of a path is measured
-STEP = (0.02, 0.05)  # of the reach, and [rad]: distance between the poses tested
-FEWEST, MOST = 40, 1000  # of these poses
-HALVINGS = 10  # of the stretch in which the reach ends: a thousandth of a step
-BOUNDARY = 1e-3  # of a joint's range, from its limit: the arm stops there just before the edge of its reach
-STARTS = 24  # attempts to find another posture for the start of a path
-APART = 0.1  # [rad, or reaches] by which a joint must differ for another posture
-SHORTER = 0.95  # of the stretch that can be reached: what is suggested
-SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # factors tried besides: of a closed path, more may be in reach
-PROBE = 1e-4  # [rad, or reaches] of the difference that tells whether a singular value grows
-DIGITS = ".7g"  # of joint values suggested: with 4, the tip starts up to a millimetre beside its path
+CLOSE = (1e-4, 2e-4)  # [m, rad] error up to which a pose counts as reached: a tenth of a run's default tolerances
+DENSE = 1000  # number of samples from which the length of a path is measured
+STEP = (0.02, 0.05)  # distance between the poses tested: a share of the arm's reach, and [rad]
+FEWEST, MOST = 40, 1000  # least and largest number of poses tested along a path
+# bisections between the last pose reached and the first one not reached: to a thousandth of that distance
+HALVINGS = 10
+# share of a joint's range next to its limit where it counts as at the limit, as the arm stops just before the edge
+BOUNDARY = 1e-3
+STARTS = 24  # number of attempts to find another posture for the start of a path
+APART = 0.1  # [rad or arm reaches] difference of some joint from which postures count as different
+SHORTER = 0.95  # size suggested for a path, over the share of it that can be reached
+# other size factors that are tried, as a smaller closed path may be in reach as a whole
+SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
+PROBE = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
+DIGITS = ".7g"  # format of suggested joint values: with 4 digits the tip would start up to a millimetre beside its path
 
 References = Reference | Mapping[str, Reference]
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found along a reference.
+    """What can be reached along a reference, from K poses on it.
 
-    t (K,) [s] and q (K, n) [rad or m]: joint values along it, as near as they get. along (K,): how far the tip has gone [m]
-    (where it only turns, [rad]). posed: whether an orientation is asked for. until: number of the first pose out of reach,
-    None when all are reached; stop [m or rad]: how far the reach goes. joints: names of those at a limit there. pace: largest
-    joint speed over its limit, and whose.
+    t (K,) [s]: times of the poses; q (K, n) [rad or m]: joint values there, as near as the arm gets. along (K,): length
+    of the path up to each pose [m], or [rad] if the tip only turns (turning). posed: whether an orientation is asked
+    for. until: index of the first pose out of reach, None if all are reached; stop [m or rad]: length of the path up to
+    the edge of the reach. joints: names of the joints that are at a limit there. pace: largest joint speed over its
+    limit, and the joint's name.
     """
 
     robot: Joints
@@ -55,7 +59,7 @@ class Survey:
 
     @property
     def message(self) -> str:
-        """One clause: how far along the path is reachable, and what ends it; '' when all of it is."""
+        """A clause that says how far along the path is reachable and what ends it; '' if all of it is."""
         if self.until is None:
             return ""
         far, whole = (
@@ -63,12 +67,12 @@ class Survey:
         )
         where = f"reachable up to {far} of {whole}" if self.until else "its start is out of reach"
         at = f"{', '.join(self.joints)} at {'their limits' if len(self.joints) > 1 else 'its limit'}"
-        few = self.robot.n < (6 if self.posed else 4)  # three may move the tip in a plane alone
+        few = self.robot.n < (6 if self.posed else 4)  # Three joints may only be able to move the tip in a plane.
         few = f", or its {self.robot.n} joints cannot move the tip along this path" if few else ""
         return f"{where}: {at if self.joints else f'the arm is at the edge of its reach{few}'}"
 
     def to_dict(self) -> dict[str, Any]:
-        """What was found, for JSON; lengths in m, or rad of a path that only turns."""
+        """Return the findings as a dict for JSON; lengths in m, or in rad for a path that only turns."""
         return {
             "whole": self.whole,
             "reached": self.stop,
@@ -81,9 +85,17 @@ class Survey:
 
 
 def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWEST, **options: Any) -> Survey:
-    """Follow a reference from q0 (n,), pose by pose; a mapping gives one reference per tip.
+    """Follow a reference from q0 (n,), pose by pose.
 
-    fewest: of the poses looked at. options: what counts, as for `ik.solve` (mask, slack, free_turn, frame, relative_to, limits).
+    Args:
+        robot: The robot.
+        reference: A reference, or a mapping with one per tip.
+        q0: Joint values (n,) to begin at.
+        fewest: Least number of poses looked at.
+        options: Which errors count, as for `ik.solve` (mask, slack, free_turn, frame, relative_to, limits).
+
+    Returns:
+        The survey.
     """
     t, along, turning = samples_of(robot, reference, fewest)
     first, then = bound_lm(robot, restarts=0, **options), bound_lm(robot, follow=True, **options)
@@ -107,7 +119,7 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWES
 def trace(
     robot: Joints, reference: References, q0: Any, *, fewest: int = FEWEST, **options: Any
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times (K,) and joint values (K, n) along a reference as `survey` has them, None when a pose is out of reach."""
+    """Return times (K,) [s] and joint values (K, n) as `survey` does, or None if a pose is out of reach."""
     t, _, _ = samples_of(robot, reference, fewest)
     first, then = bound_lm(robot, restarts=0, **options), bound_lm(robot, follow=True, **options)
     q, last = np.empty((len(t), robot.n)), q0
@@ -120,7 +132,7 @@ def trace(
 
 
 def other_start(robot: Joints, reference: References, **options: Any) -> np.ndarray | None:
-    """Joint values (n,) at the start of a reference from which all of it can be reached, if some attempts find them."""
+    """Return joint values (n,) at a reference's start from which all of it can be reached, or None."""
     start = targets_at(reference, np.zeros(1))[0]
     solver, tried = bound_lm(robot, restarts=0, **options), []
     for q in robot.random_q(np.random.default_rng(0), STARTS):
@@ -134,14 +146,14 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
 
 
 def bound_lm(robot: Joints, **options: Any) -> Any:
-    """LM on a robot, exact enough to say what can be reached."""
+    """Return the LM solver bound to a robot, with tolerances fine enough to say what can be reached."""
     from ..solvers.solve import bound_solver
 
     return bound_solver(robot, "lm", {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
 
 
 def freed(reference: Reference) -> Reference:
-    """The same path with the orientation free."""
+    """Return the same path with the orientation free."""
 
     def function(t: np.ndarray) -> Any:
         T, V, A = (part.copy() for part in reference.at(t))
@@ -152,7 +164,7 @@ def freed(reference: Reference) -> Reference:
 
 
 def scaled(reference: Reference, factor: float) -> Reference:
-    """The same path, its distances from the start times a factor; turns stay as they are."""
+    """Return the same path with its distances from its start multiplied by `factor`; rotations stay as they are."""
     origin = reference.at(0.0)[0][:3, 3]
 
     def function(t: np.ndarray) -> Any:
@@ -166,7 +178,7 @@ def scaled(reference: Reference, factor: float) -> Reference:
 
 
 def smaller(found: Survey) -> list[float]:
-    """Factors of the size of a path out of reach that are worth a try, largest first."""
+    """Return size factors worth trying for a path that is partly out of reach, largest first."""
     if not found.until or found.turning:
         return []
     reached = float(found.stop / found.along[-1])
@@ -175,7 +187,10 @@ def smaller(found: Survey) -> list[float]:
 
 
 def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tuple[Survey, str]:
-    """What prevents a robot from following a reference, and what would work instead: the survey, and a sentence or ''."""
+    """Find out why a robot cannot follow a reference, and what would work instead.
+
+    Args are as in `survey`. Returns the survey, and a sentence ('' if nothing is in the way).
+    """
     found = survey(robot, reference, q0, **options)
     if found.whole:
         share, joint = found.pace
@@ -199,21 +214,22 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
 
 
 def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
-    """Directions (N, n) of the joints at q (N, n) away from the nearest singular pose: the slope of the least singular value.
+    """Return joint-space unit vectors (N, n) away from the nearest singular pose, at configurations path (N, n).
 
-    posed: whether an orientation is asked for, by tip.
+    They are the normalised gradients of the least singular value of J. posed: whether an orientation is asked for, by
+    tip.
     """
     J = _jacobians(robot, posed, path)
     U, sigma, V = np.linalg.svd(J)
     least = sigma.shape[1] - 1
-    # J changes along v; the change of u'J is that of sigma = u'J v along each joint.
+    # Entry i of u' (dJ along v) is the derivative of sigma = u'J v by joint i: mixed derivatives commute.
     change = _jacobians(robot, posed, path + PROBE * V[:, least] * robot.chain.unit) - J
     slope = np.einsum("km,kmn->kn", U[:, :, least], change)
     return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)
 
 
 def _jacobians(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
-    """Jacobians (N, m, n) of what is asked for, lengths in reaches."""
+    """Return the Jacobians (N, m, n) of tip positions, and orientations where `posed`, lengths in arm reaches."""
     rows = []
     for arm, place, angular in zip(robot.arms, robot.places, posed, strict=True):
         J = np.zeros((len(path), 6, path.shape[1]))
@@ -229,7 +245,7 @@ def _each(reference: References) -> tuple[Reference, ...]:
 
 
 def targets_at(reference: References, t: np.ndarray) -> list[Any]:
-    """Targets at times t as the solvers take them."""
+    """Return the targets at times t (N,) [s] as solvers take them: poses, positions, or dicts of these by tip."""
     if not isinstance(reference, Reference):
         each = {tip: targets_at(one, t) for tip, one in reference.items()}
         return [dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True)]
@@ -238,7 +254,10 @@ def targets_at(reference: References, t: np.ndarray) -> list[Any]:
 
 
 def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Times at even distances along a path, how far [m, or rad where it only turns] it is there, and whether it only turns."""
+    """Return times [s] at even distances along a path, the path's length up to each, and whether the tip only turns.
+
+    fewest: least number of them. Lengths are in m, or in rad if the tip only turns.
+    """
     every = _each(reference)
     t = np.linspace(0.0, min(one.duration for one in every), DENSE + 1)
     moved, turned = np.zeros(DENSE), np.zeros(DENSE)
@@ -256,7 +275,10 @@ def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.nd
 
 
 def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q: np.ndarray, k: int) -> float:
-    """How far along the path the reach extends before pose k, the first out of reach."""
+    """Return the path's length up to the edge of the reach, by bisection before pose k, the first one out of reach.
+
+    then: bound solver that starts from given joint values; t, along, q: as in `Survey`.
+    """
     if k == 0:
         return 0.0
     low, high, near = 0.0, 1.0, q[k - 1]
@@ -268,14 +290,14 @@ def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q:
 
 
 def near_limits(robot: Joints, q: np.ndarray) -> tuple[str, ...]:
-    """Names of the joints within a thousandth of their range of a limit."""
+    """Return the names of the joints that are within a thousandth of their range of a limit, at q (n,)."""
     span = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 1.0)
     near = np.minimum(q - robot.lower, robot.upper - q) <= BOUNDARY * span
     return tuple(name for name, hit in zip(robot.joint_names, near, strict=True) if hit)
 
 
 def pace(robot: Joints, t: np.ndarray, q: np.ndarray) -> tuple[float, str]:
-    """Largest joint speed over its limit along q (K, n) at times t (K,), and which joint has it."""
+    """Return the largest joint speed over its limit along q (K, n) at times t (K,) [s], and the name of that joint."""
     limit = np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf)
     if len(t) < 2:
         return 0.0, robot.joint_names[0]

@@ -1,18 +1,20 @@
-"""Another posture for a tracker: found where the arm stands at limits and only other joint values reach the target.
+"""Another posture for a tracker, if the arm stands at limits and only other joint values reach the target.
 
-`Postures` finds joint values near given ones that reach the targets, by single attempts of the solver; `Reconfiguration` decides.
+`Postures` finds joint values near given ones that reach the targets, by single attempts of the solver;
+`Reconfiguration` decides when to search and when to move.
 
-A tracker goes downhill, so a tool that is turned on and on ends where a joint is at its limit and every small motion makes the
-error larger. The solver's attempts from other starts then find joint values for the same target, and the arm moves there through
-its joints. Two things are decided here:
+A tracker reduces the error locally. A tool that is turned further and further therefore ends where a joint is at its
+limit and every small motion increases the error. The solver's attempts from other starts then find other joint values
+for the same target, and the arm moves there in joint space, leaving the path of its tip.
 
-When to search: only when limits, or a singular pose, have kept the error from falling for a while, and speed has not; at once for
-a target that leapt to where the solver does not get from here. A search is spread over updates so that none takes much longer;
-after one in vain there is a pause.
+When to search: only after limits or a singular pose (not a speed limit) have kept the error from falling for a while,
+or at once for a target that jumped to where the solver does not get from the present joint values. A search is spread
+over several updates so that none takes much longer; after one that finds nothing there is a pause.
 
-When to move: on the way the tip leaves its target, which may come back by itself. So the arm waits until it has lost as much [m s]
-as the way costs, never more than twice what would have been best; less of it while the target stands, which may be where it turns
-back; not at all once it is at rest, or has stood for as long as the way takes.
+When to move: the tip leaves its target on the way, and the target may return to where it can be reached. So the arm
+waits until the error has cost as much [m s] as the move would, which is never more than twice the best choice in
+hindsight. Less is enough while the target stands, which may be where it turns back. There is no wait once the target is
+at rest, or has stood for as long as the move takes.
 """
 
 import math
@@ -33,34 +35,34 @@ from .motion_limits import speeds
 from .target_stream import STAND, STILL, WAIT
 from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOCITY, time_left, travel
 
-TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
-TINY = 1e-300  # divided by where no joint has a speed
-REACHED = 1e-3  # [m] error, angles at LEVER, below which a target counts as reached
+TOLERANCE = 1e-5  # [m, rad] tolerance of a posture: the tracker itself comes closer afterwards
+TINY = 1e-300  # least divisor of joint speeds, in case all of them are 0
+REACHED = 1e-3  # [m] error below which a target counts as reached; angles count at the lever arm LEVER
 
 
 class Taken(NamedTuple):
-    """A step taken by a tracker, in kernel units but for E and T; arrays are the tracker's own."""
+    """A step that a tracker has taken, in kernel units except E, T and times; the arrays are the tracker's own."""
 
-    code: np.ndarray  # (n,) bits of limits
-    singular: bool
-    E: np.ndarray  # (2, m) errors before and after it [m, rad], base axes
-    left: float  # [m] error after it, see `Postures.size`
-    T: np.ndarray  # (2, F, 4, 4) targets before and after it
-    stand: np.ndarray  # whether the target stands, see `arrival.Stand`
-    dt: float  # [s] of the update
-    since: float  # [s] since the one looked at before it: those that end at their target, unhindered, are not
-    q: np.ndarray  # (n,) afterwards
-    rate: np.ndarray
-    limits: np.ndarray  # (4, n)
-    law: np.ndarray  # a `motion.Law`
-    error_at: Callable[[np.ndarray], np.ndarray]  # E at other joint values
+    code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
+    singular: bool  # whether the pose was singular
+    E: np.ndarray  # (2, m) errors before and after the step [m, rad], base axes
+    left: float  # [m] error after the step as one number, see `Postures.size`
+    T: np.ndarray  # (2, F, 4, 4) targets before and after the step
+    stand: np.ndarray  # whether the target stands, as a `target_stream.Stand`
+    dt: float  # [s] length of the update
+    since: float  # [s] since the last step that was examined; unhindered steps that end at their target are not
+    q: np.ndarray  # (n,) joint values after the step
+    rate: np.ndarray  # (n,) joint rates after the step
+    limits: np.ndarray  # (4, n) lower, upper, speed, acceleration
+    law: np.ndarray  # a `laws.Law`
+    error_at: Callable[[np.ndarray], np.ndarray]  # function that returns the errors (m,) at other joint values (n,)
 
 
 class Postures:
-    """Finds joint values for targets of the kinds that `ready` was told. Kernel units."""
+    """Finds joint values (kernel units) that reach targets of the kinds that `ready` was given."""
 
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
-        """options: what counts; speed (n,) of the joints."""
+        """Prepare the solver; options: which errors count; speed (n,): joint speed limits [kernel units]."""
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
@@ -74,7 +76,7 @@ class Postures:
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
-        """Take targets of these kinds, and compile (or load) all that is needed later."""
+        """Prepare for one kind of target (POSE or POSITION) per tip; compile (or load) all that is needed later."""
         self.kinds = kinds
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
@@ -85,10 +87,17 @@ class Postures:
     def find(
         self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray, *, quick: bool = False
     ) -> tuple[np.ndarray, bool]:
-        """Joint values (K, n) of the attempts for targets T (N, F, 4, 4) from starts (N, n) that end inside limits (4, n).
+        """Make one solver attempt from each start; return the joint values (K, n) found inside the limits.
 
-        They are in order, and as near to q (n,) as full turns allow. quick: slow joints are to move less. Also True when a target
-        is out of all reach.
+        Args:
+            T: Targets (N, F, 4, 4) [m].
+            starts: Starts (N, n).
+            q: Joint values (n,) to which the results are brought as near as full turns allow.
+            limits: Limits (4, n).
+            quick: Prefer solutions in which slow joints move less.
+
+        Returns:
+            The joint values in the order of the starts, and whether a target is proven out of reach of any posture.
         """
         plan, unit, n = self.quick if quick else self.plan, self.robot.chain.unit, self.robot.n
         rows = np.zeros((len(starts), plan.width))
@@ -104,70 +113,83 @@ class Postures:
         return np.clip(found[inside], limits[0], limits[1]), bool((status == UNREACHABLE).any())
 
     def size(self, E: np.ndarray) -> float:
-        """Errors (m,) of all tips [m, rad] as one number [m]."""
+        """Return errors (m,) of all tips [m, rad] as one number [m], with angles at the lever arm LEVER."""
         return math.hypot(*(self._lever * E).tolist())
 
 
 def gap(T: np.ndarray, before: np.ndarray) -> float:
-    """How far poses (F, 4, 4) are from others, as one number."""
+    """Return the distance between two sets of poses (F, 4, 4) as one number: the norm of all their differences."""
     return math.hypot(*(T - before).ravel().tolist())
 
 
 def locked(limits: np.ndarray) -> bool:
-    """Whether a joint may not move."""
+    """Return whether a joint may not move: its speed limit is 0, or its position limits are equal."""
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
 
 
-FAST = VELOCITY | RECOVERING  # what holds a joint back only for a while
-PROGRESS = 0.9  # of the least error so far: what falls below is on its way
-SHARE = 0.05  # of the time between two updates that a search may take: one arm's is over after 0.02 s, whatever the rate ...
-ATTEMPT = 1e-5  # [s] ... as an attempt takes so long, of one arm of six or seven joints; of two arms 8 times as long
-ATTEMPTS = 96  # of a search; where one in ten succeeds, all fail once in 25,000 searches
-RUSH = 0.02  # of the time of the best way found so far, after which the search ends: the arm waits meanwhile
-PAUSE = 3.0  # [s] after a search in vain; while the target stands twice as long after each more ...
-LONGEST = 16.0  # ... up to this: of one arm's updates 99 % do not search
-ELSEWHERE = 0.02  # [m, or of a rotation] from where a search was in vain, a target that stands is worth another at once
-BARRED = 5  # postures that are kept in mind as not free
-HEADROOM = 0.5  # [s] of a joint at full speed before its limit: what is missing of it counts like a longer way
-ARRIVED = 0.05  # [s] left at full speed, from which on the tracker itself comes closer
-CLOSE = 1e-3  # [s] the same where the target stands: nothing can hold the tracker back so near
-FAR = 0.3  # [rad, or reaches] move of a joint from one update to the next by which a posture is another one
-STANDING = 0.3  # of what the way costs that must have been lost where the target stands
-ON_WAY = (0.25, 0.5, 0.75)  # parts of the way at which its error is looked at
+FAST = VELOCITY | RECOVERING  # limits that hold a joint back only for a while
+PROGRESS = 0.9  # share of the least error so far: an error below it counts as progress
+# share of the time between two updates that a search may take; the search of a single arm ends after 0.02 s
+SHARE = 0.05
+ATTEMPT = 1e-5  # [s] duration of one attempt for an arm of six or seven joints (for two arms 8 times as long)
+ATTEMPTS = 96  # attempts in one search; where one attempt in ten succeeds, all fail in one search out of 25,000
+RUSH = 0.02  # a search ends after this share of the duration of the best move found, as the arm waits meanwhile
+PAUSE = 3.0  # [s] pause after a search that found nothing; it doubles after each further one while the target stands
+LONGEST = 16.0  # [s] longest pause between searches, so that 99 % of the updates of a single arm do not search
+# [m, or rotation matrix entries] move of a standing target after which a new search need not wait for the pause
+ELSEWHERE = 0.02
+BARRED = 5  # number of postures remembered as blocked by a collision
+# [s] margin to position limits (time at full speed); what a posture lacks of it adds to the move's duration
+HEADROOM = 0.5
+ARRIVED = 0.05  # [s] time left at full joint speed at which a move ends and the tracker takes over
+# [s] time left at full joint speed at which a move to a standing target ends, as nothing can hinder it any more
+CLOSE = 1e-3
+FAR = 0.3  # [rad or arm reaches] change of a joint between updates from which a posture counts as another one
+STANDING = 0.3  # share of a move's cost that the error must have cost before it is made, if the target stands
+ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
 
 
 class Reconfiguration:
-    """What a tracker knows of another posture. goal (n,): where it is going [kernel units], or None; held: joints at limits."""
+    """Decides about moves of a tracker to another posture.
+
+    goal (n,): joint values of the move under way [kernel units], or None; held: indices of the joints at limits that
+    caused it.
+    """
 
     def __init__(self, robot: Any, postures: Postures, model: Any) -> None:
-        """model: CollisionModel that goals must be free of, or None."""
+        """Bind to a robot; postures: finds goals.
+
+        model: CollisionModel in which goals must be free of contact, or None.
+        """
         self.robot, self.postures, self.model = robot, postures, model
         self._attempt = ATTEMPT * len(robot.tips) ** 3
         self.begin()
 
     def begin(self) -> None:
-        """Everything begins anew."""
+        """Forget everything, as at the start."""
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
-        self._barred: list[np.ndarray] = []  # postures with something there, or in the way
-        self._place = np.zeros(0)  # target of the goal, or of the search that was asked for
+        self._barred: list[np.ndarray] = []  # postures with a collision there or on the way
+        self._place = np.zeros(0)  # target of the goal, or of the search asked for by `search_now`
         self.forget()
-        self._quiet, self._pause = 0.0, PAUSE  # [s] in which no search begins, and after the next one in vain
-        self._vain = np.zeros(0)  # where the target was at the last one
+        self._quiet, self._pause = 0.0, PAUSE  # [s] left of the present pause, and length of the next one
+        self._vain = np.zeros(0)  # target at the last search that found nothing
 
     def forget(self) -> None:
-        """The target is reached, or left."""
+        """Drop the goal and the search: the target has been reached or left."""
         self.goal: np.ndarray | None = None
-        self._stood, self._lost, self._least = 0.0, 0.0, math.inf  # [s], [m s], [m] since it was left behind
-        self._price, self._time = 0.0, 0.0  # [m s], [s] of the way last found
-        self._left = 0  # attempts of a search that goes on
-        self._best: tuple[float, np.ndarray, np.ndarray] | None = None  # cost [s], joint values, and their target
-        self._stands = False  # whether the target stood when it began
-        self._now = False  # whether it was asked for, wherever the arm is
+        # time without progress [s], error summed over time [m s], least error [m]
+        self._stood, self._lost, self._least = 0.0, 0.0, math.inf
+        self._price, self._time = 0.0, 0.0  # cost [m s] and duration [s] of the move last found
+        self._left = 0  # attempts left in the present search
+        # cost [s], joint values and targets of the best posture found
+        self._best: tuple[float, np.ndarray, np.ndarray] | None = None
+        self._stands = False  # whether the target stood when the search began
+        self._now = False  # whether the search was asked for by `search_now`
 
     # ------------------------------------------------------------------------------------------------ when to search
     def watch(self, taken: Taken) -> None:
-        """Look at a step taken. May set `goal`."""
+        """Examine a step that was taken: measure progress, search, and perhaps set `goal`."""
         T, q, limits, dt = taken.T[-1], taken.q, taken.limits, taken.dt
         stood = float(taken.stand[STAND.seconds])
         self._quiet -= taken.since
@@ -178,7 +200,8 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = PAUSE, []
             return
-        if self._left and locked(limits):  # during a search: the time to anywhere has no bound any more
+        # If a joint is locked during a search, no other posture can be reached in finite time.
+        if self._left and locked(limits):
             self.forget()
         if self._now:
             if gap(T, self._place) <= STILL:
@@ -192,7 +215,9 @@ class Reconfiguration:
             held |= bits
         if not (held & POSITION or taken.singular):
             return
-        # On its way as fast as it can. Joints that tremble where a target stands are at an acceleration limit, too.
+        # A joint at its speed limit is on its way as fast as it can.
+        # At an acceleration limit it is so only if the target moves: joints also reach it by trembling before a
+        # standing one.
         if held & FAST or (held & ACCELERATION and stood < WAIT):
             self._stood = 0.0
             return
@@ -206,7 +231,8 @@ class Reconfiguration:
         stands = stood >= WAIT
         if not self._left and (rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)):
             paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > ELSEWHERE)
-            if paused or locked(limits):  # a locked arm has few postures, and its operator other plans
+            # With a locked joint there are few postures, and an operator who locks one wants no large moves.
+            if paused or locked(limits):
                 return
             self.held = [i for i, bits in enumerate(code) if bits & POSITION]
             self._stands = stands
@@ -217,15 +243,20 @@ class Reconfiguration:
                 self._decide(taken, stood)
 
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
-        """Search for a target T (F, 4, 4) that leapt and stands, from the next step on; in vain, all goes on as before."""
+        """Begin a search at the next step, for targets T (F, 4, 4) that jumped and now stand.
+
+        If it finds nothing, nothing changes.
+        """
         self.forget()
         self._place, self.held, self._now = T.copy(), [], True
         self._begin(q, limits)
 
     def _begin(self, q: np.ndarray, limits: np.ndarray) -> None:
-        """Draw the starts of a search: attempts begin with the next update, as drawing takes as long as some of them.
+        """Draw the starts of a search.
 
-        Every other one has only the joints at limits elsewhere, or lies on the way from q to a random one.
+        Attempts begin with the next update, since drawing takes as long as some of them.
+
+        Every other start differs from q only in the joints at limits, or lies between q and a random configuration.
         """
         self._left, self._spent, self._best = ATTEMPTS, 0.0, None
         starts = self.robot.random_q(self._rng, ATTEMPTS) / self.robot.chain.unit
@@ -240,11 +271,11 @@ class Reconfiguration:
         self._starts = np.clip(starts, limits[0], limits[1])
 
     def _search(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, dt: float) -> None:
-        """As many attempts of the search as an update has time for."""
+        """Make as many attempts of the search as an update has time for, and keep the best posture found."""
         done = ATTEMPTS - self._left
         part = slice(done, done + max(round(SHARE * dt / self._attempt), 1))
         starts, shares = self._starts[part], self._shares[part]
-        if self._best is not None:  # every other one on the way to the best so far
+        if self._best is not None:  # Every other start lies between q and the best posture so far.
             odd = (np.arange(len(starts)) + done) % 2 == 1
             starts[odd] = q + shares[odd] * (self._best[1] - q)
         self._left -= len(starts)
@@ -256,7 +287,8 @@ class Reconfiguration:
         scored = [one for one in scored if all(np.abs(one[1] - bad).max() > FAR for bad in self._barred)]
         cost, p = min(scored, key=lambda one: one[0], default=(math.inf, q))
         if cost < (self._best[0] if self._best else math.inf):
-            if self.model and self.model.collides(p * self.robot.chain.unit):  # up to a millisecond: one look an update
+            # A collision check takes up to a millisecond, so there is only one in an update.
+            if self.model and self.model.collides(p * self.robot.chain.unit):
                 self._bar(p)
             else:
                 self._best = cost, p, T.copy()
@@ -265,7 +297,7 @@ class Reconfiguration:
             self._left = 0
 
     def _decide(self, taken: Taken, stood: float) -> None:
-        """After a search: go, wait, or do not search again for a while. stood [s]: for how long the target has."""
+        """After a search, set the goal, wait, or begin a pause; stood [s]: how long the target has stood."""
         if self._best is None:
             self._hold_off(taken.T[-1])
             self._barred = []
@@ -278,14 +310,14 @@ class Reconfiguration:
             self._price = on_way * self._time
             if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
-        self.goal, self._place = goal, place  # the target may have gone on since: `go` follows it from there
+        self.goal, self._place = goal, place  # The target may have moved on since; `go` follows it from there.
 
     def _enough(self, stands: bool) -> float:
-        """Error [m s] that is worth the way last found."""
+        """Return the accumulated error [m s] that justifies the move last found."""
         return self._price * (STANDING if stands else 1.0)
 
     def _hold_off(self, T: np.ndarray) -> None:
-        """There is no way to targets T (F, 4, 4) for now."""
+        """Begin a pause in which no search is made for targets T (F, 4, 4)."""
         self._vain, self._quiet = T.copy(), self._pause
         self._pause = min(2.0 * self._pause, LONGEST)
 
@@ -294,9 +326,12 @@ class Reconfiguration:
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray,
         code: np.ndarray,
     ) -> bool:  # fmt: skip
-        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more.
+        """Step q and rate (n,) in place by h [s] towards the goal.
 
-        code (n,) receives what held joints back.
+        Return False, with nothing moved, if there is no goal any more.
+
+        A target that moves is followed: its joint values are solved for again, near the goal. gamma, late: as in
+        `travel`. code (n,) receives the bits of the limits that held joints back.
         """
         goal, near = self.goal, ARRIVED
         if goal is None or locked(limits):
@@ -320,21 +355,21 @@ class Reconfiguration:
 
     @property
     def why(self) -> tuple[str, ...]:
-        """Names of the joints that were at limits."""
+        """Names of the joints at limits that caused the move."""
         return tuple(self.robot.joint_names[i] for i in self.held)
 
     def blocked(self) -> None:
-        """Something is in the way: another goal may be free, later."""
-        if self.goal is not None:  # None: this step would have been the last one on the way
+        """Give up the move because of a collision ahead; another posture may be free later."""
+        if self.goal is not None:  # No goal is left if the blocked step would have been the last of the move.
             self._bar(self.goal)
         self._hold_off(self._place)
         self.forget()
 
     def _bar(self, q: np.ndarray) -> None:
-        """Keep in mind that something is at, or on the way to, joint values q (n,)."""
+        """Remember that there is a collision at, or on the way to, joint values q (n,)."""
         self._barred = [*self._barred, q][-BARRED:]
 
 
 def headroom(Q: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Least time [s] in which a joint at full speed is at its limit, of each of joint values Q (N, n)."""
+    """Return for each row of Q (N, n) the least time [s] in which a joint at full speed reaches a position limit."""
     return (np.minimum(Q - limits[0], limits[1] - Q) / speeds(limits)).min(axis=1)

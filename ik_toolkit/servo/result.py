@@ -1,6 +1,7 @@
 """Result of a tracking run: arrays over the samples, figures, files, and the verdict.
 
-The verdict says whether the run followed its reference, once the arm has had time to get going; if not, how far off, when and why.
+The verdict says whether the run followed its reference (after the time allowed to settle) and, if not, how far off,
+when and why.
 """
 
 import json
@@ -21,15 +22,16 @@ from . import laws, viability
 from .path_reach import Survey
 from .stability import GainCheck
 
-ROUNDING = 1e-6  # of a step: a clock that lags by less was not slowed; its sum is rounded
+ROUNDING = 1e-6  # share of a step by which a clock may lag and still not count as slowed, as its time is a rounded sum
 
 
 class TrackStatus(Enum):
     """How a run ended.
 
-    COMPLETED: inside the tolerances at every sample, in the reference's own time. SLOWED: inside, but the clock was slowed.
-    LEFT: outside for a while, inside again at the end. LOST: outside at the end, or ended before the reference did.
-    DIVERGED: joints ran away. NOT_FINITE: no usable step. CONSTRAINT_OPEN: followed, but a loop of the robot's description is open.
+    COMPLETED: inside the tolerances at every sample, in the reference's own time. SLOWED: inside, but the reference was
+    run more slowly. LEFT: outside for a while, inside again at the end. LOST: outside at the end, or ended before the
+    reference did. DIVERGED: joint motion grew without bound. NOT_FINITE: a step was not finite. CONSTRAINT_OPEN:
+    followed, but a loop of the robot's description is open.
     """
 
     COMPLETED = "completed"
@@ -45,19 +47,21 @@ class TrackStatus(Enum):
 class TrackResult:
     """A tracking run of N steps.
 
-    t (N+1,) [s]; q, rate (N+1, n) joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3)
-    [m], base axes, of several `tips` (N+1, tips, 3); position_error (N+1,) [m], orientation_error (N+1,) [rad] or None, of
-    several tips the largest; limited (N, n) bits: held back by a limit on 1 position, 2 speed, 4 acceleration, by 8 a step
-    that was not finite, 16 being outside its limits, 32 a contact ahead, 64 what calms a swing; damped (N,) whether the
-    pseudo-inverse was damped; between_position, between_orientation (N,) largest error in each step, its ends included;
-    figures (see `figures`); elapsed [s] of stepping, searched [s] of what else was tried; gain_check. The verdict reads
-    position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
+    t (N+1,) [s]; q, rate (N+1, n): joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1,
+    3) [m]: tip and target in base axes, (N+1, tips, 3) for several `tips`; position_error (N+1,) [m], orientation_error
+    (N+1,) [rad] or None: for several tips the largest; limited (N, n): bits that say why a joint was held back, 1
+    position limit, 2 speed limit, 4 acceleration limit, 8 a step that was not finite, 16 outside its limits, 32 a
+    contact ahead, 64 limited because it oscillated; damped (N,): whether the pseudo-inverse was damped;
+    between_position, between_orientation (N,): largest error in each step, its ends included; figures (see `figures`);
+    elapsed [s] of stepping, searched [s] for other runs and checks; gain_check: stability of the gains. The verdict
+    compares errors with position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
 
-    clock (N+1,) [s]: the reference's time at each t, against which errors are; sigma (N,) its rate in each step, 0 to 1; pace
-    (N,) the joint that held it back, -1 for none. end [s]: reference time that the run was to reach. Without them the clock is t.
+    clock (N+1,) [s]: the reference's time at each t, at which errors are taken; sigma (N,): its rate in each step, 0 to
+    1; pace (N,): index of the joint that slowed it, -1 for none; end [s]: the reference's time that the run was to
+    reach. If they are left out the reference is run in its own time.
 
-    between: names of the two that most often would have touched where a contact ahead held the robot back, else None. reach: of a
-    run that left its reference, where along it the poses can be reached at all (a `Survey`), else None.
+    between: names of the two parts that would most often have touched, if one held the robot back, else None. reach:
+    for a run that left its reference, which of its poses can be reached at all (a `Survey`), else None.
     """
 
     robot: str
@@ -94,7 +98,7 @@ class TrackResult:
     tips: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Fill in the clock of a run that was not slowed."""
+        """Fill in the clock of a run in the reference's own time."""
         steps = len(self.t) - 1
         self.clock = self.t if self.clock is None else self.clock
         self.sigma = np.ones(steps) if self.sigma is None else self.sigma
@@ -103,18 +107,18 @@ class TrackResult:
 
     @property
     def success(self) -> bool:
-        """Whether the reference was followed to its end, every sample from settle on inside the tolerances."""
+        """Whether the reference was followed to its end, with every sample from settle [s] on inside the tolerances."""
         return self.status in (TrackStatus.COMPLETED, TrackStatus.SLOWED)
 
     @property
     def added_time(self) -> float:
-        """How much longer [s] the run took than the stretch of the reference it followed; 0 when the clock was not slowed."""
+        """How much longer [s] the run took than the stretch of the reference it followed; 0 if it was not slowed."""
         added = float(self.t[-1] - self.clock[-1])
         return added if added > ROUNDING * self.dt else 0.0
 
     @property
     def pace_joint(self) -> str | None:
-        """Name of the joint that held the clock back most, None when none did."""
+        """Name of the joint that slowed the reference's clock most, or None."""
         held = self.pace >= 0
         if not (self.added_time and held.any()):
             return None
@@ -123,18 +127,18 @@ class TrackResult:
 
     @property
     def at_limits(self) -> np.ndarray:
-        """Which joints (N, n) a limit of their own held back in which step, on position, speed or acceleration."""
+        """Which joints (N, n) their own position, speed or acceleration limit held back in each step."""
         return self.limited & (viability.POSITION | viability.VELOCITY | viability.ACCELERATION) > 0
 
     def outside(self) -> np.ndarray:
-        """Which samples (N+1,) from settle on have an error above a tolerance."""
+        """Return which samples (N+1,) from settle [s] on have an error above a tolerance."""
         inside = self.position_error <= self.position_tolerance
         if self.orientation_error is not None:
             inside &= self.orientation_error <= self.orientation_tolerance
         return ~inside & (self.t >= self.settle)
 
     def to_dict(self) -> dict[str, Any]:
-        """Summary for JSON: names, settings, status and figures; the arrays go to `save`."""
+        """Return a summary for JSON: names, settings, status and figures; the arrays are written by `save`."""
         check = self.gain_check
         return {
             "robot": self.robot,
@@ -164,11 +168,11 @@ class TrackResult:
         }
 
     def to_ros(self) -> dict[str, Any]:
-        """Fields of a ROS trajectory_msgs/JointTrajectory, one point per sample, without accelerations."""
+        """Return the fields of a ROS trajectory_msgs/JointTrajectory, one point per sample, without accelerations."""
         return joint_trajectory(self.joint_names, "", self.t, self.q, self.rate)
 
     def save(self, path: str | Path) -> Path:
-        """Write all arrays to .npz, one row per sample to .csv, or what `to_ros` gives to .json.
+        """Write all arrays to .npz, one row per sample to .csv, or the fields of `to_ros` to .json; return the path.
 
         Raises InvalidOption for another suffix.
         """
@@ -200,13 +204,14 @@ class TrackResult:
 
 
 def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
-    """Figures of a run, as plain numbers.
+    """Return figures of a run, as plain numbers by name.
 
-    position (orientation): max, rms, final, settled_max (second half) and between_max (between samples as well). Joints, by finite
-    differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3];
-    largest_move with its joint and time; jumps, the number of steps with a move above `jump` (n,). time_at_limits [s] (of any
-    joint, see `at_limits`), time_at_limits_by_joint; damped_time [s] (near a singularity); slowed_time [s] (the clock went slower),
-    added_time [s] (how much longer the run took for it), slowest (the least clock rate).
+    position and orientation: max, rms, final, settled_max and settled_rms (second half of the run), and between_max
+    (between samples as well). By finite differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad
+    or m per s, s^2, s^3]; largest_move of a joint in a step, with its joint and time; jumps: the number of steps in
+    which a joint moves by more than jump (n,). time_at_limits [s] of any joint (see `at_limits`) and
+    time_at_limits_by_joint; damped_time [s] near a singularity; slowed_time [s] in which the reference's clock was
+    slowed, added_time [s] by which the run took longer, slowest: least rate of that clock.
     """
     out: dict[str, Any] = {"position": _errors(result.position_error, result.between_position)}
     if result.orientation_error is not None:
@@ -248,16 +253,16 @@ def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
     return out
 
 
-POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
-ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves a tool of half a metre by about as much
-SETTLE = 0.5  # [s] given to an arm that has to get going first
-LOOKED = 200  # samples in which the constraints of a description are evaluated
-MORE = 1.01  # times the error at the samples, from which on that between them is a larger one
+POSITION_TOLERANCE = 1e-3  # [m] accuracy to which a path is commonly followed
+ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
+SETTLE = 0.5  # [s] time allowed to settle for an arm that starts at rest
+LOOKED = 200  # largest number of samples at which the constraints of a description are checked
+MORE = 1.01  # factor over the error at the samples above which the error between samples is reported as larger
 LIMITS = ((viability.POSITION, "position"), (viability.VELOCITY, "speed"), (viability.ACCELERATION, "acceleration"))
 
 
 def settling(settle: float | None, at_rest: bool, duration: float) -> float:
-    """Time [s] from which on the error is judged."""
+    """Return the time [s] from which on the error is judged: as given, else SETTLE for a start at rest, or 0."""
     if settle is None:
         return min(SETTLE, 0.5 * float(duration)) if at_rest else 0.0
     given = number(settle, "settle [s]")
@@ -267,7 +272,10 @@ def settling(settle: float | None, at_rest: bool, duration: float) -> float:
 
 
 def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
-    """Status of a whole run and one sentence."""
+    """Return the status of a run of planned `steps` and one sentence about it.
+
+    stop: why the loop ended (see `laws.State`).
+    """
     done = len(result.t) - 1
     if stop in (laws.RUNAWAY, laws.NOT_FINITE):
         what = "moved joints without bound" if stop == laws.RUNAWAY else "produced a step that is not finite"
@@ -297,13 +305,14 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     after = f" after {result.settle:g} s" if result.settle else ""
     off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
-        why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"  # or to get going
+        # After a time to settle, the added time may only come from the start.
+        why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
 
 
 def hold_against(result: TrackResult, robot: Any) -> None:
-    """A run followed with a constraint of the robot's description open is no success: looked at in at most LOOKED samples."""
+    """Set CONSTRAINT_OPEN if a constraint of the robot is open in a successful run, at up to LOOKED samples."""
     if not result.success or not robot.constraints:
         return
     rows = np.unique(np.linspace(0, len(result.q) - 1, LOOKED).round().astype(int))
@@ -314,7 +323,7 @@ def hold_against(result: TrackResult, robot: Any) -> None:
 
 
 def _away(result: TrackResult, outside: np.ndarray) -> str:
-    """How far a run was from its reference, when, what was allowed, and whether it came back."""
+    """Return a clause: how far a run was from its reference, when, what was allowed, and whether it came back."""
     judged = result.t >= result.settle
     k = _worst(result, judged)
     away = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
@@ -331,7 +340,7 @@ def _away(result: TrackResult, outside: np.ndarray) -> str:
 
 
 def _worst(result: TrackResult, judged: np.ndarray) -> int:
-    """Sample with the largest error over its tolerance."""
+    """Return the index of the judged sample with the largest error over its tolerance."""
     excess = result.position_error / result.position_tolerance
     if result.orientation_error is not None:
         excess = np.maximum(excess, result.orientation_error / result.orientation_tolerance)
@@ -339,7 +348,7 @@ def _worst(result: TrackResult, judged: np.ndarray) -> int:
 
 
 def _stopped(result: TrackResult, outside: np.ndarray) -> str:
-    """Why a run ended before its reference did."""
+    """Return a sentence on a run that ended before its reference did."""
     at = f"reached {result.clock[-1]:.4g} of {result.end:.4g} s of the reference in {result.t[-1]:.4g} s"
     held = result.pace[result.pace >= 0]
     if len(held):
@@ -348,7 +357,10 @@ def _stopped(result: TrackResult, outside: np.ndarray) -> str:
 
 
 def _added(result: TrackResult, before: str) -> str:
-    """How much longer a run took than its reference, and which joint set the pace; '' when the clock was not slowed."""
+    """Return words on how much longer a run took than its reference, and which joint slowed it.
+
+    '' if it was not slowed.
+    """
     if not result.added_time:
         return ""
     words = f"{before}{result.added_time:.3g} s longer than its {result.clock[-1]:.4g} s"
@@ -357,7 +369,7 @@ def _added(result: TrackResult, before: str) -> str:
 
 
 def _limit(result: TrackResult, joint: int) -> str:
-    """Name of a joint, with the limit that held it most often while it held the clock back."""
+    """Return the name of a joint, with the limit that was active most often while it slowed the clock."""
     codes = result.limited[result.pace == joint, joint]
     counts = [int((codes & bit > 0).sum()) for bit, _ in LIMITS]
     name = result.joint_names[joint]
@@ -365,7 +377,10 @@ def _limit(result: TrackResult, joint: int) -> str:
 
 
 def _between_samples(result: TrackResult) -> str:
-    """Sentence on the error inside the steps as well, which the verdict does not read."""
+    """Return a sentence on the error between samples, which the verdict does not judge.
+
+    '' if there is nothing to say.
+    """
     if result.between_position is None:
         return ""
     judged = result.t[:-1] >= result.settle
@@ -380,6 +395,6 @@ def _between_samples(result: TrackResult) -> str:
 
 
 def _error_words(position: float, angle: np.ndarray | None, rows: np.ndarray) -> str:
-    """A position error, and the largest orientation error of some rows, in words."""
+    """Return a position error [m], and the largest of the orientation errors (N+1,) [rad] in `rows`, in words."""
     turned = "" if angle is None else f" and {np.degrees(angle[rows].max()):.3g} deg"
     return length(float(position)) + turned

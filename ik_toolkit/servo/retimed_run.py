@@ -1,7 +1,7 @@
-"""The run of `track`: in the reference's own time first, and where that does not do, along a time law that the joints can keep.
+"""The run of `track`: in the reference's own time first, and if that fails along a time law that the joints can keep.
 
-The law needs the joints' path q(s) along the reference. It comes from the method itself, run so slowly that nothing limits it;
-where that leaves the reference, with more distance from limits or another posture; and last from `solve_path`.
+The time law needs the joints' path q(s). It comes from the method itself, run so slowly that no limit is active; if
+that leaves the reference, with stronger avoidance of limits or another posture; and last from `solve_path`.
 """
 
 import time
@@ -22,34 +22,35 @@ from .target_stream import samples_from
 from .tracker import Tracker
 from .workspace import Samples, new_record
 
-QUICK = 10.0  # [1/s^2] largest d2s/dt2: a run stops or starts in a tenth of a second
-SPEED = 0.98  # share of speed limits that a law uses: the run is not quite the motion that it was made for
-# Shares of acceleration limits that a law uses: in turn, where a run has missed. With 0.95 31 of 288 runs needed a second one.
+QUICK = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
+SPEED = 0.98  # share of the speed limits used by a time law, as a run differs a little from the planned motion
+# Shares of the acceleration limits used by a time law, in turn while runs fail; with 0.95, 31 of 288 needed another.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
-TOLERANCE = 0.8  # share of the tolerances that a law uses for the error of a step
-FASTER = 5  # times that these shares are raised, where a run has kept to the reference ...
-JOINTS, TIP = 1.2, 1.5  # ... each by these factors: those of redundant joints, that of the tip
-FAR_OFF = 4.0  # times its tolerance above which a run was not off by the error of a step
-ENOUGH = 0.8  # of a tolerance that is aimed at where a run has missed it ...
-NEAR = 0.05  # [s] ... how long before and after that it is slower ...
-LEAST = 0.25  # ... and share to which the square of its rate is lowered at a time
-HELPED = 0.8  # share of the samples off the reference that have to remain fewer after a run was taken again
-FOLLOWED = 0.2  # of a tolerance: error of a step while the joints' path is sought
-FEWEST = 400  # steps of that path
-HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
-POSES = 40  # least number of poses that must all be in reach before `solve_path` is asked for a path ...
-MOST_POSES = 2001  # ... and the largest that it is given; in between its path is linear
-EXACT = 1e-6  # [m, rad] of that path: errors of neighbouring samples must not look like accelerations
-STRIDE = (0.5, 0.2)  # [rad, m] that its joints may move between two poses: they are near each other
-LEAD = 0.5  # share of what is missing to it that a step makes up for, in the null space
-SLOWEST = 0.02  # rate of the clock at which what touches is passed, or not at all
-RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
-AT_ONCE = 20_000  # steps between which Ctrl-C is heard
+TOLERANCE = 0.8  # share of the tolerances that a time law allows for the error of a step
+FASTER = 5  # how often the limits used are raised after a run that kept to the reference
+JOINTS, TIP = 1.2, 1.5  # factors of one such raise: of redundant joints' limits, and of the error allowed for the tip
+FAR_OFF = 4.0  # error over tolerance above which a miss cannot come from the linearisation in a single step
+ENOUGH = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
+NEAR = 0.05  # [s] time before and after a missed sample in which the clock is slowed
+LEAST = 0.25  # least factor of the squared clock rate when it is lowered once
+HELPED = 0.8  # a further run is tried only if the last left at most this share of the samples off the reference
+FOLLOWED = 0.2  # error of a step over its tolerance while the joints' path is sought
+FEWEST = 400  # least number of steps in which the joints' path is sought
+HARDER = (10.0, 30.0)  # [1/s] gains of limit avoidance tried if the usual one leads into limits
+POSES = 40  # least number of poses that must all be in reach before `solve_path` is called
+MOST_POSES = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
+# [m, rad] tolerance of `solve_path`, so that its errors at neighbouring samples do not look like accelerations
+EXACT = 1e-6
+STRIDE = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
+LEAD = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
+SLOWEST = 0.02  # least rate of the clock near obstacles: the arm passes them at that rate, or is stopped
+RUNAWAY = 100.0  # [rad or arm reaches] mean joint move in one step beyond which a run has diverged
+AT_ONCE = 20_000  # steps between two checks for Ctrl-C
 NOWHERE = np.zeros((0, 0))
 
 
 class Clock(NamedTuple):
-    """Where a run's reference is at each of its samples: s (M + 1,) [s], rate and gain (M + 1,), joint (M + 1,) that limits it."""
+    """The reference's time s (M + 1,) [s] at each sample of a run, its derivatives, and the joint that limits it."""
 
     s: np.ndarray
     rate: np.ndarray
@@ -58,35 +59,33 @@ class Clock(NamedTuple):
 
 
 class Way(NamedTuple):
-    """Joint path Q (K + 1, n) [kernel units] at s (K + 1,) [s], and what the joints do beside the task on it."""
+    """A joint path Q (K + 1, n) [kernel units] at s (K + 1,) [s], and the secondary motion on it."""
 
     s: np.ndarray
     Q: np.ndarray
-    avoid: float  # [1/s] with which limits are avoided
-    posture: np.ndarray  # (2, n) sought, and how strongly [1/s]
-    led: bool = (
-        False  # whether a run is led along it, in the null space, and across singular poses where it crosses them
-    )
-    sides: np.ndarray = NOWHERE  # (M + 1, n) of one that is, at the samples of the run, see `singular_sides`
+    avoid: float  # [1/s] gain of limit avoidance
+    posture: np.ndarray  # (2, n) posture to move to in the null space, and the gain [1/s]
+    led: bool = False  # whether a run is led along the path: in the null space, and across singular poses
+    sides: np.ndarray = NOWHERE  # (M + 1, n) if led: directions from singular poses at the samples (`singular_sides`)
 
 
 class Taken(NamedTuple):
-    """A run; Q, R, E, S, C as in servo/workspace.py."""
+    """Outcome of one run along a clock; Q, R, E, S, C are the arrays of a `workspace.Record`."""
 
-    missed: int  # samples off the reference, or in which limits held back a solver, which always lags
+    missed: int  # number of samples off the reference; for a solver, which always lags: of steps that limits held back
     Q: np.ndarray
     R: np.ndarray
     E: np.ndarray
     S: np.ndarray
     C: np.ndarray
     clock: Clock
-    end: np.ndarray  # of the tracker
-    elapsed: float  # [s] of stepping
-    between: tuple[str, str] | None  # names of the two that most often would have touched
+    end: np.ndarray  # state of the tracker at the end
+    elapsed: float  # [s] time of stepping
+    between: tuple[str, str] | None  # names of the two parts that would most often have touched
 
 
 class Run:
-    """Follow references (one a tip) with a tracker, as well as possible."""
+    """Follows references (one per tip) with a tracker, as well as possible."""
 
     def __init__(
         self,
@@ -98,24 +97,27 @@ class Run:
         stretch: float,
         counts: Mapping[str, Any],
     ) -> None:
-        """Keep what is to be run at times (N + 1,) [s]; stretch: how many times as long a run may take, counts: what counts."""
+        """Prepare a run at times (N + 1,) [s], at most `stretch` times as long.
+
+        counts: the options that say which errors count.
+        """
         self.tracker, self.references, self.times, self.dt = tracker, references, times, float(times[1])
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
-        self.own = self.fine = samples_along(references, self.full, checked)  # fine: where the joints' path is known
+        self.own = self.fine = samples_along(references, self.full, checked)  # `fine` becomes finer in `_ways`.
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
         self.made: list[Taken] = []
         self.interrupted = False
 
     def go(self, slow: bool) -> Taken:
-        """Run to the end, and again where the reference may be slowed and that helps; returns the best run.
+        """Run to the end, and again if the reference may be slowed (slow) and that helps; return the best run.
 
-        Ctrl-C ends it with the best there is, which may be the beginning of a run; before a step is taken it is raised.
+        Ctrl-C ends the search with the best run so far, perhaps an incomplete one; before the first step it is raised.
         """
         tracker = self.tracker
-        # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
+        # This takes no step, but compiles (or loads) the loop, so that the time reported is that of tracking.
         tracker.run(self.own, self.dt, new_record(1, tracker.robot.n, self.own.V.shape[1]), runaway=RUNAWAY)
         tracker.put_back(self.start)
         began = time.perf_counter()
@@ -136,7 +138,7 @@ class Run:
         from_rest = self._at_rest() and np.isfinite(limits[3]).any() and self.own.V[0].any()
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
-            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # nothing helps one that begins off it
+            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # Or it begins too far off.
                 return
         for way in self._ways(here):
             self._slowly(way, from_rest)
@@ -144,11 +146,11 @@ class Run:
                 return
 
     def _at_rest(self) -> bool:
-        """Whether the joints stand at the start."""
+        """Return whether the joints stand at the start."""
         return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
     def _slowly(self, way: Way, from_rest: bool) -> None:
-        """Take runs along a law for a joint path, with more and more in reserve; then along faster ones."""
+        """Take runs along time laws for a joint path, with shrinking shares of the limits; then faster ones."""
         top, start, last = self._clear(way), 0.0 if from_rest else np.inf, np.inf
         for share in ACCELERATION:
             clock = self._law(way, share, top, start)
@@ -158,7 +160,7 @@ class Run:
             if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
-            if not way.led and len(taken.Q) == len(clock.s):  # the path that the joints really took
+            if not way.led and len(taken.Q) == len(clock.s):  # Go on from the path that the joints took.
                 way = way._replace(
                     Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
                 )
@@ -168,7 +170,7 @@ class Run:
             last = taken.missed if again else np.inf
 
     def _faster(self, way: Way, share: float, top: np.ndarray, start: float) -> None:
-        """Take runs along laws for more than there is: other joints may do what a slow one cannot, and smooth steps err less."""
+        """Take runs along faster time laws, whose limits are raised, while the runs keep to the reference."""
         over, before = 1, self.made[-1].clock.s
         for _ in range(FASTER):
             clock = self._law(way, share, top, start, over)
@@ -183,29 +185,28 @@ class Run:
                 return
 
     def _lower(self, top: np.ndarray, way: Way, taken: Taken) -> None:
-        """Lower the highest rates (K + 1,) of a law where a run has missed: the error of a step grows with their square."""
+        """Lower the bounds top (K + 1,) on the clock rate near missed samples; errors grow with its square."""
         excess, near, clock = self._excess(taken.E), round(NEAR / self.dt), taken.clock
         for k in np.flatnonzero(excess > 1.0):
             ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
             here = slice(*np.searchsorted(way.s, ends))
             top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
 
-    # ------------------------------------------------------------------------------------------------ joint paths
     def _wishes(self) -> tuple[float, np.ndarray]:
-        """What was asked for beside the task: `avoid` and `posture` of a way."""
+        """Return the secondary motion that the caller asked for: `avoid` and `posture` of a `Way`."""
         secondary = self.tracker.secondary
         return secondary.avoid, secondary.wish[:2].copy()
 
     def _ways(self, here: Way) -> Iterator[Way]:
-        """Joint paths along the reference, best first."""
-        # A step's error is small against the tolerance where it is followed with so many steps.
+        """Yield joint paths along the reference, best first."""
+        # With so many steps the error of a step is small against the tolerance.
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
         parts = max(-(-FEWEST // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / FOLLOWED))))
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
-        plain = here.avoid == AVOID and not here.posture[1].any()  # nothing else was asked for beside the task
-        found: list[tuple[int, int, Way]] = []  # samples off it, steps that its law needs
+        plain = here.avoid == AVOID and not here.posture[1].any()  # no secondary motion was asked for
+        found: list[tuple[int, int, Way]] = []  # samples missed, steps of its law, path
         for way in (here, *(self._besides(here) if plain and self._redundant() else ())):
             Q, off = self._follow(samples, way)
             way = way._replace(s=s, Q=Q)
@@ -223,11 +224,11 @@ class Run:
             yield found[0][2]
 
     def _redundant(self) -> bool:
-        """Whether joints are free to do something beside the task."""
+        """Return whether there are more joints than task coordinates."""
         return self.tracker.robot.n > (self.tracker._settings.counts[0] > 0.0).sum()
 
     def _besides(self, here: Way) -> Iterator[Way]:
-        """What can be tried beside the task."""
+        """Yield variants of a `Way` with stronger avoidance of limits, or the middle of the ranges as posture."""
         lower, upper = self.tracker._limits[:2]
         bounded = np.isfinite(upper - lower)
         for avoid in HARDER:
@@ -236,7 +237,7 @@ class Run:
         yield here._replace(posture=np.stack([middle, np.where(bounded, POSTURE, 0.0)]))
 
     def _follow(self, samples: Samples, way: Way) -> tuple[np.ndarray, int]:
-        """Joint path (K + 1, n) that the method takes along samples without limits on speed, and how many of them it misses."""
+        """Return the joint path (K + 1, n) of the method with no speed limits, and how many samples it misses."""
         limits = self.tracker._limits
         self._begin(way)
         fast = limits[2:].copy()
@@ -248,12 +249,12 @@ class Run:
         limits[2:] = fast
         Q, E = (np.concatenate([one[k] for one in made]) for k in (0, 2))
         off = self._excess(E, 0.0) > 1.0
-        off[: int(np.argmin(np.append(off, False)))] = False  # the way to it does not count
+        off[: int(np.argmin(np.append(off, False)))] = False  # The approach to the reference does not count.
         missing = len(samples.T) - len(Q)
         return np.concatenate([Q, np.repeat(Q[-1:], missing, axis=0)]), int(off.sum()) + missing
 
     def _planned(self, samples: Samples) -> np.ndarray | None:
-        """Joint path (K + 1, n) of `solve_path` from where the arm stands, None where a pose is out of reach or there is none."""
+        """Return the joint path (K + 1, n) of `solve_path` from the present joints, or None if there is none."""
         robot, unit = self.tracker.robot, self.tracker.robot.chain.unit
         reference: Any = dict(zip(robot.tips, self.references, strict=True)) if robot.by_tip else self.references[0]
         anywhere = bound_lm(robot, **self.counts)
@@ -276,11 +277,10 @@ class Run:
             else None
         )
 
-    # ------------------------------------------------------------------------------------------------ the law
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
-        """The fastest clock along a joint path, at `start` first, at most at `top`; share: of acceleration limits that it uses.
+        """Return the fastest clock along a joint path, with rates up to top (K + 1,), and at first up to `start`.
 
-        over: times that its limits are raised.
+        share: part of the acceleration limits to use; over: how often the limits are raised by JOINTS and TIP.
         """
         limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
@@ -288,7 +288,8 @@ class Run:
         bend[1:-1] = np.diff(secant, axis=0) / (0.5 * (s[2:] - s[:-2]))[:, None]
         more = JOINTS**over if self._redundant() else 1.0
         speed, most = more * SPEED * limits[2], more * share * limits[3]
-        if self.tracker.engine.waits:  # a step misses by half of the tip's acceleration times dt^2
+        # A step misses by half of the tip's acceleration times dt^2, so the tolerance limits that acceleration.
+        if self.tracker.engine.waits:
             slope, bend = np.hstack([slope, self.fine.V]), np.hstack([bend, self.fine.A])
             allowed = np.tile(
                 np.repeat(2.0 * TOLERANCE * TIP**over * self.tolerances / self.dt**2, 3), len(self.references)
@@ -300,15 +301,15 @@ class Run:
         joint = np.where(joint < n, joint, -1)
         times = times_of(s, rate)
         steps = max(int(np.ceil(times[-1] / self.dt - 1e-6)), 1)
-        slower = times[-1] / (steps * self.dt)  # by less than a step, so that its end is a sample
+        slower = times[-1] / (steps * self.dt)  # Slowing the law by less than a step makes its end a sample.
         t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
-        at[t == times[-1]] = s[-1]  # whatever rounding says
+        at[t == times[-1]] = s[-1]  # The end is reached despite rounding.
         held = joint[np.searchsorted(s, at, side="right") - 1]
         return Clock(smoothed(at), smoothed(now * slower), smoothed(gain * slower**2), held)
 
     def _clear(self, way: Way) -> np.ndarray:
-        """Highest rates (K + 1,) of a law at which the arm can brake before what is in its way, see servo/collision_guard.py."""
+        """Return the highest clock rates (K + 1,) at which the arm can brake for obstacles (collision_guard.py)."""
         guard, unit, rates = self.tracker._guard, self.tracker.robot.chain.unit, np.ones(len(way.s))
         if guard is None:
             return rates
@@ -322,9 +323,8 @@ class Run:
             rates[k] = max(SPEED * least, SLOWEST) if least < 1.0 else 1.0
         return np.interp(way.s, way.s[some], rates[some])
 
-    # ------------------------------------------------------------------------------------------------ runs
     def _begin(self, way: Way) -> None:
-        """Go back to the start."""
+        """Reset the tracker to the start of the run, with the secondary motion of `way`."""
         self.tracker.put_back(self.start)
         secondary = self.tracker.secondary
         secondary.avoid, secondary.wish[:2], secondary.wish[2] = way.avoid, way.posture, 0.0
@@ -332,7 +332,7 @@ class Run:
             self.tracker._guard.restart(self.tracker.q)
 
     def _take(self, clock: Clock, samples: Samples, way: Way) -> Taken:
-        """Run from the start to the end of a clock, or until Ctrl-C."""
+        """Run from the start to the end of a clock, or until Ctrl-C; return the run."""
         began, made, pairs = time.perf_counter(), [], Counter[tuple[str, str]]()
         if way.led:
             path = np.stack([np.interp(clock.s, way.s, one) for one in way.Q.T], axis=1)
@@ -347,7 +347,10 @@ class Run:
         return self.made[-1]
 
     def _steps(self, samples: Samples, way: Way, made: list, pairs: Counter) -> None:
-        """Take a step a sample, led along a way (at the samples) if it says so; adds pieces of what was run to `made`."""
+        """Take one step per sample; if way.led, follow its joint path (given at the samples).
+
+        Append records to `made`.
+        """
         tracker, count, k = self.tracker, len(samples.T) - 1, 0
         most, ended = 1 if tracker.one_by_one or way.led else AT_ONCE, False
         while not ended:
@@ -368,26 +371,29 @@ class Run:
             made.append([*(one[:rows] for one in record[1:5]), record.C[:done]])
 
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
-        """A run, or what there is of it."""
+        """Combine the records `made` of a run, complete or not, into a Taken."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
-        whole, C = len(clock.s), C[: len(Q) - 1]  # every sample but the last has a step after it, if Ctrl-C was heard
+        whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave one record without its last sample.
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:
             missed = int(((C & (viability.VELOCITY | viability.ACCELERATION)) > 0).any(axis=1).sum())
-        missed += (whole - len(Q)) * self.most  # worse than one that was left
+        missed += (whole - len(Q)) * self.most  # An incomplete run is worse than a complete one.
         most = max(pairs, key=lambda pair: pairs[pair], default=None)
         return Taken(missed, Q, R, E, S, C, clock, self.tracker.carried(), time.perf_counter() - began, most)
 
     def _excess(self, E: np.ndarray, settle: float | None = None) -> np.ndarray:
-        """Largest error over its tolerance (M,) of errors E (M, m), where it counts."""
+        """Return the largest error over its tolerance (M,) of errors E (M, m), 0 before settle [s]."""
         errors = np.linalg.norm(E.reshape(len(E), -1, 2, 3), axis=3)
         late = np.arange(len(E)) * self.dt >= (self.settle if settle is None else settle)
         return np.where(late, (errors / self.tolerances).max(axis=(1, 2)), 0.0)
 
 
 def samples_along(references: list[Reference], clock: Clock, read: Callable = Reference.at) -> Samples:
-    """Poses, twists and accelerations of the references where a clock is, as it runs. read: `checked` where they are new."""
+    """Sample the references at the times of a clock, with twists and accelerations scaled to its rate.
+
+    read: `checked` for references that have not been sampled before.
+    """
     made = [read(one, clock.s) for one in references]
     V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     rate, gain = clock.rate[:, None], clock.gain[:, None]

@@ -1,7 +1,7 @@
 """`track`: follow a whole reference, one step each sample, with the steps of `Tracker`.
 
-Both run the same compiled loop (servo/loop.py), so a run of `track` with on_limit="leave" equals the same targets fed to a
-`Tracker` of that mode.
+Both run the same compiled loop (servo/loop.py). A run of `track` with on_limit="leave" therefore equals the same
+targets fed to a `Tracker` of that mode.
 """
 
 import warnings
@@ -37,16 +37,16 @@ from .retimed_run import Run, Taken
 from .tracker import JUMP, Tracker
 
 MODES = ("slow", "leave", "clip")
-COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
-MAX_STRETCH = 10.0  # how many times longer than its reference a run may take by default
-FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a step, where the error is evaluated
+COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say which errors count
+MAX_STRETCH = 10.0  # how many times the duration of its reference a run may take by default
+FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of a step at which the error between samples is evaluated
 
 
 class TrackInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a run; `result` is the TrackResult of the steps until then, or of the best run if one had ended."""
 
     def __init__(self, result: TrackResult) -> None:
-        """Keep what was run."""
+        """Keep the result of the steps taken until Ctrl-C."""
         super().__init__(f"interrupted: {result.message}")
         self.result = result
 
@@ -68,24 +68,43 @@ def track(
     settle: float | None = None,
     **options: Any,
 ) -> TrackResult:
-    """Follow a reference with a method, one step each dt [s]; returns a TrackResult with arrays and figures.
+    """Follow a reference with a tracking method, one step each dt.
 
-    reference: of a Tree a dict by tip. method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, share, reading,
-    gamma, null_damping, damping), and those of `Tracker`. q0 (n,): default home if the reference starts there, else a solution
-    for the reference's start. rate0, limits and acceleration_limits as in `Tracker`.
+    A run that diverges ends early, with a status and a sentence; its arrays hold what was reached. For a run that
+    leaves its reference, `reach` and the message say which poses can be reached at all, and what was tried and would
+    work. A UserWarning before the run says that the gains are unstable at dt.
 
-    on_limit: "slow": the reference is followed in its own time; if a sample is off, along the fastest clock ds/dt <= 1 with which
-    the joints keep their limits and a step its tolerance, or after max_stretch times the reference's duration no further.
-    (A solver always lags a moving target: with one the clock is slow for limits only.) "leave": keep time, with the least error
-    possible; "clip": the published form, each joint clipped on its own, as it is without limits.
+    Args:
+        robot: A Robot, or a Tree (several tips).
+        reference: The reference to follow; for a Tree a dict by tip.
+        method: A Method, its name (cv, av, ca, aa or aad), or a solver that tracks.
+        dt: Sample time [s].
+        q0: Joint values (n,) [rad or m] at the start; default home if the reference starts there, else a solution for
+            its start.
+        rate0: Joint rates (n,) at the start, as in `Tracker`.
+        limits: Whether to keep joint position and speed limits, or narrower ones as in `ik.solve`.
+        acceleration_limits: Limits of joint accelerations [rad/s^2 or m/s^2], as in `Tracker`.
+        on_limit: "slow" follows the reference in its own time; if a sample is off, it slows the reference's clock,
+            ds/dt <= 1, as little as joint limits and tolerances allow. (A solver always lags a moving target, so with
+            one the clock is slowed for limits only.) "leave" keeps time, with the least error possible. "clip" is the
+            published form, each joint clipped on its own; it is always used without limits.
+        max_stretch: With "slow", the longest duration of the run over that of the reference; there the run ends.
+        position_tolerance: Largest error [m] from settle on for COMPLETED or SLOWED, else the run is LEFT or LOST.
+        orientation_tolerance: The same for the rotation angle [rad].
+        settle: Time [s] from which on errors are judged. Default 0; if the arm starts at rest (with
+            acceleration_limits, or with a rate0 of zeros) 0.5, or half of a run shorter than 1 s.
+        options: Options of the method (kappa, kp, kd, share, reading, gamma, null_damping, damping, see `Method`), and
+            those of `Tracker`.
 
-    COMPLETED or SLOWED when no sample from settle [s] on has an error above position_tolerance [m] and orientation_tolerance
-    [rad], else LEFT or LOST (see `TrackStatus`); settle is 0 by default, and 0.5 (half of a run shorter than 1 s) when the arm
-    starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns (UserWarning) before the run when the gains are
-    unstable at dt. A run that diverges ends there, with a status and a sentence; the arrays hold only what was reached. Of a
-    run that leaves its reference `reach` and the message say where along it the poses can be reached at all, and what was tried
-    and would work. Ctrl-C raises TrackInterrupted, a KeyboardInterrupt whose `result` holds the steps taken (KeyboardInterrupt
-    before the first). Raises InvalidOption, InvalidTarget, InvalidConfiguration.
+    Returns:
+        The TrackResult, with arrays and figures.
+
+    Raises:
+        TrackInterrupted: Ctrl-C was pressed; it is a KeyboardInterrupt whose `result` holds the steps taken (before the
+            first step, a plain KeyboardInterrupt is raised).
+        InvalidOption: An option is unknown or out of range.
+        InvalidTarget: The reference is none, is not finite, or lacks a tip.
+        InvalidConfiguration: q0 is outside the limits or in collision, or has the wrong shape.
     """
     references = _references(robot, reference)
     robot, limits = with_limits(robot, limits)
@@ -100,7 +119,8 @@ def track(
         positive(position_tolerance, "position_tolerance [m]"),
         positive(orientation_tolerance, "orientation_tolerance [rad]"),
     )
-    mode = "clip" if limits is False else one_of(on_limit, MODES, "on_limit")  # without limits nothing binds
+    # Without limits there is no reason to slow down.
+    mode = "clip" if limits is False else one_of(on_limit, MODES, "on_limit")
     stretch = number(max_stretch, "max_stretch")
     if stretch < 1.0:
         raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
@@ -137,7 +157,7 @@ def track(
 
 
 def _references(robot: Any, reference: Any) -> list[Reference]:
-    """One reference per tip. Raises InvalidOption (no robot), InvalidTarget."""
+    """Return one reference per tip. Raises InvalidOption if robot is none, InvalidTarget if a reference is missing."""
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
     if not robot.by_tip:
@@ -159,7 +179,7 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
 
 
 def _judged(run: Run, best: Taken, check: Any) -> TrackResult:
-    """What was run, with its verdict."""
+    """Return the result of a run with its figures and verdict; check: the verdict on its gains, or None."""
     tracker = run.tracker
     made = _result(run, best, check)
     made.figures = figures(made, tracker.robot.chain.unit * JUMP)
@@ -169,7 +189,7 @@ def _judged(run: Run, best: Taken, check: Any) -> TrackResult:
 
 
 def _result(run: Run, best: Taken, check: Any) -> TrackResult:
-    """What was run, in the caller's units."""
+    """Return the result of a run in m and rad, without figures and verdict."""
     robot, references, clock = run.tracker.robot, run.references, best.clock.s
     Q, R = best.Q * robot.chain.unit, best.R * robot.chain.unit
     done = len(Q) - 1
@@ -213,21 +233,21 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
 
 
 def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (M,) [m] and angles (M,) [rad] between poses (M, 4, 4)."""
+    """Return distances (M,) [m] and angles (M,) [rad] between two sets of poses (M, 4, 4)."""
     away = np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1)
     return away, angles_between(T[:, :3, :3], wanted[:, :3, :3])
 
 
 def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
-    """Positions of the tips (N, F, 3) [m] at Q (N, n)."""
+    """Return the positions of all tips (N, F, 3) [m] at joint values Q (N, n)."""
     arms = zip(robot.arms, robot.places, strict=True)
     return np.stack([arm.chain.forward(np.ascontiguousarray(Q[:, at]))[0][:, :3, 3] for arm, at in arms], axis=1)
 
 
 def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
-    """Home if the tips are then at the reference's start, else a solution of it (the best one found, if none).
+    """Return home if the tips are then at the start of their references, else a solution there (or the best found).
 
-    avoid: see `avoid_collisions`; where something touches at home, another start is sought.
+    avoid: the option `avoid_collisions`; if something touches at home, another start is sought.
     """
     targets = [one.target(0.0) for one in references]
     errors = robot.errors(robot.home, targets) if robot.by_tip else [robot.errors(robot.home, targets[0])]
@@ -242,9 +262,13 @@ def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
 def _between(
     robot: Any, reference: Reference, Q: np.ndarray, R: np.ndarray, engine: Any, dt: float, clock: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Largest position and orientation error (N,) in each step, its ends included, on the motion the method itself assumes."""
+    """Return the largest position error [m] and orientation error [rad] in each step, (N,), its ends included.
+
+    The joint motion in a step is the one that the method assumes. Q, R (N + 1, n): joint values and rates; clock (N +
+    1,) [s]: the reference's time. Both are None if only part of an error counts.
+    """
     if any(one is not None for one in (engine.options.mask, engine.options.slack, engine.options.free_turn)):
-        return None, None  # the kernel decides which part of the error counts
+        return None, None  # Only the compiled loop knows which part of the error counts with these options.
     worst_p, worst_o = np.zeros(len(Q) - 1), np.zeros(len(Q) - 1)
     for f in FRACTIONS:
         T = robot.chain.forward(interpolate(Q, R, engine.gamma, dt, f))[0]

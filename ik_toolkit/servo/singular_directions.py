@@ -1,6 +1,7 @@
-"""The directions in which the tip can hardly move, one after the other: how its way is bent there, and what is left to each.
+"""Singular directions, in which the tip can hardly move: curvature of the tip's path and error left along each.
 
-What is decided about one, and why, is in singular_step.py; here it is asked of the task and kept.
+singular_step.py decides, and explains, what is done about such a direction; this file gathers the facts and keeps the
+decisions.
 """
 
 from typing import NamedTuple
@@ -30,13 +31,13 @@ from .singular_step import (
 )
 from .viability import approach
 
-GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
-BEFORE = -1.0  # singular poses were met before, but not in the last step
+GAIN = 2.0 / 3.0  # share of an error fed back per sample by methods without a gain of their own: the best of `cv`
+BEFORE = -1.0  # value of STATE.near: the pose was singular before, but not in the last step
 
 
 @inline
 def bend(task, look, s, weighed):
-    """s.bias = (dJ/dt along s.x1) s.x2, by the weights of the errors where these are weighed."""
+    """Write (dJ/dt along s.x1) s.x2 to s.bias (m,), multiplied by the weights of the errors if `weighed`."""
     if task.plain():
         task.bending(look, s.x1, s.x2, s.bias)
     else:
@@ -48,7 +49,7 @@ def bend(task, look, s, weighed):
 
 @inline
 def by_difference(task, s):
-    """s.bias = (dJ/dt along s.x1) s.x2 by differences, where only a part of a pose counts or its target moves."""
+    """Compute the same as `bend` by central differences, for a task with free parts or a moving target frame."""
     size = 0.0
     for i in range(s.x1.shape[0]):
         size = max(size, abs(s.x1[i]))
@@ -71,7 +72,7 @@ def by_difference(task, s):
 
 @inner
 def forget_default(state, away):
-    """Where singular poses were never met, `away` (n,) is a default and no side."""
+    """Set away (n,) to zero if no singular pose was met yet, as it then holds a default and no known side."""
     if state[STATE.near] == 0.0:
         for i in range(away.shape[0]):
             away[i] = 0.0
@@ -79,7 +80,7 @@ def forget_default(state, away):
 
 @inner
 def remember(state, near, beyond, h):
-    """Keep whether the pose is a singular one, and for some time that the target was out of reach."""
+    """Keep in `state` if the pose is singular (near), and for SIDE [s] that the target was out of reach (beyond)."""
     if near:
         state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0)
     elif state[STATE.near] != 0.0:
@@ -88,14 +89,18 @@ def remember(state, near, beyond, h):
 
 @inner
 def copy_column(source, target, k):
-    """target[:, k] = source."""
+    """Copy a vector into a column: target[:, k] = source."""
     for i in range(source.shape[0]):
         target[i, k] = source[i]
 
 
 @inline
 def begin_mode(s, r, free, way, away):
-    """Write the direction of mode r to V, and what its slope is taken along to s.x1; False, and it is lost, where it has none."""
+    """Write the joint direction of singular direction r to V, and to s.x1 that along which its gradient is taken.
+
+    Returns False if there is none, and then marks it as removed from the task (s.lost). free: whether to look for the
+    bent direction (`begin_bent`); way: the tip motion asked for; away: see `mode_speed`.
+    """
     there = mode_direction(s.W, s.sv, r, away, way, s.x1)
     copy_column(s.x1, s.V, r)
     if not there:
@@ -107,9 +112,13 @@ def begin_mode(s, r, free, way, away):
 
 @inline
 def probe_mode(s, r, part, rate, h):
-    """Write to s.x1 and s.x2 the motions of the product that `bend` is to find; returns the joints' own rate along V_r."""
+    """Write to s.x1 and s.x2 the joint motions whose product (dJ/dt along s.x1) s.x2 `bend` is to compute.
+
+    part: ALONG, BESIDE or BOTH of `mode_probe`, or below 0 joint number part + n, for the gradient of the singular
+    value. Returns the joints' present rate along V_r (column r of V).
+    """
     n = rate.shape[0]
-    if part < 0:  # along each joint in turn: the slope of the singular value
+    if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
         for i in range(n):
             s.x2[i] = 1.0 if i == part + n else 0.0
         return 0.0
@@ -120,7 +129,7 @@ def probe_mode(s, r, part, rate, h):
 
 @inline
 def note_curve(s, r, part):
-    """Keep what `bend` has found: of the slope in s.null, of the motions in s.t. Joints that have to stand still have none."""
+    """Store the part of s.bias along task direction u_r: for a motion (part >= 0) in s.t, for a joint in s.null."""
     curved = mode_part(s.U, r, s.bias)
     i = part + s.null.shape[0]
     if part >= 0:
@@ -131,22 +140,21 @@ def note_curve(s, r, part):
 
 @compiled
 class WeakMode(NamedTuple):
-    """A direction in which the tip can hardly move, along u_r and V_r."""
+    """A singular direction, in which the tip can hardly move: task direction u_r and joint direction V_r."""
 
-    r: int
-    full: float  # sigma_r
-    sigma: float  # what it is along V_r
-    rest: (
-        float  # error along the others where it cannot be closed, else 0, times the largest curvature of the tip's way
-    )
+    r: int  # index of the singular direction
+    full: float  # singular value sigma_r
+    sigma: float  # length of the tip motion along u_r per unit of motion along V_r
+    # Error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path.
+    rest: float
     own: float  # rate of the joints along V_r
-    error: float  # along u_r
-    moved: float  # motion of the target in a step
+    error: float  # error along u_r
+    moved: float  # motion of the target along u_r in a step
 
 
 @inline
 def fastest_along(V, r, limits):
-    """Highest speed and acceleration along V_r that the limits of all joints allow."""
+    """Return the highest speed and acceleration along joint direction V_r (column r of V) that all limits allow."""
     cap, a = np.inf, np.inf
     for i in range(V.shape[0]):
         v = abs(V[i, r])
@@ -158,36 +166,39 @@ def fastest_along(V, r, limits):
 
 @inner
 def mode_speed(s, mode, gain, h, limits, near, away):
-    """Judge a mode: its speed to s.xk, and 1 to s.lost where it is taken out of the task.
+    """Decide on singular direction r: write its speed to s.xk, and 1 to s.lost if it is removed from the task.
 
-    s.t: the curvature of each `mode_probe`, along u_r; near: above 0 when the last step was a singular one, above 1 for some time
-    after the target was out of reach. Returns whether it is now.
-
-    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came. Where it says nothing
-    about this one, they came from where they are.
+    u_r and V_r are its task and joint directions. s.t holds the curvature along u_r of each motion of `mode_probe`.
+    near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach. away
+    (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or where they
+    are now if that is not known. Returns whether the target is out of reach along this direction now.
     """
     r, V, left, moved = mode.r, s.V, mode.error, mode.moved
     b, beside = s.t[ALONG], s.t[BESIDE]
     cap, a = fastest_along(V, r, limits)
-    grows = np.sign(b)  # the way along V_r in which sigma does: the side on which the joints are
+    grows = np.sign(b)  # The singular value grows towards the side on which the joints are.
     clear = mode.full > WEAK.clear and mode.sigma > WEAK.known * mode.full
     back = part_along(V, r, away)
     if abs(back) < WEAK.known and clear:
         bring_along(V, r, away, grows, 1.0)
         back = grows
     sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
-    if abs(left) < WEAK.minor * mode.rest:  # see `hold_back`
+    # A small error beside a large one that cannot be closed is closed with damping, as in `hold_back`.
+    if abs(left) < WEAK.minor * mode.rest:
         left *= sigma * sigma / (sigma * sigma + mode.rest)
         moved *= sigma * sigma / (sigma * sigma + mode.rest)
-    for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
+    # With acceleration limits, a first pass takes the error alone, to shrink it to what can be braked.
+    for last in range(0 if a < np.inf else 1, 2):
         E = moved + h * gain * left - 0.5 * beside if last == 1 else left
         y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)
-        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is zero, see `ease`
+        # This is the speed at which the motion can brake before the error is zero, as in `ease`.
+        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)
         if last == 0 and gain * abs(y) > most:
             left *= most / (gain * abs(y))
     edge = D < 0.0
     x = (WEAK.caution if edge else 1.0) * y / h
-    if edge and mode.sigma > WEAK.lost and grows * back < 0.0:  # carried far to the other side: back across
+    # The joints were carried far to the other side, so they move back across the singular pose.
+    if edge and mode.sigma > WEAK.lost and grows * back < 0.0:
         x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
     if edge and a < np.inf:
         x = min(max(x, -most), most)
@@ -203,7 +214,10 @@ def mode_speed(s, mode, gain, h, limits, near, away):
 
 @inline
 def judge_modes(law, task, look, s, limits, h, own, heavy):
-    """Judge directions in which the tip can hardly move (singular_step.py); returns whether the target is out of reach in one."""
+    """Decide on all singular directions (singular_step.py).
+
+    Return whether the target is out of reach along one of them.
+    """
     n, m = s.J.shape
     rate, away, state = own.motion[1], own.away, own.state
     near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
@@ -226,7 +240,8 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
         mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
         out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
-        if free and out:  # damped, as in `hold_back`
+        # Motion along the rest of the gradient, beside the replaced direction, is damped as in `hold_back`.
+        if free and out:
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out
     remember(state, near, beyond, h)

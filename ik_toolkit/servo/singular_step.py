@@ -1,19 +1,20 @@
-"""Joint motion along the directions in which the tip can hardly move: singular poses, and the edge of the reach.
+"""Joint motion along singular directions, in which the tip can hardly move: at singular poses, at the edge of reach.
 
-The Jacobian is J = sum over k of sigma_k v_k u_k' (v_k joint, u_k task directions). Along a direction with a small sigma_k the
-first order says little, so the second is asked as well: to move by v_k moves the tip by sigma_k u_k + b_k / 2 with b_k =
-(dJ/dt along v_k) v_k. Of the squared error left, |e|^2 / 2, the second derivative along v_k is
+The Jacobian is J = sum over k of sigma_k v_k u_k' (v_k: joint directions, u_k: task directions). Along a direction with
+a small sigma_k the first order says little, so the second is used as well. A move along v_k moves the tip by sigma_k
+u_k + b_k / 2 with b_k = (dJ/dt along v_k) v_k. The squared error |e|^2 / 2 then has the second derivative along v_k
 
     H_k = sigma_k^2 - e . b_k
 
-Beyond the edge of the reach the error points outwards and b_k inwards: H_k is large, and the arm slides smoothly to the
-closest pose, without ever stepping over it, and no direction is damped where the target can be reached. Where H_k is negative
-the error can be closed by bending: at sigma_k = 0, where the first order sees no way, the joints go back to the side they came
-from. What a Newton step cannot tell (sigma_k and H_k near 0) is left to the joint's own motion, which fades.
+Beyond the edge of the reach the error points outwards and b_k inwards. H_k is large, so the arm slides smoothly to the
+closest pose without stepping over it, and no direction is damped while the target can be reached. If H_k is negative
+the error can be closed by bending: at sigma_k = 0, where the first order sees no way, the joints go back to the side
+from which they came. If both sigma_k and H_k are near 0 a Newton step is undefined, and the joints keep their present
+motion, which fades.
 
-Where a redundant arm is stretched out, two directions of the joints hardly move the tip: bending, and a motion that turns the
-bent arm. v_k is any mixture of them and may be another one after every step. While the target is out of reach, v_k is
-therefore replaced by the direction in which b_k is largest, and the side is kept along that.
+When a redundant arm is stretched out, two joint directions hardly move the tip: bending, and a rotation of the bent
+arm. v_k is any mixture of the two and may change with every step. While the target is out of reach, v_k is therefore
+replaced by the direction in which b_k is largest, and the side is kept along that.
 """
 
 import math
@@ -23,35 +24,35 @@ from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
 from .laws import gram
 
-CLOSE = 0.1  # [reaches, or rad] up to which an error is a vector to within a twentieth
-ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is evaluated
-SIDE = 0.2  # [s] for which the side is kept from which the joints came to a singular pose: a swing across is shorter
+CLOSE = 0.1  # [arm reaches or rad] error up to which rotation errors add like vectors, to within a twentieth
+ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
+# [s] time for which it is remembered from which side the joints came to a singular pose; oscillations are shorter
+SIDE = 0.2
 
 
 class Weak(NamedTuple):
-    """When a direction counts as weak, and what is done along it (tests/servo/test_crossings.py, test_out_of_reach.py).
+    """When a direction counts as singular, and what is done (tests/servo/test_crossings.py, test_out_of_reach.py).
 
-    Singular values are lengths over the reach, for a radian or a reach of a joint.
+    Singular values are tip motions in arm reaches (or rad) per rad (or arm reach) of a joint.
     """
 
-    zero: float = 1e-9  # singular value below which a direction does not move to first order
-    nothing: float = (
-        1e-12  # added to the squares of singular values, which are above lost^2 here: no more than rounding
-    )
-    clearly: float = 0.1  # component of a unit vector along a direction above which it is clear to which side it points
-    known: float = 0.5  # the same of a side that was kept: less is left of another singular pose
-    lost: float = 5e-3  # singular value below which a direction is taken out of the task
-    bent: float = 0.2  # or share of sigma_k^2, for what is asked times the curvature, above which it is
-    fade: float = 0.1  # [s] in which a joint's motion fades along a direction in which nothing moves the tip
-    least: float = (
-        1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singular pose is of the order of its square
-    )
-    flat: float = 1e-3  # curvature (reaches over rad^2) below which it counts as zero
-    # Share of the way to the closest pose that a step takes: beside a free direction whole ways zigzag, as steepest descent does.
+    zero: float = 1e-9  # singular value below which there is no motion to first order
+    # Added to the squared singular values before factoring; negligible against lost^2, the least of them.
+    nothing: float = 1e-12
+    # component of a unit vector along a direction above which it is clear to which side the vector points
+    clearly: float = 0.1
+    # component of the remembered side above which it counts; less may come from another singular pose
+    known: float = 0.5
+    lost: float = 5e-3  # singular value below which a direction is removed from the task
+    # a direction is removed, too, if the move asked for times the curvature exceeds this share of sigma_k^2
+    bent: float = 0.2
+    fade: float = 0.1  # [s] time in which motion along a direction that does not move the tip at all fades
+    least: float = 1e-3  # damping lambda at sigma_k = 0: a motion through a singular pose is off by about its square
+    flat: float = 1e-3  # [arm reaches / rad^2] curvature below which it counts as zero
+    # Share of the move to the closest pose that one step takes; full steps would zigzag, as in steepest descent.
     caution: float = 2.0 / 3.0
-    minor: float = (
-        0.1  # share of an error that cannot be closed, below which what is left along another direction comes with it
-    )
+    # Share of an error that cannot be closed, below which the error along another direction is closed with damping.
+    minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
 
 
@@ -60,9 +61,10 @@ WEAK = Weak()
 
 @inner
 def modes(J, near, W, U, sigma):
-    """One-sided Jacobi: W (m, n) receives sigma_k v_k by rows, U (m, m) the u_k, sigma (m,).
+    """Compute the singular value decomposition of J (n, m) by one-sided Jacobi rotations.
 
-    near (m, m): the u_k found last, from which few rotations are left, zeros at first; receives these, of length 1 again.
+    W (m, n) receives sigma_k v_k as rows, U (m, m) the u_k as rows, sigma (m,) the singular values. near (m, m): the
+    u_k found last, which save rotations (zeros at first); it receives the new ones, normalised.
     """
     n, m = J.shape
     known = False
@@ -87,7 +89,7 @@ def modes(J, near, W, U, sigma):
 
 @inner
 def begin_anew(slack, near):
-    """Forget the u_k found last where errors may come into the task and leave it: one that is out of it is a mode of its own."""
+    """Forget the u_k found last if any error has slack, as an error out of the task must be a u_k of its own."""
     some = False
     for k in range(slack.shape[0]):
         some = some or slack[k] > 0.0
@@ -97,7 +99,10 @@ def begin_anew(slack, near):
 
 @inner
 def leave_modes(W, sigma, r, x):
-    """Take from x (n,) what moves the tip by other modes than r (-1: by any); returns its length."""
+    """Remove from x (n,) what moves the tip, except along task direction u_r (-1: no exception).
+
+    Return the length left.
+    """
     m, n = W.shape
     for c in range(m):
         if c != r and sigma[c] > WEAK.zero:
@@ -115,19 +120,23 @@ def leave_modes(W, sigma, r, x):
 
 @inner
 def lost_direction(W, sigma, away, v):
-    """Write to v (n,) the joint direction of a mode with sigma_k near 0: `away`, without what moves the tip; False if none."""
+    """Write to v (n,) a joint direction for a singular value of 0: `away` without what moves the tip.
+
+    Returns False if nothing is left of it.
+    """
     for i in range(v.shape[0]):
         v[i] = away[i]
     leave_modes(W, sigma, -1, v)
-    size = leave_modes(W, sigma, -1, v)  # twice is enough (Kahan)
+    # A second projection removes the rounding of the first; twice is enough (Kahan).
+    size = leave_modes(W, sigma, -1, v)
     for i in range(v.shape[0]):
-        v[i] = v[i] / size if size > WEAK.zero else 0.0  # a remainder of rounding is not a direction
+        v[i] = v[i] / size if size > WEAK.zero else 0.0  # What is left may be rounding only, which is no direction.
     return size > WEAK.zero
 
 
 @inner
 def part_along(V, r, x):
-    """Component of x (n,) along V_r."""
+    """Return the component of x (n,) along the joint direction V_r (column r of V, a unit vector)."""
     part = 0.0
     for i in range(x.shape[0]):
         part += V[i, r] * x[i]
@@ -136,7 +145,7 @@ def part_along(V, r, x):
 
 @inner
 def bring_along(V, r, x, value, share):
-    """Bring the component of x (n,) along V_r by a share of the way to a value."""
+    """Move the component of x (n,) along V_r (column r of V) towards `value`, by a share of the difference."""
     own = part_along(V, r, x)
     for i in range(x.shape[0]):
         x[i] += share * (value - own) * V[i, r]
@@ -144,9 +153,9 @@ def bring_along(V, r, x, value, share):
 
 @inner
 def mode_probe(V, r, rate, part, h, x):
-    """Write to x (n,) the motion whose curvature is evaluated: along V_r, of the joints beside it in a step, or both together.
+    """Write to x (n,) a joint motion whose curvature is to be evaluated, and return the joints' rate along V_r.
 
-    Returns the rate along V_r.
+    ALONG: V_r itself (column r of V); BESIDE: what the joints move across V_r in a step of h [s]; BOTH: the sum.
     """
     own = part_along(V, r, rate)
     for i in range(x.shape[0]):
@@ -160,10 +169,11 @@ def mode_probe(V, r, rate, part, h, x):
 
 @inner
 def way_along(sigma, b, E, own, side, home, h):
-    """The way y along v_k that sigma y + b y^2 / 2 = E asks for, or gets nearest to; and D, below 0 where it is out of reach.
+    """Return the move y along v_k that solves sigma y + b y^2 / 2 = E, or is nearest, and D (< 0: E is out of reach).
 
-    There are two, one on each side of the singular pose: the one to which the joints are already moving (own, their way in a
-    step); from rest at the singular pose, or with `home`, the one where they came from (side > 0: that is along v_k).
+    There are two solutions, one on each side of the singular pose. The one is taken to which the joints are already
+    moving (own: their move in a step). From rest at the singular pose, or with `home`, it is the side from which they
+    came (side > 0: along v_k).
     """
     D, kept = sigma * sigma, own
     if abs(b) > WEAK.flat:
@@ -175,19 +185,19 @@ def way_along(sigma, b, E, own, side, home, h):
             heading = side
         if half > 0.0:
             half = half if heading > 0.0 else -half
-            # the second form where the first is a difference of nearly equal numbers
+            # The second form of the root avoids a difference of nearly equal numbers.
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        D -= 2.0 * WEAK.flat * abs(E)  # as for the largest curvature that counts as zero
+        D -= 2.0 * WEAK.flat * abs(E)  # D is estimated with the largest curvature that counts as zero.
         y = min(max(E / sigma, -sigma / WEAK.flat), sigma / WEAK.flat) if sigma > WEAK.zero else 0.0
         kept *= max(1.0 - h / WEAK.fade, 0.0)
-    weight = D if D > 0.0 else -0.5 * D  # second derivative there of the squared error
+    weight = D if D > 0.0 else -0.5 * D  # The weight is the second derivative of the squared error at the solution.
     return (weight * y + WEAK.least * WEAK.least * kept) / (weight + WEAK.least * WEAK.least), D
 
 
 @inner
 def mode_part(U, r, vector):
-    """Part of a vector (m,) along u_r."""
+    """Return the component of a vector (m,) along the task direction u_r (row r of U)."""
     part = 0.0
     for c in range(vector.shape[0]):
         part += U[r, c] * vector[c]
@@ -196,7 +206,7 @@ def mode_part(U, r, vector):
 
 @inner
 def rest_of(e, part):
-    """Length of an error (m,) without its part along one direction."""
+    """Return the length of an error e (m,) without its component `part` along one direction."""
     size = 0.0
     for c in range(e.shape[0]):
         size += e[c] * e[c]
@@ -205,7 +215,11 @@ def rest_of(e, part):
 
 @inner
 def mode_moved(U, r, e, ahead, f, h):
-    """Part along u_r of the target's motion in a step: a difference of two errors, except for large ones: those are not vectors."""
+    """Return the component along u_r (row r of U) of the target's motion in a step of h [s].
+
+    It is the difference between the errors ahead and e. If the error is large, it is h times the twist f instead, since
+    large rotations do not add like vectors.
+    """
     size = 0.0
     for c in range(e.shape[0]):
         size += e[c] * e[c]
@@ -216,7 +230,10 @@ def mode_moved(U, r, e, ahead, f, h):
 
 @inner
 def mode_direction(W, sv, r, away, way, v):
-    """Write v_r to v (n,); False where there is no direction to move along."""
+    """Write the joint direction v_r of singular value r to v (n,); return False if there is none to move along.
+
+    For sigma_r near 0 it is `away` without what moves the tip, and only if a tip motion way is asked for.
+    """
     if sv[r] > WEAK.zero:
         for i in range(v.shape[0]):
             v[i] = W[r, i] / sv[r]
@@ -228,7 +245,7 @@ def mode_direction(W, sv, r, away, way, v):
 
 @inner
 def begin_bent(W, V, sigma, r, away, x):
-    """Write to x (n,) the direction along which the slope of a mode is taken, see `bent_direction`: v_r, or what is known of it."""
+    """Write to x (n,) the direction that `bent_direction` takes its gradient along: the remembered `away`, or v_r."""
     for i in range(x.shape[0]):
         x[i] = away[i]
     size = leave_modes(W, sigma, r, x)
@@ -238,11 +255,12 @@ def begin_bent(W, V, sigma, r, away, x):
 
 @inner
 def bent_direction(W, V, sigma, r, slope):
-    """Let V_r be the direction along which the tip's way is bent; returns the singular value along it.
+    """Make V_r the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
 
-    Where sigma_r is next to nothing a redundant arm has a second direction as good as v_r, and v_r turns from the one to the other
-    with the smallest motion. Only along the bent one can the tip get nearer. It is that of slope (n,), the curvature along u_r of
-    motions along the direction of `begin_bent` and each joint: one step of a power iteration.
+    If sigma_r is nearly 0, a redundant arm has a second direction as good as v_r, and the smallest motion turns v_r
+    from one to the other. The tip can only get nearer along the curved one. That is the gradient slope (n,): for each
+    joint, the curvature along u_r of its motion combined with the direction of `begin_bent` (one step of a power
+    iteration).
     """
     size = leave_modes(W, sigma, r, slope)
     if size < WEAK.flat:
@@ -256,7 +274,10 @@ def bent_direction(W, V, sigma, r, slope):
 
 @inner
 def take_out(J, W, U, V, lost, f, G):
-    """Take the lost directions out of J and of the twist f, and factor what is left for `apply`; returns how many there are."""
+    """Remove the directions marked in lost (m,) from J and the twist f, and factor the rest for `apply`.
+
+    Return their number.
+    """
     n, m = J.shape
     count = 0
     for r in range(m):
@@ -275,7 +296,7 @@ def take_out(J, W, U, V, lost, f, G):
             for c in range(k):
                 for d in range(c + 1):
                     G[c, d] += U[r, c] * U[r, d] if wide else V[c, r] * V[d, r]
-    if not wide:  # joints that move nothing at all leave their rows empty
+    if not wide:  # Joints that move nothing would make the matrix singular.
         for c in range(k):
             G[c, c] += WEAK.nothing
     cholesky(G, k, 0.0)
@@ -284,9 +305,9 @@ def take_out(J, W, U, V, lost, f, G):
 
 @inner
 def by_modes(J, W, U, lost, ask, y):
-    """Write the task, J and what is asked, by the modes that are kept, where some are lost: independent rows say the same.
+    """Rewrite the task (J and the rates ask) along the u_k that are not lost, so that its rows are independent.
 
-    A row of weight 0 is a mode of its own, as long as `modes` began without directions of another task.
+    A row of weight 0 stays a direction of its own, as long as `modes` began without the directions of another task.
     """
     n, m = J.shape
     some = False
@@ -305,12 +326,12 @@ def by_modes(J, W, U, lost, ask, y):
 
 @inner
 def hold_back(U, sigma, lost, bend, e, ahead, f, more):
-    """Shrink what is asked for along the directions that are not lost, where what is lost cannot be reached.
+    """Shrink the error and twist along task directions that are kept, if the error along removed (lost) ones stays.
 
-    bend: the largest curvature of the tip's way. Times the error left it adds to sigma_k^2 of the second derivative, and whole
-    ways J^+ e would go too far and back for ever (Levenberg and Marquardt). The error is that of the tips that a direction moves:
-    an arm that is stretched out does not hold back another. Of a target that goes past beyond the edge, the closest pose goes less
-    far, too. more (m,) is scratch.
+    bend: the largest curvature of the tip's path. Times the remaining error it adds to sigma_k^2 in the second
+    derivative, so undamped steps J^+ e would go too far and back for ever (Levenberg-Marquardt). Only the error of the
+    tips that a direction moves counts, so that a stretched arm does not hold back another. The motion of a target that
+    passes beyond the edge is shrunk, too, as the closest pose moves less. more (m,) is scratch.
     """
     m = lost.shape[0]
     for r in range(m):
@@ -338,7 +359,7 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, more):
 
 @inner
 def along_lost(V, lost, xk, x, speeds):
-    """Replace what x (n,) has along the lost directions: by their speeds, or by nothing."""
+    """Set the components of x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V, r, x, xk[r] if speeds > 0.0 else 0.0, 1.0)
@@ -346,9 +367,11 @@ def along_lost(V, lost, xk, x, speeds):
 
 @inner
 def down_slopes(W, V, sigma, pull, x, speeds):
-    """Bring what x (n,) has along what a bent v_k leaves of the slope sigma_k v_k to the way down, or to nothing.
+    """Set a component of x (n,), beside a replaced direction V_k, to go down the error, or to 0 if `speeds` is 0.
 
-    Joints that drift there are pulled back in one step once the slope is no small one, at WEAK.lost: they come to it by then.
+    It is the one along sigma_k v_k less its part along V_k, which `bent_direction` has put in the place of v_k.
+
+    pull (m,): rates along that rest. It takes effect gradually while sigma_k grows from half of WEAK.lost to WEAK.lost.
     """
     for r in range(pull.shape[0]):
         share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)

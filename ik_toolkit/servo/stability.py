@@ -1,17 +1,18 @@
 """Stability of the tracking methods as sampled systems: mapping matrices, closed-form regions, best gains, a check.
 
-Near a resting point every method maps (error, joint velocity, earlier command) linearly from one sample to the next, and
-the matrices are the same for every arm (Patko and Zelei, 2019, eqs 30-42). Stability depends on dimensionless gains
-only: k = kappa h for `cv`, d = kp-and-kd pair (p, d) = (kp h^2, kd h) for `ca`. From the Jury conditions:
+Near a resting point every method maps (error, joint velocity, earlier command) linearly from one sample to the next,
+with the same matrices for every arm (Patko and Zelei, 2019, eqs 30-42). Stability depends on dimensionless gains only:
+k = kappa h for `cv`, and p = kp h^2, d = kd h for `ca`. From the Jury conditions:
 
     cv  stable  <=>  0 < k < 1                                      (flip, eigenvalue -1, at k = 1)
     ca  stable  <=>  0 < d < 1  and  0 < p < (d + sqrt(d (9 d + 16))) / 2
 
 The matrices hold at rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/dt, so gains within a few percent of the
-border can still diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along it (orbit_stability.py).
+border can diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along the path
+(orbit_stability.py).
 
-Where joint values are measured, the error comes late and with noise, while rates and earlier commands stay the tracker's own:
-`delayed_matrix` holds the earlier samples beside the state.
+If joint values are measured, the error is late and noisy, while rates and earlier commands stay the tracker's own.
+`delayed_matrix` adds the earlier positions to the state.
 """
 
 import functools
@@ -33,27 +34,27 @@ GAINS = {
     "ca": ("kp", "kd"),
     "aa": ("share",),
     "aad": ("gamma", "share"),
-}  # of each method
+}  # the gains of each method, in the order used by BEST
 METHODS = tuple(GAINS)
-GAMMA = 0.6  # default of aad: eigenvalue 1 - 1/gamma = -2/3
-WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains of which there is a default whatever the sample time
+GAMMA = 0.6  # default of `aad`: eigenvalue 1 - 1/gamma = -2/3
+WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains whose default does not depend on the sample time
 BORDER = 1e-9  # relative distance to the border within which a gain set is called marginal
 
-# Best gains: the smallest spectral radius. cv: a complex pair turns real at k = 2/3. ca: a triple eigenvalue r, which
-# solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
+# The best gains have the smallest spectral radius. For cv a complex pair of eigenvalues turns real at k = 2/3.
+# For ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
 BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
-BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)  # (kp h^2, kd h)
+BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)
 BEST_CA_RADIUS = -TRIPLE
 BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
-AGE = 2.0  # [samples] that joints given as measured are taken to be old, where nobody says: 20 ms at 100 Hz
+AGE = 2.0  # [samples] assumed age of measured joints if nothing is known: 20 ms at 100 Hz
 BEST_AT_AGE = {
     "cv": (2.0 / 9.0,),
     "ca": (0.0874083, 0.8358459),
-    "av": (4.0 / 27.0,),  # eigenvalues r^3 = r^2 - share: 2/3 twice
-}  # what `_best_delayed` finds, for which a loop has no time
-MOST_DELAY = 200.0  # samples; the matrix has as many rows
-GRID = 25  # points a side of a grid in the search for the best gains under a delay; four grids, each a quarter as wide
+    "av": (4.0 / 27.0,),  # the double root r = 2/3 of r^3 = r^2 - share
+}  # Results of `_best_delayed` for this age, as a control loop has no time to compute them.
+MOST_DELAY = 200.0  # [samples] largest delay; the matrix has as many rows
+GRID = 25  # points per side in the grid search for the best gains under a delay: four grids, each a quarter as wide
 
 
 def mapping_matrix(
@@ -67,11 +68,12 @@ def mapping_matrix(
     share: float = 1.0,
     dof: int = 1,
 ) -> np.ndarray:
-    """Matrix that carries the linearised state of `method` over one sample of h [s].
+    """Return the matrix that carries the linearised state of a method over one sample of h [s], at rest.
 
-    State: cv (q, previous command), ca (q, qd, previous command), aa and aad (q, qd), av (q); for `dof` joints each entry
-    is repeated on the diagonal, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd [1/s], share (1: as published). Source:
-    Patko and Zelei (2019), eqs (30), (31), (34), (35), (39)-(42); entry (3,3) of (41) is printed with kp and must have kd.
+    The state is (q, previous command) for cv, (q, qd, previous command) for ca, (q, qd) for aa and aad, and q for av;
+    each entry is repeated on the diagonal for `dof` joints, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd
+    [1/s], share (1: as published). Source: Patko and Zelei (2019), eqs (30), (31), (34), (35), (39)-(42). Entry (3,3)
+    of (41) is printed with kp and must have kd. Raises InvalidOption for a missing gain or an unknown method.
     """
     if method == "cv":
         (kappa,) = _needed(method, h, kappa=kappa)
@@ -98,21 +100,25 @@ def mapping_matrix(
 
 
 def _needed(method: str, h: float, **gains: float | None) -> list[float]:
-    """Return the gains of a method as numbers; a missing or non-finite gain, or a bad h, is invalid input."""
+    """Return the gains of a method as numbers.
+
+    Raise InvalidOption if h is not positive or a gain is missing or not finite.
+    """
     positive(h, "the sample time [s]")
     return [number(value, f"{method} needs {' and '.join(gains)}: {name}") for name, value in gains.items()]
 
 
 def spectral_radius(A: np.ndarray) -> float:
-    """Largest modulus of the eigenvalues of A (m, m)."""
+    """Return the largest modulus of the eigenvalues of A (m, m)."""
     return float(np.abs(np.linalg.eigvals(A)).max())
 
 
 def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> np.ndarray:
-    """Matrix (k, k) of one joint over one sample when the measured position is `delay` samples old (1.5: between two).
+    """Return the matrix (k, k) of one joint over one sample, with its position measured `delay` samples ago.
 
-    State: that of `mapping_matrix`, then the positions one, two, ... samples ago. Only the position that the error is taken from
-    is late: rates and earlier commands are the tracker's own. Between samples the joint is taken to move straight.
+    The state is that of `mapping_matrix`, followed by the positions one, two, ... samples ago. Only the position from
+    which the error is taken is late: rates and earlier commands are the tracker's own. A fraction of a sample means a
+    position between two samples, with constant rate.
     """
     A = mapping_matrix(method, h, **gains)
     delay = _samples(delay)
@@ -132,12 +138,15 @@ def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> n
 
 
 def feedback_column(A: np.ndarray) -> np.ndarray:
-    """How a mapping matrix uses the measured position; the rest of its first column keeps the position itself."""
+    """Return the part of a mapping matrix's first column that is feedback of the measured position.
+
+    The rest of that column carries the position itself over.
+    """
     return A[:, 0] - np.eye(len(A))[0]
 
 
 def _samples(delay: Any) -> float:
-    """Delay as a number of samples. Raises InvalidOption."""
+    """Return a delay as a number of samples from 0 to MOST_DELAY. Raises InvalidOption for anything else."""
     found = number(delay, "delay [samples]")
     if not 0.0 <= found <= MOST_DELAY:
         raise InvalidOption(f"delay is a number of samples from 0 to {MOST_DELAY:g}, not {found:g}")
@@ -145,9 +154,9 @@ def _samples(delay: Any) -> float:
 
 
 def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tuple[float, float]:
-    """RMS of a joint's position, and of its commanded rate times h, over the RMS of white noise on its measured position at rest.
+    """Return the RMS of a joint's position, and of its rate times h, over the RMS of noise on its measured position.
 
-    H2 norms of the map from noise to both; infinite where the gains are not stable.
+    They are the H2 norms of the maps from white noise to both, at rest; infinite if the gains are not stable.
     """
     M = delayed_matrix(method, h, delay, **gains)
     if spectral_radius(M) >= 1.0 - BORDER:
@@ -155,32 +164,35 @@ def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tupl
     B = np.zeros(len(M))
     column = feedback_column(mapping_matrix(method, h, **gains))
     B[: len(column)] = column
-    # Covariance P = M P M' + B B' by doubling: P_2k = P_k + M^k P_k M^k'.
+    # The covariance P = M P M' + B B' is summed by doubling: P_2k = P_k + M^k P_k M^k'.
     P, power = np.outer(B, B), M
     while np.abs(power).max() > 1e-20:
         P = P + power @ P @ power.T
         power = power @ power
-    if method in ("ca", "aa", "aad"):  # the rate is a state: more than the step moves, where it zigzags
+    # For these methods the rate is a state of its own, which can exceed the motion of a step when it zigzags.
+    if method in ("ca", "aa", "aad"):
         return math.sqrt(P[0, 0]), h * math.sqrt(P[1, 1])
-    move = M[0] - np.eye(len(M))[0]  # from this sample to the next, beside the noise's own share
+    move = M[0] - np.eye(len(M))[0]  # the motion to the next sample, without the direct effect of the noise
     return math.sqrt(P[0, 0]), math.sqrt(move @ P @ move + B[0] ** 2)
 
 
 def p_limit(d):
-    """Upper border of p = kp h^2 for d = kd h (number or array)."""
+    """Return the upper border of p = kp h^2 for stable `ca`, given d = kd h (a number or an array)."""
     return 0.5 * (d + np.sqrt(d * (9.0 * d + 16.0)))
 
 
 def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
-    """Gains with the smallest spectral radius at sample time h [s]: cv 0.577 (1/sqrt 3), ca 0.196, av 0, aa 1, aad 0.667.
+    """Return the gains of a method with the smallest spectral radius at sample time h [s].
 
-    cv: kappa h = 2/3. ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet. av, aa, aad: share = 1. With a
-    measured position `delay` samples old they are searched for.
+    cv: kappa h = 2/3, radius 0.577 (1/sqrt 3). ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet,
+    radius 0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. For positions measured `delay` samples ago they
+    are found by a search.
     """
     one_of(method, METHODS, "tracking method")
     h = positive(h, "the sample time [s]")
     units = {"kappa": h, "kp": h * h, "kd": h, "share": 1.0}
-    law = method if method in BEST else "av"  # the eigenvalues of aa and aad are those of av and one that is theirs
+    # aa and aad have the eigenvalue of av, and another one that share does not change.
+    law = method if method in BEST else "av"
     found = BEST[law]
     if _samples(delay):
         found = BEST_AT_AGE[law] if delay == AGE else _best_delayed(law, float(delay))
@@ -190,7 +202,7 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
 
 @functools.cache
 def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
-    """Best gains times h (kp: h^2) under a delay: grids in log scale, each about the best point of the one before."""
+    """Return the best gains under a delay, times h (kp: h^2), by successive logarithmic grids about the best point."""
     names = GAINS[method]
     middle, width = np.log(BEST[method]) - math.log(1.0 + delay), 3.0
     for _ in range(4):
@@ -204,12 +216,12 @@ def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
 
 
 def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
-    """Longest sample time [s] at which the gains (kappa; kp and kd) are stable; inf where the method has no gains.
+    """Return the longest sample time [s] at which the gains (kappa; kp and kd) are stable; inf if there are none.
 
-    delay: of the measured position, in samples, whatever their length.
+    delay: age of the measured position in samples, whatever their length.
     """
     if delay and method in ("cv", "ca"):
-        low, high = 0.0, longest_step(method, **gains)  # a delay can only make it shorter
+        low, high = 0.0, longest_step(method, **gains)  # A delay can only shorten the longest step.
         for _ in range(50 if high > 0.0 else 0):
             middle = 0.5 * (low + high)
             stable = spectral_radius(delayed_matrix(method, middle, delay, **gains)) < 1.0
@@ -222,7 +234,7 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
     kp, kd = gains["kp"], gains["kd"]
     if not (kp > 0.0 and kd > 0.0):
         return 0.0
-    # The border p = p_limit(d) written in h: kp^2 h^3 - kp kd h^2 - 2 kd^2 h - 4 kd = 0 has one positive root.
+    # The border p = p_limit(d) is kp^2 h^3 - kp kd h^2 - 2 kd^2 h - 4 kd = 0 in h, with one positive root.
     roots = np.roots([kp * kp, -kp * kd, -2.0 * kd * kd, -4.0 * kd])
     real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots)].real
     return min(1.0 / kd, float(real[real > 0.0].min()))
@@ -232,11 +244,11 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
 class GainCheck:
     """What `check_gains` found.
 
-    verdict is "stable", "marginal" or "unstable", over all that was asked; radius the spectral radius of the mapping matrix
-    (growth of the error per sample, at rest); message one sentence, more with delay, noise or a path; suggestion the best
-    gains at this sample time and delay; longest_step [s] the slowest sampling at which the same gains are stable. delay
-    [samples] as given; noise_gain: RMS of a joint over the RMS of the noise on its measured position; along: growth on the path
-    (factor, per_step, closed), or None.
+    verdict: "stable", "marginal" or "unstable", over everything that was asked; radius: spectral radius of the mapping
+    matrix (factor by which an error changes per sample, at rest); message: one sentence, more with delay, noise or a
+    path; suggestion: the best gains at this sample time and delay; longest_step [s]: the longest sample time at which
+    the same gains are stable. delay [samples]: as given; noise_gain: RMS of a joint over the RMS of the noise on its
+    measured position; along: growth of an error on the path (factor, per_step, closed), or None.
     """
 
     method: str
@@ -267,16 +279,28 @@ def check_gains(
     null_damping: float = 0.0,
     **gains: float,
 ) -> GainCheck:
-    """Judge a method's gains at sample time h [s], with a sentence and a suggestion.
+    """Judge a method's gains at sample time h, with a sentence and a suggestion.
 
-    gains: kappa of cv; kp and kd of ca; share of av and aa; gamma and share of aad.
+    At rest the verdict comes from the closed-form region, or with a delay from the eigenvalues.
 
-    At rest the verdict comes from the closed-form region, the radius from the eigenvalues. delay: age of the measured joint
-    positions in samples (20 ms at h = 0.01 s: 2; parts count), as `Tracker.update(q=...)` gets them; then the eigenvalues
-    decide. noise: RMS on a measured position [rad or m]; the message says what it becomes. robot and path (a Reference, as
-    ik.circle): also along that path, where the gains are judged by the growth of a small error over it, a lap when it is closed
-    (null_damping [1/s] as in `Method`). Raises InvalidOption on a gain the method does not have or lacks, InvalidTarget where
-    the path cannot be followed.
+    Args:
+        method: Name of the method.
+        h: Sample time [s].
+        delay: Age of the measured joint positions in samples, as `Tracker.update(q=...)` gets them (20 ms at h = 0.01
+            s: 2; fractions allowed).
+        noise: RMS of the noise on a measured position [rad or m]; the message says what becomes of it.
+        robot: A Robot; with path, the gains are judged along this path as well, by the growth of a small error over it,
+            or over a lap if it is closed.
+        path: A Reference, as from ik.circle.
+        null_damping: Damping of null-space motion along the path [1/s], as in `Method`.
+        gains: kappa of cv; kp and kd of ca; share of av and aa; gamma and share of aad.
+
+    Returns:
+        A GainCheck with the verdict, the spectral radius, a message and the best gains.
+
+    Raises:
+        InvalidOption: A gain is missing or not one of the method's, or a number is out of range.
+        InvalidTarget: The path cannot be followed.
     """
     one_of(method, METHODS, "tracking method")
     for name in gains:
@@ -320,18 +344,19 @@ def check_gains(
 
 
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
-    """Sentence on gains or a sample time that would work."""
+    """Return a sentence on gains or a sample time that would work."""
     words = " Try " + ", ".join(f"{name} = {value:.5g}" for name, value in best.items())
-    if method == "aa":  # marginal at its best
+    if method == "aa":  # `aa` is marginal even with its best gains.
         out = " aad removes that eigenvalue at the same accuracy."
         return f"{words} with aad, which removes aa's eigenvalue -1." if delay else out
-    if delay or not 0.0 < longest < math.inf:  # at a higher rate the same time is more samples
+    # At a higher rate the same delay is more samples, so no rate is suggested.
+    if delay or not 0.0 < longest < math.inf:
         return f"{words}."
     return f"{words}, or a rate above {1.0 / longest:.4g} Hz."
 
 
 def _region(method: str, h: float, **gains: float) -> tuple[float, str]:
-    """Distance to the border of the closed-form region (negative outside), and words for it."""
+    """Return the distance to the border of the closed-form stability region (negative outside), and words for it."""
     if method == "cv":
         k = gains["kappa"] * h
         return min(k, 1.0 - k), f"kappa h = {k:.4g}, stable between 0 and 1"

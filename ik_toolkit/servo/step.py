@@ -1,4 +1,4 @@
-"""One step of a tracker, as it is returned: numbers at once, the status and its sentence when they are read."""
+"""One step of a tracker as it is returned; the status and its sentence are computed only when they are read."""
 
 import math
 from enum import Enum
@@ -13,19 +13,21 @@ from .target_jump import Choice
 NEAR = (
     1e-3,
     5e-3,
-)  # [m, rad] error above which a joint at its limit, or the edge of the reach, counts as the reason
-AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without one) below which it counts as at rest
-RESTING = 1e-6  # the same of a joint that no feedback moves: a gain of 0.1/s asks for 1e-4 where an error is NEAR
+)  # [m, rad] error above which a joint limit, or the edge of the reach, is reported as its reason
+# share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
+AT_REST = 1e-3
+# share of the speed limit below which no feedback moves a joint: a gain of 0.1/s asks for 1e-4 at an error of NEAR
+RESTING = 1e-6
 
 
 class StepStatus(Enum):
     """How one step went.
 
     OK: nothing holds the arm back. LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target.
-    AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows.
-    BLOCKED: as near as what is in the way allows. RECONFIGURING: the arm moves to another posture, which reaches the target.
-    RECOVERING: a joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints measured are far from those
-    commanded. JUMPED: a joint moved far, or the tracker started anew from the joints measured. HELD: no usable command.
+    AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows. BLOCKED: the arm rests as near as a
+    collision ahead allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a
+    joint outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones.
+    JUMPED: a joint moved far, or the tracker restarted from the measured joints. HELD: there was no usable command.
     """
 
     OK = "ok"
@@ -40,57 +42,57 @@ class StepStatus(Enum):
 
 
 class Judged(NamedTuple):
-    """What the steps of a tracker are judged by."""
+    """What the status of a tracker's steps depends on, the same for all steps."""
 
     robot: Any
-    posed: tuple[bool, ...]  # whether the orientation of a tip counts
-    jump: float
-    speed: np.ndarray  # (n,) limits
+    posed: tuple[bool, ...]  # whether the orientation of each tip counts
+    jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
+    speed: np.ndarray  # (n,) speed limits [rad/s or m/s]
 
 
 class Outcome(NamedTuple):
-    """What the status of a step is read from: copies."""
+    """What the status of one step is computed from; the arrays are copies."""
 
     by: Judged
-    code: np.ndarray  # (n,) bits of limits
-    before: np.ndarray  # (n,) the command before, in kernel units
-    errors: np.ndarray  # (2, m) before it and left [m, rad]
-    lost: float  # directions in which the tip can hardly move
-    down: bool  # whether the step was one towards the closest pose nearby, see servo/damped_descent.py
-    finite: bool
-    lag: float  # of the joints measured, over what is allowed
-    resynced: bool
-    between: tuple[str, str] | None  # names of what would have touched
-    # On the way to another posture, joints at whose limits this one ended; to a target that leapt, which way.
+    code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
+    before: np.ndarray  # (n,) previous command, in kernel units
+    errors: np.ndarray  # (2, m) errors before and after the step [m, rad]
+    lost: float  # number of singular directions, in which the tip can hardly move
+    down: bool  # whether the step was a damped descent towards the closest pose nearby (servo/damped_descent.py)
+    finite: bool  # whether the target was finite
+    lag: float  # largest difference between measured and commanded joints, over the one allowed
+    resynced: bool  # whether the tracker restarted from the measured joints
+    between: tuple[str, str] | None  # names of the two parts that would have touched
+    # Joints whose limits caused a move to another posture, or the way taken to a target that jumped; None: neither.
     way: tuple[str, ...] | Choice | None
 
 
-make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as in solvers/outcome.py
+make_outcome = partial(tuple.__new__, Outcome)  # This is faster than Outcome(...), as in solvers/outcome.py.
 
 
 class Step:
     """One step of a tracker.
 
-    q (n,) [rad or m] and rate (n,) to command now; position_error [m] and orientation_error [rad] (None for positions) left to
-    this step's target, of several tips the largest, at `q` or, where joints were measured, at these; at_rest; between; status;
-    reason, a sentence ('' when OK).
+    q (n,) [rad or m] and rate (n,) [rad/s or m/s]: command these now. position_error [m] and orientation_error [rad]
+    (None for positions): what is left to this step's target, for several tips the largest, at `q` or at the measured
+    joints. at_rest, between and status: see there. reason: a sentence, '' for OK.
     """
 
     __slots__ = ("_outcome", "q", "rate")
 
     def __init__(self, q: np.ndarray, rate: np.ndarray, outcome: Outcome) -> None:
-        """Keep what the status needs."""
+        """Keep the command, and the outcome that the status is computed from."""
         self.q, self.rate, self._outcome = q, rate, outcome
 
     @property
     def position_error(self) -> float:
-        """Distance [m] left to the target."""
+        """Distance [m] left to the target; the largest of several tips."""
         e = self._outcome.errors[1].reshape(-1, 6)[:, :3]
         return float(np.sqrt((e * e).sum(axis=1).max()))
 
     @property
     def orientation_error(self) -> float | None:
-        """Angle [rad] left to the target; None where no orientation counts."""
+        """Rotation angle [rad] left to the target, the largest of several tips; None if no orientation counts."""
         o = self._outcome
         if not any(o.by.posed):
             return None
@@ -99,7 +101,7 @@ class Step:
 
     @property
     def status(self) -> StepStatus:
-        """How it went."""
+        """How the step went, as a StepStatus."""
         o = self._outcome
         if o.code[0] & viability.HELD:
             return StepStatus.HELD
@@ -118,30 +120,31 @@ class Step:
         return StepStatus.LIMITED if held or ((o.lost or o.down) and self._away()) else StepStatus.OK
 
     def _moved(self) -> np.ndarray:
-        """How far (n,) the joints moved in this step [rad, or reaches]."""
+        """Return how far (n,) the joints moved in this step [rad or arm reaches]."""
         return np.abs(self.q / self._outcome.by.robot.chain.unit - self._outcome.before)
 
     @property
     def between(self) -> tuple[str, str] | None:
-        """Names of the two that would touch where something in the way holds the arm back; else None."""
+        """Names of the two parts that would touch if a collision ahead holds the arm back, else None."""
         return self._outcome.between
 
     @property
     def at_rest(self) -> bool:
-        """Whether no joint moves, or hardly: at a thousandth of its speed limit at most."""
+        """Whether all joints are slower than a thousandth of their speed limits."""
         return bool((np.abs(self.rate) <= AT_REST * self._outcome.by.speed).all())
 
     def _rests(self) -> bool:
-        """Whether an error that was there before the step moves no joint: what is left has no direction in which the tip can go."""
+        """Return whether no joint moved although there was an error, so that no motion reduces it."""
         before, after = np.abs(self._outcome.errors)
         return bool((np.abs(self.rate) <= RESTING * self._outcome.by.speed).all() and before.max() > 0.5 * after.max())
 
     def _away(self) -> bool:
+        """Return whether the error left is above NEAR, so that limits or the reach are worth reporting."""
         return self.position_error > NEAR[0] or (self.orientation_error or 0.0) > NEAR[1]
 
     @property
     def reason(self) -> str:
-        """Why the status is not OK."""
+        """A sentence that says why the status is not OK; '' if it is."""
         o, status = self._outcome, self.status
         if status is StepStatus.OK:
             return ""
@@ -182,13 +185,13 @@ class Step:
         return "; ".join(parts)
 
     def __repr__(self) -> str:
-        """Status, error and reason."""
+        """Return a line with status, position error and reason."""
         reason = self.reason
         return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + reason if reason else ''})"
 
 
 def _on_the_way(way: tuple[str, ...] | Choice) -> str:
-    """Where the joints go, and why, see `Outcome.way`."""
+    """Return words on where the joints go, and why; way: see `Outcome`."""
     if not isinstance(way, Choice) or way.ratio == math.inf:
         where = f": the limit of {', '.join(way)} ended the last one" if way and not isinstance(way, Choice) else ""
         return f"moving to another posture that reaches the target{where}"

@@ -1,10 +1,11 @@
-"""A target that leapt and stands: the tip goes straight to it, or, where that costs too much time, the joints do.
+"""A target that jumped and stands: the tip moves there in a straight line, or the joints move together if faster.
 
-A method's feedback closes an error in proportion, and where limits forbid that it loses time twice: the tip slows down long before
-its target, and a straight way of the tip can be a long one for the joints, or end where no joint can go on. So where an error
-hardly falls though the target stands, its joint values are solved for at once, and those of points on the straight way before it.
-The straight way is taken unless it needs more than STRAIGHT times as long as the joints would by themselves (`travel`). Where the
-solver's attempt from the present joint values fails, other starts are tried (reconfigure.py): feedback would mostly fail, too.
+The feedback of a method closes an error in proportion. Inside joint limits that loses time twice: the tip slows down
+long before its target, and a straight line of the tip can be a long way for the joints, or end where no joint can go
+on. So if an error hardly falls although the target stands, joint values are solved for at once, for the target and for
+points on the straight line before it. The line is taken unless it needs more than STRAIGHT times as long as moving all
+joints directly (`travel`). If the solver's attempt from the present joint values fails, other starts are tried
+(reconfigure.py), as feedback would mostly fail, too.
 """
 
 import math
@@ -20,68 +21,81 @@ from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .target_stream import STAND, STILL, WAIT
 from .viability import HELD_BACK, POSITION, UNKNOWN, bending, time_left, travel
 
-STRAIGHT = 1.2  # times as long as through the joints that a straight way may take: 1.3 with what is lost at both ends
-POINTS = 24  # pieces of a straight way: within each the tip leaves it by 1/576 of what it would on the joints' own way
-TORN = 4.0  # times as long, from which on the joints do not follow the straight way but change posture between two of its points
-NEAR = 2e-3  # [m] error, angles at LEVER, that is left to the method
-SLOW = 0.5  # share of the error left by a step above which the method is hindered: gains leave a third, or nothing
-SOONER = 0.5  # of the time to the nearest posture, below which one that spares slow joints is gone to instead
-CLOSE = 1e-3  # [s] left at full speed: as good as there
+# largest duration of the straight line over that of the direct joint move (1.3 times in all, with start and end)
+STRAIGHT = 1.2
+# pieces of a straight line; within each the tip leaves the line by 1/576 of what it would in one direct joint move
+POINTS = 24
+# duration of the line over that of a joint move from which joints must have changed posture between two points
+TORN = 4.0
+NEAR = 2e-3  # [m] error (angles at the lever arm LEVER) up to which the method closes it without a move
+# a method that leaves more than this share of the error in a step is hindered: its gains leave a third or nothing
+SLOW = 0.5
+SOONER = 0.5  # a posture that moves slow joints less is preferred if its move takes less than this share of the time
+CLOSE = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
 
 class Route(NamedTuple):
-    """Joint motion through points, cubic between them: times t (K,) [s], q (K, n) and rates (K, n) there, in kernel units."""
+    """A joint motion through K points, cubic in between, in kernel units.
+
+    t (K,) [s]: times of the points; q (K, n) and rate (K, n): joint values and rates there.
+    """
 
     t: np.ndarray
     q: np.ndarray
     rate: np.ndarray
 
     def hardest(self, a: np.ndarray) -> float:
-        """Largest acceleration over what is allowed (n,), at the ends of the pieces."""
+        """Return the largest acceleration over the one allowed, a (n,); in cubic pieces it occurs at an end."""
         h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
         first = 6.0 * d / h**2 - (4.0 * self.rate[:-1] + 2.0 * self.rate[1:]) / h
         last = (2.0 * self.rate[:-1] + 4.0 * self.rate[1:]) / h - 6.0 * d / h**2
         return float((np.maximum(np.abs(first), np.abs(last)) / a).max())
 
     def fastest(self, top: np.ndarray) -> float:
-        """Largest rate over what is allowed (n,), at the ends and in the middle of the pieces."""
+        """Return the largest rate over the one allowed, top (n,), at the ends and in the middle of the pieces."""
         h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
         middle = 1.5 * d / h - 0.25 * (self.rate[:-1] + self.rate[1:])
         return float(max((np.abs(self.rate) / top).max(), (np.abs(middle) / top).max()))
 
 
 class Choice(NamedTuple):
-    """Which way leads to a target that leapt."""
+    """The way chosen to a target that jumped: a straight line of the tip, or a joint move."""
 
-    straight: bool
-    ratio: float  # how many times as long as through the joints the straight way takes; infinite where there is none
+    straight: bool  # whether the tip moves in a straight line
+    ratio: float  # duration of the straight line over that of the direct joint move; inf if there is no line
 
 
 class Leap:
-    """What a tracker knows of a target that leapt. goal (n,): where it is going [kernel units], or None; why: which way."""
+    """Leads a tracker to a target that jumped.
+
+    goal (n,): joint values it moves to [kernel units], or None; why: the way chosen.
+    """
 
     def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:
-        """chosen: the method has gains that somebody chose; elsewhere: finds another posture, where one may be taken.
+        """Bind the solver; chosen: whether the caller chose the method's gains.
 
-        straight: how many times as long as through the joints a straight way may take.
+        elsewhere: finds other postures, or None.
+
+        straight: largest duration of the straight line over that of the direct joint move.
         """
         self.postures, self._chosen, self._most, self._elsewhere = postures, chosen, straight, elsewhere
-        timed(np.eye(2), np.zeros(2), np.ones((4, 2)), 1.0)  # compiled (or loaded) now, and not in a control loop
+        # This compiles (or loads) the time law now, and not in a control loop.
+        timed(np.eye(2), np.zeros(2), np.ones((4, 2)), 1.0)
         self.forget()
 
     def forget(self) -> None:
-        """The target is reached, or everything begins anew."""
+        """Drop the goal and forget the last target."""
         self.goal: np.ndarray | None = None
         self.why = Choice(straight=True, ratio=1.0)
-        self._enough = CLOSE  # [s] left at full speed, from which on it is left to the method
+        self._enough = CLOSE  # [s] time left at full joint speed at which the method takes over
         self._route: Route | None = None
-        self._time = 0.0  # [s] since it set out
-        self._place = np.zeros(0)  # the target that was last looked at
+        self._time = 0.0  # [s] since the move began
+        self._place = np.zeros(0)  # target last examined
 
-    begin = forget  # nothing else is known
+    begin = forget
 
     def watch(self, taken: Taken) -> None:
-        """Look at a step taken. May set `goal`."""
+        """Examine a step taken by the method; set `goal` if the target has jumped and the method is hindered."""
         T, q, limits = taken.T, taken.q, taken.limits
         if not taken.stand[STAND.still] or taken.left < NEAR:
             return
@@ -89,10 +103,12 @@ class Leap:
             return
         if taken.left < SLOW * self.postures.size(taken.E[0]):
             return
-        if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:  # it may be turning back
+        # A target that moved here smoothly may be turning back, so the arm waits.
+        if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:
             return
         self._place = T[1].copy()
-        # A joint at its limit after a smooth motion: only another posture leads on. A locked joint: its operator has other plans.
+        # After a smooth motion, a joint at its limit means that only another posture leads on.
+        # An operator who locks a joint wants no large moves.
         if (not taken.stand[STAND.leapt] and (taken.code & POSITION).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)
@@ -104,11 +120,12 @@ class Leap:
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
         elif not len(found) and taken.stand[STAND.leapt] and self._elsewhere and self._enough <= CLOSE:
-            taken.stand[STAND.leapt] = 0.0  # one search a leap, though the target may creep on
+            # There is one search for each jump, even if the target creeps on afterwards.
+            taken.stand[STAND.leapt] = 0.0
             self._elsewhere.search_now(T[1], q, limits)
 
     def _set_out(self, goal: np.ndarray, taken: Taken) -> None:
-        """Choose the way to a goal."""
+        """Choose between a straight line and a joint move to a goal (n,), and set `self.goal` if one is possible."""
         straight = self._straight(goal, taken)
         ratio = straight.t[-1] / least_time(np.abs(goal - taken.q), taken.limits) if straight else math.inf
         ratio = ratio if ratio < TORN else math.inf
@@ -119,14 +136,21 @@ class Leap:
         self.why = Choice(self._route is not None, ratio)
 
     def _patience(self, law: np.ndarray) -> float:
-        """Time [s] from the target from where on the method is as fast: with gains that somebody chose, or for late joints."""
+        """Return the time [s] before the target at which the method takes over.
+
+        With gains that the caller chose, or for measured joints, it is the time constant of the gains, else 0: the move
+        ends at the target.
+        """
         p = laws.Law._make(law.tolist())
         if not (self._chosen or p.measured):
             return 0.0
         return 1.0 / p.kappa if p.kappa > 0.0 else p.kd / p.kp if p.kp > 0.0 else 0.0
 
     def _straight(self, goal: np.ndarray, taken: Taken) -> Route | None:
-        """Joint motion along the straight way of the tip, as fast as limits allow; None where there is none."""
+        """Return the joint motion along a straight line of the tip to the target, as fast as limits allow.
+
+        None if there is none.
+        """
         T, q = taken.T[1], taken.q
         left = 1.0 - np.arange(1, POINTS) / POINTS
         points = np.repeat(T[None], POINTS - 1, axis=0)
@@ -143,9 +167,11 @@ class Leap:
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray,
         code: np.ndarray,
     ) -> bool:  # fmt: skip
-        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more.
+        """Step q and rate (n,) in place by h [s] towards the goal.
 
-        code (n,) receives what held joints back.
+        Return False, with nothing moved, if there is no goal any more.
+
+        gamma, late: as in `travel`. code (n,) receives the bits of the limits that held joints back.
         """
         goal, left = self.goal, -1.0
         self._time += h
@@ -159,14 +185,17 @@ class Leap:
         return True
 
     def blocked(self) -> None:
-        """Something is in the way: the method may slide along it."""
+        """Give up the move because of a collision ahead: the method may slide along it."""
         self.goal = None
 
 
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:
-    """Motion through points (K + 1, n), from joint rates (n,) to rest, as fast as speeds and accelerations (4, n) allow.
+    """Return the fastest motion through points (K + 1, n), from joint rates (n,) to rest, inside limits (4, n).
 
-    Along the segments, each as long as it takes at full speed, the speed is at most 1.
+    None if two neighbouring points coincide.
+
+    The path coordinate is time at full speed: a segment is as long as its slowest joint needs for it at its speed
+    limit, so the rate of the coordinate is at most 1.
     """
     top, a = speeds(limits), (1.0 - HELD_BACK) * limits[3] / bending(gamma)
     d = np.diff(points, axis=0)
@@ -189,8 +218,8 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
 
 
 def least_time(way: np.ndarray, limits: np.ndarray) -> float:
-    """Least time [s] in which joints move by `way` (n,) inside speed and acceleration limits (4, n), from rest to rest."""
+    """Return the least time [s] in which joints can move by way (n,), from rest to rest, inside limits (4, n)."""
     moves = way > 0.0
     way, v, a = way[moves], speeds(limits)[moves], limits[3, moves]
-    top = np.minimum(v, np.sqrt(way * a))  # that a joint reaches before it has to brake
+    top = np.minimum(v, np.sqrt(way * a))  # peak speed of each joint before it has to brake
     return float((way / top + top / a).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Targets as they arrive in a control loop: read, checked, with the motion from one to the next, and whether they stand."""
+"""Targets as they arrive in a control loop: reading, checking, their motion, and whether they stand."""
 
 import math
 from collections.abc import Mapping
@@ -20,31 +20,37 @@ from ..robot.pose import AxisTarget, as_array
 from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_of
 
-TIGHT = 1e-9  # of a rotation accepted as it is: far stricter than the full check, outside the kernel, which corrects or refuses
-READ, CHECK, REFUSED = range(3)  # a target that was read in full, one that is to be checked here, one that is no target
-TAKEN, DOUBTFUL, HELD = range(3)  # taken; to be read in full; not finite, so the last target stays
-STILL = 2e-3  # [m, or of a rotation] by which a target that stands may move in WAIT: 20 mm/s, or 0.014 rad/s
-WAIT = 0.1  # [s]
-RESTS = 5e-4  # [m/s, or of a rotation] up to which it is at rest: where its motion turns back it is that slow for a moment only
-JUMP = 0.05  # [m, or of a rotation] from one target to the next by which it leaps: a fast hand moves by a fifth of it
+TIGHT = 1e-9  # error of a rotation matrix up to which it is accepted here; the full check corrects or refuses others
+READ, CHECK, REFUSED = range(3)  # how a target comes to the kernel: read in full, still to be checked, or no target
+# outcomes of `arrive`: taken, to be read in full, or not finite, so that the last target stays
+TAKEN, DOUBTFUL, HELD = range(3)
+STILL = 2e-3  # [m, or rotation matrix entries] change of a standing target within WAIT: 20 mm/s, or 0.014 rad/s
+WAIT = 0.1  # [s] time within which a target that stands may not move by more than STILL
+# [m/s, or rotation matrix entries per s] speed up to which a target is at rest; a reversing one is only briefly so slow
+RESTS = 5e-4
+# [m, or rotation matrix entries] change between two targets that counts as a jump; a fast hand moves a fifth of it
+JUMP = 0.05
 
 
 class Stand(NamedTuple):
-    """Whether a target stands. Before its first motion it counts as having leapt."""
+    """Layout of an array that says whether a target stands; STAND holds the indices.
 
-    seconds: int  # [s] for which it has been where it is, give or take STILL
-    leapt: int  # 1: it came there at once
+    Before its first motion a target counts as having jumped.
+    """
+
+    seconds: int  # [s] for which the target has stood where it is, within STILL
+    leapt: int  # 1: the target jumped to where it is
     still: int  # 1: it hardly moved from the last sample to this one, or only trembles as measured targets do
-    rest: int  # [s] for which it has been at rest; one that trembles, as measured ones do, never is
-    known: int  # 1: what follows is known, F poses: where it is
+    rest: int  # [s] for which it has been at rest; a target that trembles never is
+    known: int  # 1: the rest of the array holds the F poses where the target stands
 
 
-STAND = Stand._make(range(len(Stand._fields)))  # places in the array
+STAND = Stand._make(range(len(Stand._fields)))
 
 
 @inner
 def finite(A):
-    """Whether all numbers of A (K,) are."""
+    """Return whether all numbers of A (K,) are finite."""
     total = 0.0
     for k in range(A.shape[0]):
         total += abs(A[k])
@@ -53,20 +59,20 @@ def finite(A):
 
 @inline
 def axes_of(T):
-    """Axes of a pose (4, 4)."""
+    """Return the rotation of a pose (4, 4) as an M3."""
     return M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
 
 
 @inner
 def turn_left(T0, T1):
-    """Rotation vector, in base axes, that brings the rotation of T0 (4, 4) to that of T1."""
+    """Return the rotation vector, in base axes, from the rotation of T0 (4, 4) to that of T1."""
     angular = rotation_error(axes_of(T0), axes_of(T1))
     return angular * angle_ratio(angular.square())
 
 
 @inner
 def replace(T, V, A, source, place):
-    """One sample becomes another."""
+    """Copy sample `source` (pose, twist, acceleration) to sample `place`."""
     copy(flat(T[source]), flat(T[place]))
     copy(V[source], V[place])
     copy(A[source], A[place])
@@ -74,7 +80,10 @@ def replace(T, V, A, source, place):
 
 @inner
 def difference(T0, T1, dt, V, first):
-    """Twist from one pose to another in dt, to V[first:]; of no turn it is exactly zero."""
+    """Write to V[first:] the twist that moves pose T0 to T1 (4, 4) in dt [s].
+
+    Without a rotation its angular part is exactly zero.
+    """
     put3(V, first, V3(T1[0, 3] - T0[0, 3], T1[1, 3] - T0[1, 3], T1[2, 3] - T0[2, 3]) * (1.0 / dt))
     turned = False
     for r in range(3):
@@ -85,7 +94,7 @@ def difference(T0, T1, dt, V, first):
 
 @inner
 def gap(A, B, first):
-    """How far numbers A (K,) are from those of B from `first` on, as one number."""
+    """Return the distance between the numbers A (K,) and those of B from `first` on: the norm of their differences."""
     total = 0.0
     for k in range(A.shape[0]):
         total += (A[k] - B[first + k]) ** 2
@@ -94,7 +103,7 @@ def gap(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """See whether targets T (2, F, 4, 4), dt [s] apart, stand; stand (5 + 16 F,) as of `Stand`."""
+    """Update whether the target stands: stand (5 + 16 F,), see `Stand`, from targets T (2, F, 4, 4), dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
     if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:
@@ -110,12 +119,13 @@ def look(T, stand, dt):
 
 @cached
 def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceleration, dt):
-    """Write the target of `given`, samples of length 1, into the last sample (slot 0) or the next (1) of `samples`.
+    """Write a new target into sample `slot` of `samples`: 0 is the last target, 1 the next one.
 
-    Blocks as of workspace.py; stand (5 + 16 F,) as of `Stand`, of the next. how: READ, CHECK or REFUSED; posed: bit f says that
-    tip f has an orientation. first: any target may have come before; moved: the next target has become the last one; twist,
-    acceleration: whether they are given, else the last two targets give a twist, in dt [s], and the acceleration is 0. Returns
-    TAKEN, DOUBTFUL or HELD.
+    samples, given (one target), stand (5 + 16 F,): blocks as in workspace.py, and an array as in `Stand`. how: READ,
+    CHECK or REFUSED. posed: bit f says that tip f has an orientation. first: there was no target before. moved: the
+    former next target becomes the last one. twist, acceleration: whether they are given; if not, the last two targets,
+    dt [s] apart, give the twist, and the acceleration is 0. Returns TAKEN, DOUBTFUL (read the target in full and call
+    again) or HELD.
     """
     (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
@@ -152,51 +162,61 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
 
 
 FLOAT = np.dtype(np.float64)
-RECENT = 10  # targets: where steps take 0.5 to 1.5 times their mean, ca brings errors to 0.59 a step, with gains of each to 0.99
-KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
+# Number of targets over which the longest step is remembered; gains are chosen for this step.
+# For steps of 0.5 to 1.5 times their mean, ca then reduces errors to 0.59 a step; with gains for each step only to
+# 0.99.
+RECENT = 10
+KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its array
 
 
 class Stream(CopiesViews):
-    """The last target and the next, `samples`; whether that stands, `stand`; kinds, one a tip.
+    """The targets of a tracker: the last and the next one (`samples`), and whether the next one stands (`stand`).
 
-    pace: the longest of the last times between them [s]; unseen [s]: since a step to them was last looked at, by the tracker.
+    kinds: kind of target of each tip, None before the first. pace [s]: the longest recent time between targets. unseen
+    [s]: time since the tracker last examined a step.
     """
 
     VIEWS = ("_poses",)
     SHARED = ("robot",)
 
     def __init__(self, robot: Any) -> None:
-        """Room for the tips of a robot."""
+        """Make room for the targets of a robot's tips."""
         self.robot = robot
         self.tips = len(robot.tips)
         self.kinds: tuple | None = None
         self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
         for one in (self.samples, self._given, self._last):
             one.T[:] = np.eye(4)
-        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # see `arrival.Stand`
+        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # array in the layout of `Stand`
         self._cut()
         self.unseen = 0.0
-        self._posed = 0  # bit f: tip f has an orientation
+        self._posed = 0  # Bit f says that tip f has an orientation.
         self._moved = 0
-        self.pace, self._second, self._count = 0.0, 0.0, 0  # [s], the longest since that one, targets since it
+        # longest recent time between targets [s], longest after that one [s], targets after it
+        self.pace, self._second, self._count = 0.0, 0.0, 0
 
     def _cut(self) -> None:
-        """Take the views of a target that is given."""
+        """Make views of the poses that a new target is copied to."""
         self._poses = list(self._given.T[0])
 
     def forget(self) -> None:
-        """Any target may come next."""
+        """Forget the targets; the next one may be of any kind."""
         self.kinds = None
         self.pace = 0.0
 
     def look_anew(self) -> None:
-        """Where the target stands is not known: when it does, it counts as having leapt there."""
+        """Forget where the target stands: when it next stands, it counts as having jumped there."""
         self.stand[:] = 0.0
         self.stand[STAND.leapt] = 1.0
         self.unseen = 0.0
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
-        """Write a target into sample 0 (now) or 1 (end of step); False when it is not finite (the last one is kept)."""
+        """Write a target to sample 0 (now) or 1 (end of the step).
+
+        Return False if it is not finite, and the last one is kept.
+
+        twist, acceleration: as in `Tracker.update`; dt [s]: time since the last target. Raises InvalidTarget.
+        """
         if dt >= self.pace:
             self.pace, self._second, self._count = dt, 0.0, 0
         elif slot:
@@ -213,17 +233,17 @@ class Stream(CopiesViews):
         return done == TAKEN
 
     def _keep_pace(self, dt: float) -> None:
-        """Forget the longest time between targets after a while."""
+        """Replace the longest time between targets after RECENT shorter ones."""
         self._second, self._count = max(self._second, dt), self._count + 1
         if self._count >= RECENT:
             self.pace, self._second, self._count = self._second, 0.0, 0
 
     def step_on(self) -> None:
-        """The next target becomes the last one (when the one after it arrives)."""
+        """Let the next target become the last one, once the one after it arrives."""
         self._moved = 1
 
     def divided(self, parts: int) -> list[Samples]:
-        """The motion from the last target to the next in equal parts."""
+        """Return the motion from the last target to the next in equal parts, each as Samples of its two ends."""
         f = np.linspace(0.0, 1.0, parts + 1)
         ends = self.samples
         T = np.repeat(ends.T[:1], parts + 1, axis=0)
@@ -236,13 +256,16 @@ class Stream(CopiesViews):
         return [samples_from(T[k : k + 2], V[k : k + 2], A[k : k + 2]) for k in range(parts)]
 
     def last_of(self, samples: Samples) -> Samples:
-        """The last of some samples alone; it holds until the next call."""
+        """Return the last of some samples alone; the result is valid until the next call."""
         last = self._last
         last.T[0], last.V[0], last.A[0] = samples.T[-1], samples.V[-1], samples.A[-1]
         return last
 
     def _arrive(self, slot: int, kinds: tuple | None, how: int, twist: bool, acceleration: bool, dt: float) -> int:
-        """Hand a target that was read, or is to be checked, to the kernel."""
+        """Pass a target on to `arrive`, and return its outcome.
+
+        Raises InvalidTarget if the kind of target has changed.
+        """
         first = self.kinds is None
         if kinds is not None and not first and kinds != self.kinds:
             raise InvalidTarget(
@@ -260,7 +283,7 @@ class Stream(CopiesViews):
         return done
 
     def _as_it_is(self, target: Any) -> tuple[tuple | None, int] | None:
-        """Copy a target that is made of arrays, and leave its check to the kernel; None where that cannot be done."""
+        """Copy a target made of arrays, and return its kinds and CHECK; None if it has to be read in full."""
         if not self.robot.by_tip:
             kind = self._copy(0, target)
             return None if kind is None else ((kind,), CHECK)
@@ -278,7 +301,7 @@ class Stream(CopiesViews):
         return self.kinds, CHECK
 
     def _copy(self, f: int, target: Any) -> int | None:
-        """Copy the numbers of a tip's target; returns its kind, None where it has to be read in full."""
+        """Copy the array of tip f's target; return its kind, or None if it has to be read in full."""
         raw = target if type(target) is np.ndarray else getattr(target, "homogeneous", None)
         if type(raw) is not np.ndarray or raw.dtype is not FLOAT:
             return None
@@ -290,7 +313,10 @@ class Stream(CopiesViews):
         return kind
 
     def _read_in_full(self, target: Any) -> tuple[tuple | None, int]:
-        """Read and correct a target; no kinds where a number is not finite. Raises InvalidTarget."""
+        """Read and correct a target; return its kinds and READ, or None and REFUSED if it is not finite.
+
+        Raises InvalidTarget.
+        """
         T, kinds = self._read(target)
         if T is None:
             return None, REFUSED
@@ -298,7 +324,10 @@ class Stream(CopiesViews):
         return kinds, READ
 
     def _read(self, target: Any) -> tuple[np.ndarray | None, tuple | None]:
-        """Poses (F, 4, 4) and kinds; no kinds where a number is not finite. Raises InvalidTarget."""
+        """Return the poses (F, 4, 4) and kinds of a target, or None for both if a number is not finite.
+
+        Raises InvalidTarget.
+        """
         if self.robot.by_tip:
             values = target.values() if isinstance(target, Mapping) else target
             several = isinstance(target, Mapping | list | tuple | np.ndarray)
@@ -317,7 +346,10 @@ class Stream(CopiesViews):
         return T[None], (kind,)
 
     def _motion(self, value: Any, name: str) -> np.ndarray:
-        """A twist or acceleration (m,), its angular part 0 where it is left out."""
+        """Return a twist or acceleration as (m,), with zeros for angular parts that are left out.
+
+        Raises InvalidTarget.
+        """
         if isinstance(value, Mapping):
             self.robot.check_tips(value)
             value = np.concatenate(
@@ -332,7 +364,10 @@ class Stream(CopiesViews):
         return array
 
     def _of_tip(self, value: Any, name: str) -> np.ndarray:
-        """A twist or acceleration (6,) of one tip, its angular part 0 where it is left out."""
+        """Return a twist or acceleration of one tip as (6,), with a zero angular part if it is left out.
+
+        Raises InvalidTarget.
+        """
         array = floats(value, f"{name} must have 6 values, or 3", InvalidTarget)
         if array.shape not in ((3,), (6,)):
             raise InvalidTarget(f"{name} must have 6 values, or 3, not shape {array.shape}")
@@ -340,7 +375,7 @@ class Stream(CopiesViews):
 
 
 def _finite(one: Any) -> bool:
-    """Whether all numbers of a tip's target are finite; anything that is not a target is left to its reader."""
+    """Return whether all numbers of a tip's target are finite; True for what is no target, as its reader refuses it."""
     try:
         return bool(np.isfinite(np.asarray(getattr(one, "T_base_tip", as_array(one)), dtype=float)).all())
     except (TypeError, ValueError):
@@ -348,7 +383,7 @@ def _finite(one: Any) -> bool:
 
 
 def samples_from(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> Samples:
-    """Samples of targets T (N, F, 4, 4), V, A (N, m)."""
+    """Return Samples of N targets of F tips: T (N, F, 4, 4), twists V and accelerations A (N, m)."""
     made = new_samples(*T.shape[:2])
     made.T[:], made.V[:], made.A[:] = T, V, A
     return made

@@ -1,4 +1,4 @@
-"""`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
+"""`Tracker`: follow targets that arrive one by one, in the caller's control loop."""
 
 import math
 from typing import Any
@@ -30,38 +30,40 @@ from .target_jump import STRAIGHT, Leap
 from .target_stream import STAND, Stream
 from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
 
-JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
-RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
+JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
+RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a tracker restarts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
-LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
+LAWS_KEPT = 64  # number of step lengths for which a method's parameters are cached
 
 
 class Tracker(CopiesViews, ReadOnly):
     """Follow targets that arrive one by one.
 
-    robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
-    tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
-    limits are given). limits: keep the robot's joint limits (or narrower ones, as in `ik.solve`) and its speeds, and
-    accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)), for any dt up to dt_max [s] (default
-    five times the first; a longer step is taken in parts); between samples, too, but cv, av and solvers change rates at once. A
-    joint outside is brought back.
-    on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
-    "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.
-    What counts: mask, slack, free_turn, frame, relative_to as in `ik.solve`. Beside the task, in its null space: avoid_limits
-    (True, False or a rate [1/s]): lead joints away from near limits; posture (n,) [rad or m] to keep, or (posture, rate);
-    elbow {joint: 1 or -1}: the side of its zero on which a joint stays; manipulability [1/s]: how strongly it is raised;
-    cost: a function of q (n,) [rad or m] to lower, which returns a number or its slope (n,), always finite: else InvalidOption,
-    here for q0 and in `update`, which then takes no step.
+    Args:
+        robot: A Robot, or a Tree (several tips).
+        method: A Method, its name (cv, av, ca, aa, aad), or a solver that tracks; its options go into `options`.
+        q0, rate0: Start values (n,), default home, and rates (n,), default the target's (0 with acceleration limits).
+        limits: Whether to keep position and speed limits, or narrower ones as in `ik.solve`. Joints outside return.
+        acceleration_limits: Number or (n,) [rad/s^2 or m/s^2]. All limits hold between samples, but cv, av and solvers
+            jump in rate.
+        on_limit: What gives way to limits. "direct": the tip falls behind, but towards its target; "leave": the error
+            is the least possible now; "clip": each joint is clipped on its own, the published form.
+        dt_max: Longest step [s] that keeps limits (default five times the first dt); a longer dt is taken in parts.
+        jump, resync: Joint moves [rad or arm reaches] in a step (JUMPED), from command to measurement (see `update`).
+        avoid_limits: Gain [1/s] (or True, False) of null-space motion away from near limits.
+        posture: Joint values (n,) to move to in the null space, or (joint values, gain [1/s]).
+        elbow: A dict from joint names to 1 or -1: the side of zero on which a joint stays.
+        manipulability: Gain [1/s] with which it is raised in the null space.
+        cost: A function of q (n,) [rad or m] to lower in the null space; returns a finite number or its gradient (n,).
+        avoid_collisions: True (the robot's own links) or a CollisionModel. The arm slows down and slides along
+            obstacles, and takes no step after which it could not stop before a static one (BLOCKED).
+        reconfigure: Only with "direct". Move in joint space to another posture if only that reaches the target
+            (RECONFIGURING): at once if the target rests, else when the error has cost as much. Not with a locked joint.
+        straight: Only with "direct". Largest duration of a straight line to a target that jumped and stands, over that
+            of a joint move, which is made if the line takes longer (inf: only if there is no line).
+        options: Those of the method, and mask, slack, free_turn, frame, relative_to as in `ik.solve`.
 
-    avoid_collisions: True (the robot's own links) or a CollisionModel: the arm slows down before what is in its way and slides
-    along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
-    reconfigure: where the arm stands at limits short of a target that another posture reaches, move there through the joints
-    (RECONFIGURING): at once where the target is at rest; while it moves, only when the error has cost as much as the way will.
-    Inside all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked. Only with "direct".
-    straight: how many times as long as through the joints the tip's straight way to a target that leapt, and stands, may take;
-    where it takes longer the joints go there together (inf: any straight way; without one, another posture). Only with "direct".
-    jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
-    InvalidOption, InvalidConfiguration.
+    Raises InvalidOption (here and in `update` also for a cost that is not finite), InvalidConfiguration.
     """
 
     _INSTEAD = INSTEAD
@@ -90,7 +92,7 @@ class Tracker(CopiesViews, ReadOnly):
         straight: float = STRAIGHT,
         **options: Any,
     ) -> None:
-        """Bind a robot and a method."""
+        """Bind a robot and a method; the arguments are described in the docstring of the class."""
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
         robot, limits = self.robot, limits = with_limits(robot, limits)
@@ -110,7 +112,7 @@ class Tracker(CopiesViews, ReadOnly):
             self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
         n, m = robot.n, 6 * self.stream.tips
         self._postures: Postures | None = None
-        self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
+        self._ways: list[Leap | Reconfiguration] = []  # These lead joints where the method fails or is slow.
         elsewhere = switch(reconfigure, "reconfigure")
         longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
@@ -120,19 +122,19 @@ class Tracker(CopiesViews, ReadOnly):
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
             part[:] = values
-        self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # two rows for each slack
+        self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # an error with slack takes two rows
         self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._rows = 0
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
-        self._ordered: tuple = ()  # what the law of the settings was made of
+        self._ordered: tuple = ()  # inputs of the law in the settings
         self._kinds: tuple | None = None
-        self._goes: Leap | Reconfiguration | None = None  # what the last step was taken by
+        self._goes: Leap | Reconfiguration | None = None  # what led the last step, or None: the method
         self.reset(q0, rate0=rate0)
         self._seal()
 
     def _cut(self) -> None:
-        """Take the views of what the loop reads and writes."""
+        """Make views of the arrays that the compiled loop reads and writes."""
         self._code, self._error = self._out.C[0], self._out.E[1]
         self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
         (self._q, self._rate), self._state = self._carried.motion, self._carried.state
@@ -140,7 +142,7 @@ class Tracker(CopiesViews, ReadOnly):
     def reset(
         self, q0: Any = None, target: Any = None, twist: Any = None, acceleration: Any = None, *, rate0: Any = None
     ) -> None:
-        """Start again from q0 (default home), with the target's pose and motion at this moment if they are known."""
+        """Start again from q0 (default home) and rate0, with the target's pose and motion now if they are known."""
         q = self.robot.check_q(self.robot.home if q0 is None else q0, "q0")
         self._begin(q, None if rate0 is None else rates(self.robot, rate0))
         if self._touching:
@@ -148,14 +150,14 @@ class Tracker(CopiesViews, ReadOnly):
                 f"at q0 '{self._touching[0]}' touches '{self._touching[1]}'; start where nothing touches"
             )
         self._late = self._longest
-        if self.secondary.cost is not None:  # what is wrong with it is said now, not in a control loop
+        if self.secondary.cost is not None:  # An invalid cost raises now, not in a loop.
             self.secondary.look(self._q)
         self.stream.forget()
         if target is not None:
             self.stream.take(0, target, twist, acceleration)
 
     def _begin(self, q: np.ndarray, rate: np.ndarray | None) -> None:
-        """Stand at q, and forget what was done before."""
+        """Set the joints to q and rate (n,) [rad or m, per s], and forget all earlier steps."""
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
@@ -164,12 +166,12 @@ class Tracker(CopiesViews, ReadOnly):
         for way in self._ways:
             way.begin()
         self.stream.look_anew()
-        self._behind = False  # whether the step last looked at left an error
-        self._between: tuple[str, str] | None = None  # what kept the last step from going on
+        self._behind = False  # whether the last step that was examined left an error
+        self._between: tuple[str, str] | None = None  # the pair of parts that blocked the last step
         self._touching = self._guard.restart(q) if self._guard else None
 
     def _forget(self, start: int) -> None:
-        """Forget what was done before, but where the joints are and how they move and swing; start: how the next step begins."""
+        """Forget the method's state, but not the joints' motion and oscillation; start: how the next step begins."""
         own = self._carried
         joints, swings, free = own.motion.copy(), own.swings.copy(), own.state[laws.STATE.free]
         own.block[LINE:] = 0.0
@@ -179,7 +181,7 @@ class Tracker(CopiesViews, ReadOnly):
 
     @property
     def q(self) -> np.ndarray:
-        """Present joint values (n,), as commanded."""
+        """Present commanded joint values (n,) [rad or m]."""
         return self._q * self.robot.chain.unit
 
     def change_limits(
@@ -187,8 +189,7 @@ class Tracker(CopiesViews, ReadOnly):
     ) -> None:
         """Replace limits from now on: numbers, (n,), or a dict by joint name [rad or m, per s, per s^2].
 
-        What is beyond a new limit is brought back, as fast as the others allow (RECOVERING): a joint of speed 0 brakes and
-        stays. Raises InvalidOption.
+        Joints beyond a new limit are brought back (RECOVERING); one of speed 0 brakes and stays. Raises InvalidOption.
         """
         given: dict[str, Any] = dict(zip(LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True))
         self._limits[:] = changed_limits(self.robot, self._limits, given)
@@ -196,18 +197,24 @@ class Tracker(CopiesViews, ReadOnly):
             self._guard.limits = self._limits * self.robot.chain.unit
 
     def update(self, target: Any, dt: float, twist: Any = None, acceleration: Any = None, *, q: Any = None) -> Step:
-        """Step to where the tip should be dt [s] from now; returns a Step.
+        """Take a step to where the tip should be dt [s] from now; return a Step.
 
-        target: T_base_tip (4, 4), pin.SE3, position (3,) or an AxisTarget, of several tips as `ik.Solver` takes them, the same
-        kind every time. twist, acceleration (6,) or (3,), of several tips (F, 6) or a dict by tip: of the target at that moment,
-        base axes; without twist the last two targets give it, without acceleration it is 0. q (n,): the joints as measured now;
-        error and Jacobian are taken there, while limits and the next command go on from the last command; gains not given are
-        those for joints measured two samples ago. Beyond resync from the command the tracker starts anew from q, at rest (JUMPED).
-        A target that is not finite is held against (HELD), not raised. Raises InvalidTarget for a wrong shape, InvalidOption for
-        a dt that is not positive, or absurdly long, InvalidConfiguration for a wrong q.
+        Args:
+            target: T_base_tip (4, 4), pin.SE3, position (3,) or AxisTarget; for several tips as in `ik.Solver`; always
+                of one kind.
+            dt: Length of the step [s].
+            twist: Twist of the target then, (6,) or (3,), base axes, for several tips (F, 6) or a dict; default from
+                the last two targets.
+            acceleration: Its acceleration, likewise; default 0.
+            q: Joint values (n,) as measured now, where error and Jacobian are then taken; default gains are then those
+                for joints measured two samples ago. Further than `resync` from the command, the tracker restarts from
+                them, at rest (JUMPED).
+
+        For a target that is not finite the arm brakes (HELD). Raises InvalidTarget for a wrong shape, InvalidOption for
+        a dt that is not positive or is absurdly long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
-        parts_of_step(dt, self._late or LATE * dt)  # before anything has changed
+        parts_of_step(dt, self._late or LATE * dt)  # This refuses a dt that is absurdly long.
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
@@ -219,7 +226,7 @@ class Tracker(CopiesViews, ReadOnly):
             lag = float(np.abs(self._settings.measured - self._q).max()) / self.resync
             if resynced := lag > 1.0:
                 self._begin(found, np.zeros(self.robot.n))
-        if not self._late:  # assignments to a sealed object take half a microsecond
+        if not self._late:  # Only the first step assigns: an assignment to a sealed object takes half a microsecond.
             self._late = LATE * dt
         h = dt / (parts := parts_of_step(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
@@ -229,7 +236,7 @@ class Tracker(CopiesViews, ReadOnly):
             stream.unseen += dt
             left = self._postures.size(self._error)
             behind = left >= REACHED
-            # Of most steps nothing need be looked at: they end at their target, or joints are free to follow one that moves.
+            # Most steps need no examination: they end at their target, or follow a moving one unhindered.
             if (lost or stream.stand[STAND.still] or (code & viability.POSITION).any()) if behind else self._behind:
                 self._watch(stream.samples, h, dt, left)
                 self._behind = behind
@@ -243,7 +250,7 @@ class Tracker(CopiesViews, ReadOnly):
         return Step(now[0], now[1], out)
 
     def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
-        """Take one step: to a target that leapt or another posture, or as usual."""
+        """Take one step: led to a target that jumped or another posture, or by the method."""
         goes = None if brake else next((way for way in self._ways if way.goal is not None), None)
         if goes is not self._goes:
             self._goes = goes
@@ -253,13 +260,13 @@ class Tracker(CopiesViews, ReadOnly):
             (self.take if self._guard else self.run)(samples, h, self._out, brake=brake, measured=measured)
 
     def _go(self, way: Leap | Reconfiguration, samples: Samples, h: float, **how: bool) -> None:
-        """Take a step through the joints, or as usual where something is in the way."""
+        """Take a step that `way` leads, or one of the method if it has no goal any more or a collision blocks it."""
         guard, late = self._guard, max(self._late, h)
         before, (q, rate) = self.carried(), self._carried.motion * self._units
         goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits, self._code)
         if guard and goes:
             guard.late = late
-            guard.rows(q, rate, h)  # sees what has been added or moved since
+            guard.rows(q, rate, h)  # This also notices obstacles that were added or moved.
             next_q, next_rate = self._carried.motion * self._units
             goes = guard.allows(q, rate, next_q, next_rate, h)
             if not goes:
@@ -271,11 +278,11 @@ class Tracker(CopiesViews, ReadOnly):
             return
         self._forget(laws.READY)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._code &= viability.RECOVERING  # what else holds joints back on the way is no news
+        self._code &= viability.RECOVERING  # Other limits are expected during a move.
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
-        """Let a step taken be looked at: whether the joints are to be led elsewhere."""
+        """Let what can lead the joints elsewhere (`_ways`) examine the step taken; left [m]: error after it."""
         out, unseen, self.stream.unseen = self._out, self.stream.unseen, 0.0
         taken = Taken(
             self._code, out.S[0] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
@@ -285,22 +292,25 @@ class Tracker(CopiesViews, ReadOnly):
             way.watch(taken)
 
     def _now(self, samples: Samples, h: float, **how: Any) -> Record:
-        """How it is, without a step; it holds until the next call."""
+        """Return a record of the present state, without a step; it is valid until the next call."""
         self.run(samples, h, self._here, **how)
         return self._here
 
     def error_at(self, q: np.ndarray, samples: Samples, h: float) -> np.ndarray:
-        """Error (m,) that counts, to a target, with the joints at q (n,), in kernel units; it holds until the next call."""
+        """Return the error (m,) [m, rad] to a target with the joints at q (n,) [kernel units].
+
+        It is valid until the next call.
+        """
         self._settings.measured[:] = q
         return self._now(samples, h, measured=True).E[0]
 
     def _end(self, samples: Samples, h: float, out: Record, **how: Any) -> None:
-        """Write what is left to the end of a record of one step."""
+        """Write the state after a step to the last row of its record `out`."""
         now = self._now(samples, h, **how)
         out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
 
     def prepare(self, kinds: tuple) -> None:
-        """Pack what depends on the kinds of target."""
+        """Pack what depends on the kinds of target (one per tip). Raises InvalidOption for slack in mode "clip"."""
         if self._kinds == kinds:
             return
         self._orders, counts = self.engine.orders(kinds)
@@ -318,25 +328,25 @@ class Tracker(CopiesViews, ReadOnly):
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:
-        """Copy of what is carried from step to step."""
+        """Return a copy of the state that is carried from step to step."""
         return self._carried.block.copy()
 
     def put_back(self, kept: np.ndarray) -> None:
-        """Be as before: what `carried` returned."""
+        """Restore a state that `carried` returned."""
         self._carried.block[:] = kept
 
     def run(
         self, samples: Samples, h: float, out: Record, *, brake: bool = False, measured: bool = False,
         runaway: float = math.inf,
     ) -> int:  # fmt: skip
-        """Take as many steps of h [s] from the present state as `out` has room for (see servo/loop.py); returns how many."""
-        # With gains for each step's own time ca swings without end where these times differ.
+        """Take as many steps of h [s] as `out` has room for (see servo/loop.py); return how many were taken."""
+        # With gains for each step's own length, `ca` oscillates without end if lengths differ.
         pace = max(h, min(self.stream.pace, self._late))
         ordered = h, pace, brake, measured, runaway, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:
             self._order(*ordered)
             self._ordered = ordered
-        if self.secondary.each_step and len(out.E) > 1:  # where no step is taken nothing is wished
+        if self.secondary.each_step and len(out.E) > 1:  # Without a step no secondary motion is needed.
             self.secondary.look(self._q)
         chain = self.robot.chain
         return self.engine.loop(
@@ -344,7 +354,7 @@ class Tracker(CopiesViews, ReadOnly):
         )
 
     def _order(self, h, pace, brake, measured, runaway, late, rows, avoid) -> None:
-        """Write the law of a run to the settings."""
+        """Write the method's parameters for a run to the settings; pace [s]: step length for which gains are chosen."""
         made = self._laws.get((pace, measured))
         if made is None:
             if len(self._laws) >= LAWS_KEPT:
@@ -357,11 +367,11 @@ class Tracker(CopiesViews, ReadOnly):
 
     @property
     def one_by_one(self) -> bool:
-        """Whether something has to be looked at before every step, so that the loop cannot take several."""
+        """Whether something must be evaluated before every step, so that the loop cannot take several."""
         return self.secondary.each_step or self._guard is not None
 
     def take(self, samples: Samples, h: float, out: Record, *, brake: bool = False, **how: Any) -> int:
-        """Take a step as `run` does, or brake where it could end in a contact."""
+        """Take a step as `run` does, or brake if it could end in a contact; return how many were taken."""
         guard, unit = self._guard, self.robot.chain.unit
         if guard is None:
             return self.run(samples, h, out, brake=brake, **how)

@@ -1,21 +1,21 @@
-"""Which joint rates the limits allow now, so that every later state can still brake before a limit (viability).
+"""Bounds on the next rate of each joint such that it can always brake before its position limit (viability kernel).
 
-A joint at q moves at rate v. A step of h takes it to the rate w and to q + h ((1 - gamma) v + gamma w). In between it moves
-straight where gamma is 1 (velocity level), else along the parabola through both ends that begins with v; the bounds below
-hold for that motion, not for its samples alone. Braking is w = max(0, v - a h) in every step. Whatever lengths up to `late`
-later steps have, it covers at most (`stopping`)
+A joint at q moves at rate v. A step of h [s] takes it to the rate w and to q + h ((1 - gamma) v + gamma w). Within the
+step it moves straight if gamma is 1 (velocity level), else along the parabola through both ends that begins with the
+rate v. The bounds hold for this whole motion, not only at the samples. Braking means w = max(0, v - a h) in every step.
+Whatever lengths up to `late` [s] the later steps have, the joint then covers at most the distance
 
     gamma = 1    v^2 / 2a
-    else         v^2 / 2a + a late^2 / 8   for v above a late / 2, below that v late / 2   (gamma < 1/2: + (1/2 - gamma) v late)
+    else         v^2 / 2a + a late^2 / 8   for v above a late / 2, below that v late / 2
+                 plus (1/2 - gamma) v late for gamma below 1/2
 
-since a step h from v to w covers no more than the difference of the two. (At velocity level the sum over steps is a lower sum
-of the integral. Else a step is a trapezoid, and its last one, to rest, the longer the worse.) A state is viable when this is
-no more than the way left to the limit, and `joint_box` lets only such states follow: no later step has to break one limit to keep
-another.
+which `stopping` returns: a braking step of h from v to w covers no more than the difference of that distance at v and
+at w. (At velocity level the steps are a lower sum of the integral of v; else they are trapezoids, and a long last step
+is the worst case.) A state is viable if its stopping distance is no longer than the distance to the limit. `joint_box`
+only allows rates that lead to viable states, so no later step has to break one limit to keep another.
 
-One step of joints that move to given values as fast as their limits allow, or along a motion that is known.
-
-One step and the full brake after it, as a path: what must be free of contact before the step is taken.
+The module also has single steps of joints towards given values or along a known motion (`travel`), and the path of a
+full brake (`brake`), which must be free of contact before a step is taken.
 """
 
 import math
@@ -27,47 +27,55 @@ from ..compile.jit import cached, compiled, dual, inline, inner, jit, shared
 from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.records import Array
 
-# Bits of `code`: why a joint did not move as commanded.
+# Bits of `code`: why a joint did not move as commanded. HELD: an unusable command. RECOVERING: it was outside its
+# limits.
+# ROW: an inequality such as that of an obstacle. CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
-ROUNDING = 4e-16  # margin before a limit, relative to the numbers added in a step: half a unit in the last place each
-SPARE = 1e-13  # share of the remaining distance kept as a margin: braking over some hundred steps accumulates that much rounding
-NOISE = 1e-12  # [rad, or reaches] by which a state may violate viability before it counts as recovering
-UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s], where one is needed for comparison
-SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back
-SWING = 0.05  # of its speed limit, beyond which a joint moves at speed, to one side or the other
-# Turns from one side to the other that make a swing, when less than WINDOW [s] apart; it ends after HOLD [s] without one. Of four
-# turns within 0.1 s, which are chatter, two are less than WINDOW apart, and the next ones take WINDOW each:
+ROUNDING = 4e-16  # margin before a limit, as a share of |limit| + |q|, for the rounding of the sums in one step
+# share of the distance to a limit kept as a margin: rounding accumulates to about this over some hundred braking steps
+SPARE = 1e-13
+NOISE = 1e-12  # [rad or arm reaches] by which a joint may be beyond a viable state before it counts as recovering
+UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed assumed for a joint without a speed limit, where joints are compared
+SHARE = 0.1  # share of the speed limit (at most of 1 rad/s or 1 reach/s) at which a joint outside its limits returns
+SWING = 0.05  # share of the speed limit above which a motion counts in the detection of oscillation
+# A joint oscillates once it has reversed SWINGING times in a row, each within WINDOW [s] of the last; HOLD [s] ends it.
+# (scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.)
 SWINGING = 2.0
 WINDOW, HOLD = 0.05, 0.1
-LASTING = 0.2  # [s] after the last hindrance but this one in which joints are calmed
-CALM, GROWTH = 0.75, 10.0  # [1/s] by which joints that swing gain speed, in shares of their limit and of their speed
+# [s] for which oscillation is limited after a limit, inequality or singular pose last hindered the joints
+LASTING = 0.2
+# [1/s] growth of an oscillating joint's speed: by CALM of its speed limit plus GROWTH of its speed, per second
+CALM, GROWTH = 0.75, 10.0
 
 
 @compiled
 class RateBox(NamedTuple):
-    """Lowest and highest next rate of each joint, arrays (n,)."""
+    """Bounds on the next rate of each joint, arrays (n,), and what sets them."""
 
     floor: Array
     roof: Array
-    why_low: Array  # bits of the limits that set the lowest ...
-    why_top: Array  # ... and the highest
+    why_low: Array  # bits (POSITION, VELOCITY, ...) of the limits that set the lowest rate, `floor`
+    why_top: Array  # bits of the limits that set the highest rate, `roof`
 
 
 @inline
 def box_of(s):
-    """The box of a bench."""
+    """Return the rate bounds kept in a tracker's scratch arrays `s` (a `Bench`)."""
     return RateBox(s.floor, s.roof, s.why_low, s.why_top)
 
 
 @shared
 def bending(gamma):
-    """How much harder a joint accelerates between samples than its rates say, where the parabola begins with the last rate."""
+    """Return the peak acceleration in a step over (new rate - last rate) / h, for the parabola of the module's text.
+
+    It is 2 gamma for gamma between 1/2 and 1, where the parabola ends at a rate beyond the new one, else 1.
+    """
     return 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
 
 
 @dual
 def stopping(v, gamma, a, late):
-    """Longest way to rest from the rate v >= 0 with at most `a`, in steps of any lengths up to `late`."""
+    """Return a joint's longest stopping distance from rate v >= 0 with deceleration a, in steps of up to late [s]."""
     if gamma == 1.0:
         return v * v / (2.0 * a)
     way = 0.5 * v * late if v <= 0.5 * a * late else v * v / (2.0 * a) + 0.125 * a * late * late
@@ -76,7 +84,11 @@ def stopping(v, gamma, a, late):
 
 @dual
 def approach(distance, v, gamma, h, a, late):
-    """Highest next rate after which the joint can stop within `distance`; below 0 when it cannot even now (moving at v)."""
+    """Return the highest next rate after which a joint can still stop within `distance`.
+
+    v: present rate towards the limit; h [s]: this step; a: deceleration; late [s]: longest later step. The result is
+    negative if the joint cannot stop within the distance even now.
+    """
     if distance == np.inf:
         return np.inf
     room = distance - h * (1.0 - gamma) * v
@@ -94,7 +106,10 @@ def approach(distance, v, gamma, h, a, late):
 
 @dual
 def way_to(limit, q, sign):
-    """Distance left to a limit (sign 1: upper, -1: lower), negative outside; minus the margin for rounding."""
+    """Return the distance from q to a limit (sign 1: upper, -1: lower), less a margin for rounding.
+
+    Negative outside the limit.
+    """
     if abs(limit) == np.inf:
         return np.inf
     way = sign * (limit - q)
@@ -105,7 +120,11 @@ def way_to(limit, q, sign):
 
 @dual
 def towards(way, v, speed, gamma, h, a, late):
-    """Highest next rate towards a limit `way` ahead; outside (way < 0) it is the one that brings the joint back."""
+    """Return the highest next rate in the direction of a limit at the signed distance `way`.
+
+    Outside the limit (way < 0) the result is negative: the joint returns at no more than SHARE of its speed limit, and
+    so that it can stop at the limit. v: present rate in that direction.
+    """
     if way >= 0.0:
         return approach(way, v, gamma, h, a, late)
     back = approach(-way, -v, gamma, h, a, late)
@@ -114,18 +133,23 @@ def towards(way, v, speed, gamma, h, a, late):
 
 @dual
 def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
-    """Lowest and highest next rate of a joint, and the bits of the limits that set them.
+    """Return the lowest and highest next rate of one joint, and the bits of the limits that set each.
 
-    Always an interval: where the limits contradict each other (a start outside of them, limits that changed) a single rate,
-    which keeps the acceleration, then the speed, then goes back inside; its bits have RECOVERING.
+    If the limits contradict each other (a start outside them, or limits that were changed) both rates are the same: the
+    best compromise, which keeps the acceleration limit first, then the speed limit, then moves back inside. Its bits
+    include RECOVERING.
+
+    q, v: value and rate; lower, upper, speed, a: limits; gamma: weight of the next rate in the motion; h, late [s]:
+    this step and the longest later one.
     """
     bend = bending(gamma)
     a = a / bend
     rise, fall = v + a * h, v - a * h
     fast, slow = speed, -speed
-    if bend > 1.0:  # the parabola ends beyond w
+    if bend > 1.0:  # The parabola ends at a rate beyond w, so w is bounded such that its end keeps the speed limit.
         fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
-        if slow > fast:  # too fast for a limit near 0: no rate keeps it, rest does soonest
+        # No next rate keeps a limit that was lowered to near 0; coming to rest is the fastest way below it.
+        if slow > fast:
             fast, slow = 0.0, 0.0
     ahead, behind = way_to(upper, q, 1.0), way_to(lower, q, -1.0)
     top_p = towards(ahead, v, speed, gamma, h, a, late)
@@ -142,7 +166,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
             w = fall if fall > fast else rise
         else:
             w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
-        # Rounding can empty the interval: it becomes a point that contains what it should.
+        # Rounding alone can empty the interval as well; then the single rate does not count as a recovery.
         why = POSITION | ACCELERATION | (RECOVERING if miss * h > NOISE else 0)
         return w, w, why, why
     return low, top, why_low, why_top
@@ -150,7 +174,10 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
 
 @dual
 def boxes(q, rate, limits, gamma, h, late, box):
-    """`joint_box` of every joint; limits (4, n): lower, upper, speed, acceleration. True when one of them is recovering."""
+    """Write `joint_box` of every joint to `box`; return True if any joint is recovering.
+
+    q, rate (n,): joint values and rates; limits (4, n): lower, upper, speed, acceleration.
+    """
     recovering = False
     for i in range(q.shape[0]):
         box.floor[i], box.roof[i], box.why_low[i], box.why_top[i] = joint_box(
@@ -162,7 +189,11 @@ def boxes(q, rate, limits, gamma, h, late, box):
 
 @shared
 def watch(swings, rate, x, size, gamma, h):
-    """Count how often in a row each joint turns back at speed, that of its move in a step from rate to x, see `calm`."""
+    """Update the counts by which oscillating joints are detected, after a step from the rates `rate` to x (n,).
+
+    swings (3, n), in place: reversals in a row, time since the last one [s], and the sign of the last motion. size
+    (n,): a speed for each joint; only motions faster than SWING of it count. See `calm` for the use.
+    """
     for i in range(x.shape[0]):
         swings[1, i] += h
         v = (1.0 - gamma) * rate[i] + gamma * x[i]
@@ -179,7 +210,10 @@ def watch(swings, rate, x, size, gamma, h):
 
 @dual
 def narrow(i, least, most, box):
-    """Narrow the box (in place) of joint i to the rates from least to most, as far as it has such."""
+    """Narrow the bounds of joint i in `box` (in place) to the rates from least to most.
+
+    If no rate is inside both, the bounds become the nearest rate.
+    """
     low, top = box.floor[i], box.roof[i]
     floor, roof = min(max(least, low), top), max(min(most, top), low)
     if floor > low:
@@ -190,9 +224,13 @@ def narrow(i, least, most, box):
 
 @dual
 def calm(rate, size, swings, h, box):
-    """Narrow the box (in place) of joints that swing to rates gained gradually, from rest on after a turn; braking is free.
+    """Limit how fast an oscillating joint may gain speed, by narrowing its bounds in `box` (in place).
 
-    Without it 89 of 198 random streams chattered (scripts/benchmarks/servo_random.py).
+    Braking stays free.
+
+    After each reversal the joint starts again from rest. rate (n,): present rates; size (n,): a speed for each joint;
+    swings: see `watch`. Before this limit existed, 89 of 198 random target streams made joints chatter
+    (scripts/benchmarks/servo_random.py).
     """
     for i in range(rate.shape[0]):
         if swings[0, i] < SWINGING:
@@ -203,7 +241,12 @@ def calm(rate, size, swings, h, box):
 
 @dual
 def clip(x, box, code):
-    """Clip the wanted rates x (in place) to their box, each joint separately; code (n,) receives what held a joint back."""
+    """Clip the desired rates x (n,) in place to their bounds, each joint on its own.
+
+    Return True if any limit was active.
+
+    code (n,) receives the bits of the limit that held each joint back, 0 for none.
+    """
     hit = False
     for i in range(x.shape[0]):
         code[i] = box.why_top[i] & RECOVERING
@@ -217,7 +260,7 @@ def clip(x, box, code):
 
 @dual
 def move(q, rate, x, gamma, h):
-    """Take the step: q and rate (in place) to the next rate x."""
+    """Integrate one step of h [s] in place: q and rate (n,) move on to the next rates x (n,), weighted by gamma."""
     for i in range(q.shape[0]):
         q[i] += h * x[i] if gamma == 1.0 else h * ((1.0 - gamma) * rate[i] + gamma * x[i])
         rate[i] = x[i]
@@ -225,7 +268,12 @@ def move(q, rate, x, gamma, h):
 
 @jit
 def advance(q, rate, x, gamma, h, late, limits, code):
-    """Step towards the wanted rates x, every joint clipped separately (x = 0: brake); True when a limit held one back."""
+    """Take one step in place towards the desired rates x (n,), each joint clipped on its own.
+
+    Return True if a limit was active.
+
+    x = 0 brakes. code (n,) receives the bits of the active limits.
+    """
     n = q.shape[0]
     ends, why = np.empty((2, n)), np.empty((2, n), np.uint8)
     box = RateBox(ends[0], ends[1], why[0], why[1])
@@ -235,18 +283,18 @@ def advance(q, rate, x, gamma, h, late, limits, code):
     return hit
 
 
-HELD_BACK = 0.1  # share of an acceleration limit that a known motion leaves for making up for what is missing
-UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # no motion: times, points and rates of `travel`
+HELD_BACK = 0.1  # share of the acceleration limit kept for corrections while joints follow a known motion
+UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
 
 
 @cached
 def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, code):
-    """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n).
+    """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n); kernel units.
 
-    Along a known motion, as it is at `time` [s], until it ends: times (K,), points and rates (K, n), cubic between. Else by
-    themselves. Later steps take as long, and at most `late` [s] before limits. code (n,) receives what held a joint back.
-    Returns the least time [s] left after it, at full speed; -1, and nothing done, where a joint may not move or not go there.
-    Kernel units.
+    Until its end the joints follow a known motion: joint values `points` and rates (K, n) at times (K,) [s], cubic in
+    between, now at `time`. After that, or if times is empty, they move straight to the goal. The limits also hold for
+    later steps of up to late [s]; code (n,) receives the bits of those that held joints back. Returns the least time
+    [s] left at full speed, or -1 if a joint is locked or its goal is outside its limits; then nothing has moved.
     """
     n = q.shape[0]
     for j in range(n):
@@ -263,7 +311,10 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
 
 @shared
 def time_left(q, goal, limits):
-    """Least time [s] from q to goal at full speed."""
+    """Return the least time [s] in which all joints move from q to goal (n,) at full speed.
+
+    Accelerations are ignored.
+    """
     left = 0.0
     for j in range(q.shape[0]):
         left = max(left, abs(goal[j] - q[j]) / (limits[2, j] if limits[2, j] < np.inf else UNLIMITED))
@@ -272,9 +323,10 @@ def time_left(q, goal, limits):
 
 @inner
 def go_straight(q, rate, goal, gamma, h, limits, x):
-    """Rates x (n,) towards rest at goal: the slowest joint as fast as it can, the others in proportion.
+    """Write to x (n,) the rates that move the joints to goal along a straight line in joint space.
 
-    So from rest the way is straight. Each joint brakes in time to rest there.
+    The joint that needs longest moves at full speed, the others in proportion, and each brakes in time to stop at the
+    goal.
     """
     left = time_left(q, goal, limits)
     for j in range(q.shape[0]):
@@ -285,10 +337,11 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
 
 @inner
 def head_for(q, rate, known, time, gamma, h, limits, x):
-    """Rates x (n,) to where a known motion (times, points, rates) is at `time`.
+    """Write to x (n,) the rates that bring joints to the point of a known motion (times, points, rates) at `time` [s].
 
-    What is missing is made up for as fast as HELD_BACK of the acceleration can end it, at once where there is no such
-    limit: by half where the rate alone does not set the next place, as whole corrections of a trapezoid turn round in every step.
+    They are the motion's own rates plus a correction of the distance to it, which is limited to what HELD_BACK of the
+    acceleration limit can brake. If gamma is not 1, only half of the distance is corrected in a step, because a whole
+    correction under the trapezoid rule overshoots in every step.
     """
     times, points, rates = known
     k = 1
@@ -308,11 +361,14 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
 
 @cached
 def brake(first, gamma, h, late, limits, Q, R, L):
-    """Continue a motion by braking fully; returns the number of pieces of h [s] (1 or more) until all rests, or -1.
+    """Fill in the path of a full brake after row `first`.
 
-    Rows of Q, R (K, n): joint values and rates between the pieces, given up to row `first`; of L (K, n): how far each joint
-    has gone by then. Each joint brakes as `advance` brakes it when no rate is wanted, inside limits (4, n),
-    with later steps of up to `late` [s]. One unit a joint.
+    Return the number of steps until all joints rest (at least 1), or -1.
+
+    Q, R (K, n): joint values and rates at steps of h [s], given up to row `first`; the rows after it are written. L (K,
+    n) receives the distance each joint has covered by then. -1 means that K rows are too few. Each joint brakes as in
+    `advance` with no rate desired, inside limits (4, n), for later steps of up to late [s]. All joints are in the units
+    of the limits.
     """
     n = Q.shape[1]
     x, code, now, speed = np.empty(n), np.empty(n, np.uint8), Q[first].copy(), R[first].copy()

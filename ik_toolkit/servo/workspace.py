@@ -1,8 +1,9 @@
-"""What a tracker's loop reads and writes, in four blocks: each array that a call from Python hands over takes it 0.1 microseconds.
+"""Memory of a tracker's loop: four blocks of numbers that Python and the kernel share, and scratch for a step.
 
-Python and the kernel cut the parts of a block in the same way: Python once, as arrays, the kernel at every call, as views. The
-first number of a block is that of `cut`; the next ones are counts, from which all lengths follow. A copy of one is a copy of its
-block, cut anew. The scratch that a step computes in is cut from a block of its own.
+Passing an array from Python to compiled code takes 0.1 microseconds, so all arrays of one kind are parts of one block.
+Python and the kernel divide a block in the same way: Python once, as arrays, the kernel at every call, as views. The
+first number of a block is the position for `cut`; the next ones are sizes, from which all lengths follow. To copy such
+a record, copy its block and divide it again. The scratch of a step is in a block of its own.
 """
 
 import math
@@ -21,16 +22,16 @@ LAW, STATES = len(Law._fields), len(State._fields)
 
 @compiled
 class Settings(NamedTuple):
-    """What stays as it is during a call, for n coordinates and m errors."""
+    """Inputs that stay the same during a call, for n coordinates and m errors."""
 
     block: Array
-    law: Array  # a `Law`
-    counts: Array  # (3, m) weights of the errors, slack, slack in m and rad
-    limits: Array  # (4, n), see viability.py
-    wish: Array  # (3, n) posture, gain, speed asked for
-    lines: Array  # (rows, n) half-planes lines x <= level, of which the first law.rows hold
-    level: Array  # (rows,)
-    measured: Array  # (n,) where the joints are, when law.measured says so
+    law: Array  # a `laws.Law`
+    counts: Array  # (3, m) weights of the errors, slack in kernel units, slack in m and rad
+    limits: Array  # (4, n) rows lower, upper, speed, acceleration
+    wish: Array  # (3, n) rows: posture to move to, gain towards it [1/s], additional null-space velocity
+    lines: Array  # (rows, n) inequalities lines x <= level; the first law.rows of them apply
+    level: Array  # (rows,) right sides of these inequalities
+    measured: Array  # (n,) measured joints, used if law.measured is 1
 
     def __reduce__(self) -> tuple:
         return settings_of, (self.block,)
@@ -38,19 +39,17 @@ class Settings(NamedTuple):
 
 @compiled
 class Carried(NamedTuple):
-    """What is carried from step to step."""
+    """State that is carried from step to step."""
 
     block: Array
-    motion: Array  # (2, n) joints and their rates
-    memory: Array  # of the method, or the rule
-    swings: (
-        Array  # (3, n) how often in a row each joint turned back, for how long it has not [s], its side, see `watch`
-    )
-    away: Array  # (n,) where joints go from a pose in which they are straight
-    basis: Array  # (m, m) directions of the task at the last singular pose, zeros before one, see singular_step.py
-    state: Array  # a `State`
-    active: Array  # (n,) and kept, int8: the active set of `constrain` ...
-    kept: Array  # (rows,)
+    motion: Array  # (2, n) joint values and rates
+    memory: Array  # memory of the method or the rule
+    swings: Array  # (3, n) detection of oscillating joints, see `viability.watch`
+    away: Array  # (n,) direction in which joints leave a straight pose
+    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py), zeros before one
+    state: Array  # a `laws.State`
+    active: Array  # (n,) int8: joints in the active set of `constrain`
+    kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
 
     def __reduce__(self) -> tuple:
         return carried_of, (self.block,)
@@ -61,9 +60,9 @@ class Samples(NamedTuple):
     """Targets of F tips at N samples."""
 
     block: Array
-    T: Array  # (N, F, 4, 4) [m]
-    V: Array  # (N, m) twist
-    A: Array  # (N, m) acceleration
+    T: Array  # (N, F, 4, 4) poses [m]
+    V: Array  # (N, m) twists
+    A: Array  # (N, m) accelerations
 
     def __reduce__(self) -> tuple:
         return samples_of, (self.block,)
@@ -71,14 +70,15 @@ class Samples(NamedTuple):
 
 @compiled
 class Record(NamedTuple):
-    """What N - 1 steps come to; N = 1 says how it is now."""
+    """What N - 1 steps result in: the state at N samples; N = 1 records the present state without a step."""
 
     block: Array
-    Q: Array  # (N, n)
-    R: Array  # (N, n) rates
-    E: Array  # (N, m) errors [m, rad]
-    S: Array  # (N,) lost directions of each step (1 in a step down near a singular pose)
-    C: Array  # (N - 1, n) bits of limits, uint8
+    Q: Array  # (N, n) joint values
+    R: Array  # (N, n) joint rates
+    E: Array  # (N, m) errors [m, rad], base axes
+    # (N,) number of singular directions removed from the task in each step (1 in a descent near a singular pose)
+    S: Array
+    C: Array  # (N - 1, n) uint8: bits of the limits that held joints back in each step
 
     def __reduce__(self) -> tuple:
         return record_of, (self.block,)
@@ -86,45 +86,45 @@ class Record(NamedTuple):
 
 @shared
 def settings_shapes(n, m, rows):
-    """Shapes of `Settings`."""
+    """Return the shapes of the arrays of `Settings`."""
     return LAW, (3, m), (4, n), (3, n), (rows, n), rows, n
 
 
 @shared
 def carried_shapes(n, memory, rows, m):
-    """Shapes of `Carried`; bytes in whole numbers of eight."""
+    """Return the shapes of the arrays of `Carried`; arrays of bytes are counted in floats of eight bytes."""
     return (2, n), memory, (3, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8
 
 
 @shared
 def samples_shapes(N, F):
-    """Shapes of `Samples`."""
+    """Return the shapes of the arrays of `Samples`."""
     return (N, F, 4, 4), (N, 6 * F), (N, 6 * F)
 
 
 @shared
 def record_shapes(N, n, m):
-    """Shapes of `Record`."""
+    """Return the shapes of the arrays of `Record`; the array of bytes is counted in floats."""
     return (N, n), (N, n), (N, m), N, ((N - 1) * n + 7) // 8
 
 
 @shared
 def head(block):
-    """The counts of a block, and its first number set back."""
+    """Return the three sizes at the head of a block, and reset its position for `cut`."""
     block[0] = 0.0
     return int(block[1]), int(block[2]), int(block[3])
 
 
 @shared
 def settings_of(block):
-    """Parts of a block (K,) of n, m, rows."""
+    """Divide a block (K,) with the sizes n, m, rows into `Settings`."""
     n, m, rows = head(block)
     return Settings(block, *cut(block, np.float64, settings_shapes(n, m, rows)))
 
 
 @shared
 def carried_of(block):
-    """Parts of a block (K,) of n, numbers of memory, rows, m."""
+    """Divide a block (K,) with the sizes n, memory, rows, m into `Carried`."""
     n, memory, rows = head(block)
     shapes = carried_shapes(n, memory, rows, int(block[4]))
     motion, own, swings, away, basis, state, active, kept = cut(block, np.float64, shapes)
@@ -135,22 +135,22 @@ def carried_of(block):
 
 @shared
 def samples_of(block):
-    """Parts of a block (K,) of N, F."""
+    """Divide a block (K,) with the sizes N, F into `Samples`."""
     N, F, _ = head(block)
     return Samples(block, *cut(block, np.float64, samples_shapes(N, F)))
 
 
 @shared
 def record_of(block):
-    """Parts of a block (K,) of N, n, m."""
+    """Divide a block (K,) with the sizes N, n, m into `Record`."""
     N, n, m = head(block)
     Q, R, E, S, codes = cut(block, np.float64, record_shapes(N, n, m))
     return Record(block, Q, R, E, S, fold(codes, np.uint8, N - 1, n))
 
 
-# ------------------------------------------------------------------------------------------------------------- from Python
+# -------------------------------------------------------------------------------------------------------- from Python
 def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
-    """A new block of zeros, and its parts."""
+    """Make a block of zeros with room for arrays of these shapes, write the sizes, and divide it with `of`."""
     sizes = [math.prod(one) if isinstance(one, tuple) else one for one in shapes]
     block = np.zeros(LINE + sum(-(-size // LINE) * LINE for size in sizes))
     block[1 : 1 + len(counts)] = counts
@@ -158,79 +158,79 @@ def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
 
 
 def new_settings(n: int, m: int, rows: int) -> Settings:
-    """Settings for n coordinates, m errors, at most `rows` half-planes."""
+    """Make Settings for n coordinates, m errors and at most `rows` inequalities."""
     return _made(settings_of, settings_shapes(n, m, rows), n, m, rows)
 
 
 def new_carried(n: int, memory: int, rows: int, m: int) -> Carried:
-    """What is carried on of n coordinates and m errors, with `memory` numbers of the method, and `rows` of `constrain`."""
+    """Make a state for n coordinates, m errors, `memory` numbers of the method, and `rows` inequalities."""
     return _made(carried_of, carried_shapes(n, memory, rows, m), n, memory, rows, m)
 
 
 def new_samples(N: int, F: int) -> Samples:
-    """Samples of F tips."""
+    """Make N samples of targets for F tips, all zeros."""
     return _made(samples_of, samples_shapes(N, F), N, F)
 
 
 def new_record(N: int, n: int, m: int) -> Record:
-    """Record of N - 1 steps."""
+    """Make a record for N - 1 steps of n joints and m errors."""
     return _made(record_of, record_shapes(N, n, m), N, n, m)
 
 
 @compiled
 class Bench(NamedTuple):
-    """Scratch of a tracker for n joints, a task of m, F tips."""
+    """Scratch arrays of one step, for n joints, a task of m rows and F tips."""
 
-    why_low: Array  # of the box, see viability.py
-    why_top: Array
-    e: Array  # (m,) error now
-    ahead: Array  # (m,) and to where the target will be
-    f: Array  # (m,) twist of the target, as it counts
-    a: Array  # (m,) acceleration
-    ask: Array  # (m,) rate of the task without the target's motion
-    bias: Array  # (m,)
-    weight: Array  # (m,) of the errors; ones where they are weighed already
-    t: Array  # (m,)
-    y: Array  # (max(n, m),)
-    G: Array  # (max(n, m), max(n, m))
-    H: Array  # (max(n, m), max(n, m)) damped
-    J: Array  # (n, m) of what is tracked
-    W: Array  # (m, n) modes, see singular_step.py: sigma_k v_k by rows ...
-    V: Array  # (n, m) ... v_k of the lost ones by columns ...
-    U: Array  # (m, m) ... and u_k by rows
-    sv: Array  # (m,)
-    lost: Array  # (m,) 1 where a mode is out of the task
-    xk: Array  # (m,) speed along it
-    pull: Array  # (m,) and along what v_k leaves of its slope, over that, see `down_slopes`
-    flip: Array  # (F, 3) mirrors of free turns
-    move: Array  # (n,)
-    null: Array
-    x1: Array
-    x2: Array
-    x: Array  # rates wanted, then taken
-    w: Array  # rates wanted, kept
-    g: Array  # wishes
-    v: Array
-    probe: Array
-    before: Array
-    at: Array  # where error and Jacobian are taken
-    size: Array  # a speed for each joint
-    even: Array  # 1 for all, see damped_descent.py
-    floor: Array  # the box
-    roof: Array
-    planes: Array  # (rows, n) half-planes, those of slacks among them ...
-    edges: Array  # ... and their right sides
+    why_low: Array  # (n,) uint8: limit bits of the lower rate bounds
+    why_top: Array  # (n,) uint8: limit bits of the upper rate bounds
+    e: Array  # (m,) error: target now minus tip now
+    ahead: Array  # (m,) target at the end of the step minus tip now
+    f: Array  # (m,) twist of the target, in the coordinates of the error
+    a: Array  # (m,) acceleration of the target
+    ask: Array  # (m,) task rate asked of the joints
+    bias: Array  # (m,) product of dJ/dt with joint rates
+    weight: Array  # (m,) weights of the errors; 1 once the errors are multiplied by them
+    t: Array  # (m,) scratch
+    y: Array  # (max(n, m),) scratch
+    G: Array  # (max(n, m), max(n, m)) factor for the pseudo-inverse
+    H: Array  # (max(n, m), max(n, m)) another, damped factor
+    J: Array  # (n, m) transposed Jacobian of the task
+    W: Array  # (m, n) sigma_k v_k as rows, see singular_step.py
+    V: Array  # (n, m) v_k of the singular directions as columns
+    U: Array  # (m, m) u_k as rows
+    sv: Array  # (m,) singular values sigma_k
+    lost: Array  # (m,) 1 if a singular direction is removed from the task
+    xk: Array  # (m,) joint speed along a direction removed from the task
+    pull: Array  # (m,) rates of `down_slopes`, beside a direction of curved tip motion
+    flip: Array  # (F, 3) normals of the mirrors for free turns, see `reflect`
+    move: Array  # (n,) joint move that closes the error
+    null: Array  # (n,) present null-space velocity
+    x1: Array  # (n,) joint rates along which dJ/dt is taken
+    x2: Array  # (n,) joint rates it is multiplied by
+    x: Array  # (n,) rates commanded, then taken
+    w: Array  # (n,) copy of the rates commanded
+    g: Array  # (n,) secondary motion in the null space
+    v: Array  # (n,) scratch
+    probe: Array  # (n,) joint values of a difference quotient
+    before: Array  # (n,) rates before the step
+    at: Array  # (n,) joint values at which error and Jacobian are evaluated
+    size: Array  # (n,) speed limit of each joint, or UNLIMITED
+    even: Array  # (n,) ones, in place of `size` in a damped descent
+    floor: Array  # (n,) lower rate bounds
+    roof: Array  # (n,) upper rate bounds
+    planes: Array  # (rows, n) inequalities planes x <= edges, including those of slack
+    edges: Array  # (rows,) right sides of the inequalities
 
 
 @inline
 def bench_space(n, m, rows):
-    """Length of a block that has room for `Bench`: its matrices are less than (n + m)^2 together three times."""
+    """Return the number of floats that `bench_on` needs; the matrices of `Bench` need less than 3 (n + m)^2."""
     return 3 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
 
 
 @spliced
 def bench_on(block, n, m, rows):
-    """Bench with its arrays, cut from a block of zeros."""
+    """Divide a block of zeros into the arrays of `Bench`."""
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
