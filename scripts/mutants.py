@@ -48,6 +48,7 @@ COMPILED = (
     "build",
     "compiled",
     "dual",
+    "jit",
     "spliced",
     "overload",
     "rule",
@@ -129,10 +130,14 @@ def all_changes(node: ast.AST) -> list[tuple[str, Any]]:
 
 
 def is_compiled(top: ast.AST) -> bool:
-    """Whether numba has a version of its own of a function or class; what a test runs is that one."""
+    """Whether numba has a version of its own of a function or class, or of one inside it; what a test runs is that one."""
     marks = [ast.unparse(mark) for mark in getattr(top, "decorator_list", ())]
     if of_kernel:  # where everything runs uncompiled
         return any(word in mark for mark in marks for word in NUMBAS)
+    if isinstance(top, ast.FunctionDef) and any(
+        isinstance(inside, ast.FunctionDef) for inside in ast.walk(top) if inside is not top
+    ):
+        marks += [ast.unparse(call.func) for call in inside if isinstance(call, ast.Call)]
     return any(mark.split("(")[0].split(".")[-1] in COMPILED for mark in marks)
 
 

@@ -24,6 +24,7 @@ MODULES = (
     "solve",
     "path",
     "track",
+    "gains",
     "reproduce",
     "solvers",
     "bench",

@@ -47,7 +47,8 @@ class SolverOptions:
     timeout: float | None = option("S", "Time for the solve [s]; unlike every other option not deterministic.")
     seed: int = option("N", "Seed of the random restarts.", default=0)
     length_scale: float | None = option(
-        "M", "Position error [m] that weighs as much as one radian where the target is missed; default: the robot's reach."
+        "M",
+        "Position error [m] that weighs as much as one radian where the target is missed; default: the robot's reach.",
     )
     limits: bool = flag("--limits/--no-limits", "Enforce joint limits.", default=True)
 

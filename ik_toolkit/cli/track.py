@@ -10,13 +10,12 @@ import typer
 from ..errors import InvalidOption
 from ..text import parameter
 from .command import command, flag, option, options
+from .gains import GAINS, along_the_path, words
 from .options import CollisionOptions, JsonOutput, RobotOptions, assignments, joint_vector
 from .output import facts, notice, partial, progress, show, table, turns, unit, write_json
 from .streams import uninterrupted
 from .target import CountOptions
 from .track_path import Asked, TrackOptions, advice, asked_path, doubt_metres
-
-GAINS = ("kappa", "kp", "kd")
 
 
 @options()
@@ -97,8 +96,11 @@ def track(
     if result.reach is not None and (tried or not result.reach.whole):
         works = f"; works with {' or '.join(tried)}" if tried else ""
         notice(f"{result.reach.message or 'every pose can be reached, but not at this speed'}{works}")
+    check = along_the_path(arm, result.gain_check, path.reference, result.options)
     if not out.as_json:
-        _show(result, arm, path, robot.deg)
+        _show(result, arm, path, robot.deg, check)
+    if check is not None and check.along is not None and not check.stable:
+        notice(f"warning: {check.message}")
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
     if stopped is not None:
@@ -175,11 +177,10 @@ def _run(arm: Any, asked: TrackOptions, path: Asked, own: set[str], more: dict[s
         return follow(arm, **fixed, **gains, **params)
 
 
-def _show(result: Any, arm: Any, path: Asked, deg: bool) -> None:
+def _show(result: Any, arm: Any, path: Asked, deg: bool, check: Any) -> None:
     figures = result.figures
     angle, of_angle = unit("revolute", deg), math.degrees(1.0) if deg else 1.0
     gains = ", ".join(f"{name} = {value:.5g}" for name, value in result.options.items())
-    check = result.gain_check
     steps = len(result.t) - 1
     tried = f", {result.searched:.3g} s of trying other runs" if result.searched > result.elapsed else ""
     show(
@@ -188,7 +189,7 @@ def _show(result: Any, arm: Any, path: Asked, deg: bool) -> None:
                 "robot": f"{result.robot} ({arm.base} -> {' and '.join(arm.tips)})",
                 "path": f"{path.words} (chosen)" if path.words else path.shown,
                 "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {result.dt:.5g} s",
-                "stability": None if check is None else f"{check.verdict} at rest, spectral radius {check.radius:.4g}",
+                "stability": None if check is None else words(check),
                 "status": f"{result.status.name}: {result.message}",
                 "time": f"{result.elapsed:.3g} s of stepping{tried}",
             }

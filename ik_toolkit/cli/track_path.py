@@ -27,8 +27,8 @@ AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
 @options()
-class TrackOptions:
-    """The path, and how it is followed."""
+class PathOptions:
+    """The path, and the method with its gains."""
 
     path: str | None = option(
         "SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: all joints swing a little."
@@ -61,28 +61,6 @@ class TrackOptions:
     q0: str | None = option(
         "Q1 Q2 ...", "Start configuration; default: home, or solved for.", panel="Start and preferences"
     )
-    limits: bool = flag(
-        "--limits/--no-limits", "Enforce joint position and speed limits.", default=True, panel="Solver"
-    )
-    acceleration: float | None = option("A", "Acceleration limit of every joint [rad/s^2, m/s^2].")
-    on_limit: str = option(
-        "NAME",
-        "slow: slow the reference down to stay on the path; leave: stay on time and leave the path as little as possible; "
-        "clip: clip each joint on its own, as in the papers.",
-        default="slow",
-    )
-    max_stretch: float = option("X", "With slow: abandon a run after this many times its duration.", default=10.0)
-    settle: float | None = option(
-        "S", "Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest)."
-    )
-    output: Path | None = option(
-        "FILE",
-        "Write the run to a .npz or .csv file, or to .json as a ROS JointTrajectory.",
-        "-o",
-        "--output",
-        writes=[".npz", ".csv", ".json"],
-    )
-    plot: Path | None = option("FILE", "Draw the run to a .png, .pdf or .svg file.", writes=PLOTS)
 
     @property
     def shape(self) -> str | None:
@@ -124,6 +102,34 @@ class TrackOptions:
             raise InvalidOption(f"--turns must not be 0 with --path {kind}; only a line has none, which is one way")
 
 
+@options()
+class TrackOptions(PathOptions):
+    """The path, and how it is followed."""
+
+    limits: bool = flag(
+        "--limits/--no-limits", "Enforce joint position and speed limits.", default=True, panel="Solver"
+    )
+    acceleration: float | None = option("A", "Acceleration limit of every joint [rad/s^2, m/s^2].")
+    on_limit: str = option(
+        "NAME",
+        "slow: slow the reference down to stay on the path; leave: stay on time and leave the path as little as possible; "
+        "clip: clip each joint on its own, as in the papers.",
+        default="slow",
+    )
+    max_stretch: float = option("X", "With slow: abandon a run after this many times its duration.", default=10.0)
+    settle: float | None = option(
+        "S", "Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest)."
+    )
+    output: Path | None = option(
+        "FILE",
+        "Write the run to a .npz or .csv file, or to .json as a ROS JointTrajectory.",
+        "-o",
+        "--output",
+        writes=[".npz", ".csv", ".json"],
+    )
+    plot: Path | None = option("FILE", "Draw the run to a .png, .pdf or .svg file.", writes=PLOTS)
+
+
 class Asked(NamedTuple):
     """A path to follow: its reference, where the joints start (None: solved for), and how it was chosen, in words or ''."""
 
@@ -144,7 +150,7 @@ def _line(reference: Any) -> str:
     return f"{reference.name} in {reference.duration:g} s{', orientation free' if reference.position_only else ''}"
 
 
-def asked_path(arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
+def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
     """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets, tolerance [m] that of a followed run.
 
     Raises InvalidOption.
@@ -188,7 +194,7 @@ def doubt_metres(arm: Any, reference: Any) -> None:
             return
 
 
-def _drawn(arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any]) -> Any:
+def _drawn(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any]) -> Any:
     """The path as it is given: from the tip at --q0 or home, or from --start, with the tip's orientation."""
     from ..servo.default_path import paths
 
@@ -210,7 +216,7 @@ def _drawn(arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any]) -> Any
     )
 
 
-def _from_to(T: Any, asked: TrackOptions) -> Any:
+def _from_to(T: Any, asked: PathOptions) -> Any:
     """The path from --start, or to --end, of a tip that stands at T."""
     import numpy as np
 

@@ -15,7 +15,7 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-# Releases of numba with which pipeline.py and typing_cache.py work; scripts/try_numba.py tries one.
+# Releases of numba with which pipeline.py works; scripts/try_numba.py tries one.
 # Both use private interfaces of numba, so in any other release kernels are compiled in numba's own, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED

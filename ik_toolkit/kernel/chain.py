@@ -14,7 +14,7 @@ from .algebra import V3, at3, rotation_at
 from .kinematics import RATIO, ROW, TAU, fk, own_coordinates, room
 from .problem import fill
 from .records import POINTS, TASK, Array, Ends
-from .starts import BEST, FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS
+from .starts import FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS, known_configurations
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by full turns.
@@ -69,7 +69,7 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 def evaluate(rows, ends, Q, unit, jacobian=False):
     """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6, n), else None.
 
-    It computes by numpy what `run` computes by a compiled kernel, so that loading a robot compiles nothing.
+    It computes by numpy what `poses_at` computes by a compiled kernel, so that loading a robot compiles nothing.
     """
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
@@ -178,18 +178,6 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     features[3:12, :count] = -2.0 * ROTATION_WEIGHT * rotation.reshape(count, 9).T
     features[12, :count] = (T[:, :3, 3] ** 2).sum(1)
     return features
-
-
-def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
-    """Return random configurations (count, n) [kernel units], half of each group from half the range around home.
-
-    That is where the answers lie that people expect. The seed is uncommon, so that no target that a user draws with
-    default_rng(1) is in the table by accident.
-    """
-    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
-    near = np.arange(count) // BEST % 2 == 0
-    seeds[near] = 0.5 * (seeds[near] + home)
-    return seeds
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:

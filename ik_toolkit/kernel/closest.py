@@ -44,9 +44,8 @@ def weighed(p, e, factor):
 
 
 @inline
-def descend_on_views(rows, ends, T, q0, row, orders, length, steps, block):
-    """Do the work of `descend` on views, with a block of scratch."""
-    n = q0.shape[0]
+def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
+    """Do the work of `approach_target` on views, with a block of scratch."""
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
@@ -57,8 +56,8 @@ def descend_on_views(rows, ends, T, q0, row, orders, length, steps, block):
     best, error = cut(block, np.float64, (n, s.y.shape[0]))
     p.head_for(T)
     for i in range(n):
-        best[i] = q0[i] / full.unit(i)
-    copy(best, s.q)
+        s.q[i] = row[ANSWER + i] / full.unit(i)
+    move(s.q, s.q, 0.0, box)  # inside the limits
     factor, share, value, made = full.scale() / length, DOWN.first, np.inf, 0
     while True:
         e = p.evaluate(s.q)
@@ -100,8 +99,8 @@ def descend_on_views(rows, ends, T, q0, row, orders, length, steps, block):
 
 
 @cached
-def descend(rows, ends, T, q0, row, orders, length, steps):
-    """Lower the error of a failed search from q0; q, the errors and the evaluations in its `row` are replaced.
+def approach_target(rows, ends, T, row, orders, n, length, steps):
+    """Lower the error of a failed search; q, the errors and the evaluations in its `row` are replaced.
 
     Where the descent reaches the target, the row's status becomes CONVERGED.
 
@@ -109,13 +108,12 @@ def descend(rows, ends, T, q0, row, orders, length, steps):
         rows: (L, 10) of the chain or tree.
         ends: Of the chain or tree.
         T: (F, 4, 4) targets [m] of F tips, base frame.
-        q0: (n,) joint values [rad or m] inside the limits.
         row: The answer of a search, see `search.entry`.
         orders: See `search.entry`.
+        n: Number of coordinates.
         length: Position error [m] that counts as much as a rotation error of one radian.
         steps: Highest number of evaluations.
     """
-    n, tips = q0.shape[0], ends.size // ends.shape[-1]
-    block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
-    descend_on_views(view(rows), view(ends), view(T), view(q0), view(row), view(orders), length, steps, view(block))
+    block = np.empty(space(n, 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
+    descend_on_views(view(rows), view(ends), view(T), view(row), view(orders), n, length, steps, view(block))
     keep(block)

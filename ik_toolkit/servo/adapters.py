@@ -22,6 +22,7 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
+RELATIVE = 10.0  # weight of the errors of a tip relative to another: a grasp is kept before the place where it is held
 LEVER = 0.2  # [m] lever arm by which an angle is compared with a length: about the length of a hand
 ALIKE = 0.6  # similarity (difflib's ratio) above which an unknown option is taken for a misspelt one of another method
 WORDS = (*COUNTING, "relative_to")  # options that say which errors count
@@ -72,9 +73,9 @@ class Published:
         """Return the verdict of `check_gains` on the gains at sample time h [s]."""
         return check_gains(self.name, h, **self.method.gains(h))
 
-    def law(self, h: float, delay: float = 0.0) -> np.ndarray:
-        """Return a `laws.Law` as an array, for sample time h [s] and joints measured `delay` samples ago."""
-        return self.method.pack(h, delay)
+    def law(self, h: float) -> np.ndarray:
+        """Return a `laws.Law` as an array, for sample time h [s]."""
+        return self.method.pack(h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Return what the compiled loop needs to know of the errors, for one kind of target (POSE, POSITION) per tip.
@@ -93,7 +94,8 @@ class Published:
             if task.kind == PART:
                 task = Task(*task[:-12], *(weights > 0.0), *np.zeros(6))
             tasks.append(task)
-            counts.append([weights * even(scale), slack, slack * unit])
+            first = RELATIVE if task.other >= 0 else 1.0
+            counts.append([weights * first * even(scale), slack, slack * unit])
         orders = np.concatenate([np.zeros(HEAD), *tasks, np.ones(n), [0.0]])
         return orders, np.ascontiguousarray(np.concatenate(counts, axis=1))
 
@@ -133,7 +135,7 @@ class RuleSteps:
         """Return None, as there is no closed-form stability condition for rules."""
         return None
 
-    def law(self, h: float, delay: float = 0.0) -> np.ndarray:
+    def law(self, h: float) -> np.ndarray:
         """Return a `laws.Law` as an array: all zeros but for gamma = 1 and the damping of the pseudo-inverse."""
         law = np.zeros(len(laws.Law._fields))
         law[laws.PLACE.gamma], law[laws.PLACE.damping] = 1.0, DAMPING

@@ -17,8 +17,8 @@ J) qd the readings are 1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (secon
 with this form), 3: Jdot(w) w. `aa` keeps an eigenvalue -1, so its rate may zigzag for ever; `aad` with gamma > 1/2
 damps it at the same accuracy.
 
-av, aa and aad remove the whole error in one step, which becomes unstable with delay. For joints that are measured late
-they remove only a share of it (our addition): s = J^+ (target one step ahead - actual - (1 - share) e).
+av, aa and aad remove the whole error in one step, or a share of it (our addition):
+s = J^+ (target one step ahead - actual - (1 - share) e).
 
 On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping k), without which null-space motion
 grows.
@@ -61,8 +61,8 @@ class Method:
     """A tracking method and its options; None means the default, which may depend on the sample time.
 
     kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. share of
-    an error removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form, or for measured
-    joints the share that tolerates their delay best. reading: 1, 2 or 3 of eq (25) (aa). gamma (aad): weight of the new
+    an error removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form. reading: 1, 2 or 3
+    of eq (25) (aa). gamma (aad): weight of the new
     rate in a step. null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it). damping of
     the pseudo-inverse near singularities [arm reaches per rad]; 0 inverts exactly.
     """
@@ -96,9 +96,9 @@ class Method:
             if (getattr(self, name) or 0.0) < 0.0:
                 raise InvalidOption(f"{name} must not be negative, not {getattr(self, name):g}")
 
-    def gains(self, h: float, delay: float = 0.0) -> dict[str, float]:
-        """Return the gains in use at sample time h [s], by name, for joints measured `delay` samples ago."""
-        best = best_gains(self.name, h, delay)
+    def gains(self, h: float) -> dict[str, float]:
+        """Return the gains in use at sample time h [s], by name."""
+        best = best_gains(self.name, h)
         given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma, "share": self.share}
         return {name: best[name] if given[name] is None else float(given[name] or 0.0) for name in best}
 
@@ -115,12 +115,12 @@ class Method:
         """Weight gamma of the new rate in a step: q' = q + h ((1 - gamma) rate + gamma rate')."""
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
-    def pack(self, h: float, delay: float = 0.0) -> np.ndarray:
+    def pack(self, h: float) -> np.ndarray:
         """Return a `laws.Law` as an array, with the gains of `gains`.
 
         Entries that belong to a run and not to the method are 0.
         """
-        gains = self.gains(h, delay)
+        gains = self.gains(h)
         law = laws.Law(
             *np.zeros(len(laws.Law._fields)),
         )._replace(

@@ -35,6 +35,14 @@ class Growth(NamedTuple):
     per_step: float
     closed: bool
 
+    @property
+    def words(self) -> str:
+        """The factor in words; below 1e-12, which is rounding, it says that the error is gone."""
+        over = "in a lap" if self.closed else "in all"
+        if self.factor < 1e-12:
+            return f"a small error is gone {over}"
+        return f"a small error changes {self.factor:.3g}-fold {over}"
+
 
 class Motion(NamedTuple):
     """Matrices of the exact motion, one for each of N steps, in the notation of the module.

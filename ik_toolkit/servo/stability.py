@@ -17,6 +17,7 @@ If joint values are measured, the error is late and noisy, while rates and earli
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -47,12 +48,6 @@ TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)
 BEST_CA_RADIUS = -TRIPLE
 BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
-AGE = 2.0  # [samples] assumed age of measured joints if nothing is known: 20 ms at 100 Hz
-BEST_AT_AGE = {
-    "cv": (2.0 / 9.0,),
-    "ca": (0.0874083, 0.8358459),
-    "av": (4.0 / 27.0,),  # the double root r = 2/3 of r^3 = r^2 - share
-}  # Results of `_best_delayed` for this age, as a control loop has no time to compute them.
 MOST_DELAY = 200.0  # [samples] largest delay; the matrix has as many rows
 GRID = 25  # points per side in the grid search for the best gains under a delay: four grids, each a quarter as wide
 
@@ -195,7 +190,7 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     law = method if method in BEST else "av"
     found = BEST[law]
     if _samples(delay):
-        found = BEST_AT_AGE[law] if delay == AGE else _best_delayed(law, float(delay))
+        found = _best_delayed(law, float(delay))
     best = {name: value / units[name] for name, value in zip(GAINS[law], found, strict=True)}
     return {name: best.get(name, GAMMA) for name in GAINS[method]}
 
@@ -247,8 +242,8 @@ class GainCheck:
     verdict: "stable", "marginal" or "unstable", over everything that was asked; radius: spectral radius of the mapping
     matrix (factor by which an error changes per sample, at rest); message: one sentence, more with delay, noise or a
     path; suggestion: the best gains at this sample time and delay; longest_step [s]: the longest sample time at which
-    the same gains are stable. delay [samples]: as given; noise_gain: RMS of a joint over the RMS of the noise on its
-    measured position; along: growth of an error on the path (factor, per_step, closed), or None.
+    the same gains are stable, along the path where they are not. delay [samples]: as given; noise_gain: RMS of a joint over
+    the RMS of the noise on its measured position; along: growth of an error on the path (factor, per_step, closed), or None.
     """
 
     method: str
@@ -327,20 +322,45 @@ def check_gains(
             else " Noise on the measured positions grows without bound."
         )
     found = None
-    if path is not None:
-        from .orbit_stability import growth
-
-        complete = {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
-        found = growth(robot, path, method, h, complete, null_damping=null_damping)
-        message += (
-            f" Along the path a small error changes by {found.factor:.3g} {'a lap' if found.closed else 'in all'}"
-        )
-        message += f" ({found.per_step:.5g} a sample)."
-        if verdict == "stable" and not found.factor < 1.0:
-            verdict = "unstable"
     if verdict != "stable":
         message += _way_out(method, best, longest, delay)
+    if path is not None:
+        from .orbit_stability import Growth, growth
+
+        def along(h: float, gains: dict[str, float]) -> Growth:
+            complete = {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
+            return growth(robot, path, method, h, complete, null_damping=null_damping)
+
+        found = along(h, gains)
+        judged = "stable" if found.factor < 1.0 else "unstable"
+        message += f" Along the path it is {judged}: {found.words} ({found.per_step:.5g} a sample)."
+        if judged == "unstable" and verdict == "stable":
+            verdict, longest = judged, _longest_along(lambda h: along(h, gains).factor, h, path.duration)
+            tries = [", ".join(f"{name} = {value:.5g}" for name, value in best.items())]
+            tries = tries if along(h, best).factor < 1.0 else []
+            tries += [f"a rate above {1.0 / longest:.4g} Hz"] if longest > 0.0 else []
+            message += f" There {' or '.join(tries)} is stable." if tries else ""
     return GainCheck(method, h, verdict, radius, message, best, longest, delay, gain[0], found)
+
+
+def _longest_along(
+    factor: Callable[[float], float], h: float, duration: float, most: int = 4000, halvings: int = 8
+) -> float:
+    """Return the longest sample time [s] below h at which factor(h), the growth along a path, is below 1; 0 if none is found.
+
+    The rate is doubled until the growth is below 1, as long as the path has at most `most` samples; then the interval is
+    halved so many times.
+    """
+    low = 0.5 * h
+    while factor(low) >= 1.0:
+        low *= 0.5
+        if duration / low > most:
+            return 0.0
+    high = 2.0 * low
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if factor(middle) < 1.0 else (low, middle)
+    return low
 
 
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:

@@ -1,6 +1,7 @@
 """One step of a tracker as it is returned; the status and its sentence are computed only when they are read."""
 
 import math
+from collections.abc import Callable
 from enum import Enum
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,20 +11,29 @@ import numpy as np
 from . import viability
 from .target_jump import Choice
 
-NEAR = (
-    1e-3,
-    5e-3,
-)  # [m, rad] error above which a joint limit, or the edge of the reach, is reported as its reason
-# share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
-AT_REST = 1e-3
-# share of the speed limit below which no feedback moves a joint: a gain of 0.1/s asks for 1e-4 at an error of NEAR
-RESTING = 1e-6
+
+class Standards(NamedTuple):
+    """Numbers by which a step is judged."""
+
+    position: float = 1e-3  # [m] error above which a joint limit, or the edge of the reach, is reported as its reason
+    angle: float = 5e-3  # [rad] the same of the orientation
+    # share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
+    at_rest: float = 1e-3
+    # share of the speed limit below which no feedback moves a joint: a gain of 0.1/s asks for 1e-4 at such an error
+    resting: float = 1e-6
+    falling: float = (
+        0.2  # share of what feedback takes off the error in a step, below which the tip does not come nearer
+    )
+
+
+JUDGE = Standards()
 
 
 class StepStatus(Enum):
     """How one step went.
 
-    OK: nothing holds the arm back. LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target.
+    OK: the arm is at its target, or gets nearer with nothing to hold it back; then the reason says how far it is. LIMITED:
+    a limit held a joint back, or the tip can hardly get nearer to its target.
     AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows. BLOCKED: the arm rests as near as a
     collision ahead allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a
     joint outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones.
@@ -45,6 +55,7 @@ class Judged(NamedTuple):
     """What the status of a tracker's steps depends on, the same for all steps."""
 
     robot: Any
+    settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
     jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
     speed: np.ndarray  # (n,) speed limits [rad/s or m/s]
@@ -57,6 +68,7 @@ class Outcome(NamedTuple):
     code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
     before: np.ndarray  # (n,) previous command, in kernel units
     errors: np.ndarray  # (2, m) errors before and after the step [m, rad]
+    h: float  # length of the step [s]
     lost: float  # number of singular directions, in which the tip can hardly move
     down: bool  # whether the step was a damped descent towards the closest pose nearby (servo/damped_descent.py)
     finite: bool  # whether the target was finite
@@ -74,8 +86,8 @@ class Step:
     """One step of a tracker.
 
     q (n,) [rad or m] and rate (n,) [rad/s or m/s]: command these now. position_error [m] and orientation_error [rad]
-    (None for positions): what is left to this step's target, for several tips the largest, at `q` or at the measured
-    joints. at_rest, between and status: see there. reason: a sentence, '' for OK.
+    (None for positions): what is left to this step's target, for several tips the largest, at `q`, or where measured
+    joints are estimated to be then. at_rest, between and status: see there. reason: a sentence, '' for OK at the target.
     """
 
     __slots__ = ("_outcome", "q", "rate")
@@ -117,7 +129,8 @@ class Step:
             return StepStatus.FOLLOWING_ERROR
         if (held or o.lost or self._rests()) and self.at_rest and self._away():
             return StepStatus.BLOCKED if held & viability.ROW else StepStatus.AT_LIMIT
-        return StepStatus.LIMITED if held or ((o.lost or o.down) and self._away()) else StepStatus.OK
+        hindered = held or (self._away() and (o.down or not self._falls()))
+        return StepStatus.LIMITED if hindered else StepStatus.OK
 
     def _moved(self) -> np.ndarray:
         """Return how far (n,) the joints moved in this step [rad or arm reaches]."""
@@ -131,23 +144,37 @@ class Step:
     @property
     def at_rest(self) -> bool:
         """Whether all joints are slower than a thousandth of their speed limits."""
-        return bool((np.abs(self.rate) <= AT_REST * self._outcome.by.speed).all())
+        return bool((np.abs(self.rate) <= JUDGE.at_rest * self._outcome.by.speed).all())
 
     def _rests(self) -> bool:
         """Return whether no joint moved although there was an error, so that no motion reduces it."""
         before, after = np.abs(self._outcome.errors)
-        return bool((np.abs(self.rate) <= RESTING * self._outcome.by.speed).all() and before.max() > 0.5 * after.max())
+        return bool(
+            (np.abs(self.rate) <= JUDGE.resting * self._outcome.by.speed).all() and before.max() > 0.5 * after.max()
+        )
+
+    def _falls(self) -> bool:
+        """Return whether the error, with lengths in arm reaches, falls as feedback makes it fall where nothing is in the way.
+
+        The error of an arm that cannot follow falls as well where its target comes back, but more slowly.
+        """
+        o = self._outcome
+        parts = o.errors.reshape(2, -1, 2, 3) * [[1.0 / o.by.robot.reach], [1.0]]
+        before, after = np.linalg.norm(parts.reshape(2, -1), axis=1)
+        gains = o.by.settings(o.h)
+        rate = gains.get("kappa", gains["kp"] / gains["kd"] if gains.get("kd") else 1.0 / o.h)
+        return bool(after < (1.0 - JUDGE.falling * min(rate * o.h, 1.0)) * before)
 
     def _away(self) -> bool:
-        """Return whether the error left is above NEAR, so that limits or the reach are worth reporting."""
-        return self.position_error > NEAR[0] or (self.orientation_error or 0.0) > NEAR[1]
+        """Return whether the error left is above JUDGE's, so that limits or the reach are worth reporting."""
+        return self.position_error > JUDGE.position or (self.orientation_error or 0.0) > JUDGE.angle
 
     @property
     def reason(self) -> str:
-        """A sentence that says why the status is not OK; '' if it is."""
+        """A sentence that says why the status is not OK, or that the error still falls; '' if neither is worth saying."""
         o, status = self._outcome, self.status
         if status is StepStatus.OK:
-            return ""
+            return f"{self._left()} from the target and coming nearer" if self._away() else ""
         parts = []
         if o.resynced:
             parts.append("the measured joints were too far from the commanded ones: restarted from the measurement")
@@ -164,7 +191,7 @@ class Step:
             limited = not o.lost and o.code.any()
             parts.append(f"about as close as {'the limits allow' if limited else 'the arm reaches from here'}")
         elif status is StepStatus.LIMITED and o.way is None and not o.code.any():
-            parts.append("the tip can hardly get nearer to its target from here")
+            parts.append(f"{self._left()} away: the tip can hardly get nearer to its target from here")
         if o.way is not None:
             parts.append(_on_the_way(o.way))
         words = (
@@ -183,6 +210,11 @@ class Step:
             if held:
                 parts.append(f"{name} {', '.join(held)}")
         return "; ".join(parts)
+
+    def _left(self) -> str:
+        """Return the errors left in words."""
+        turned = self.orientation_error
+        return f"{1000 * self.position_error:.3g} mm" + (f", {np.degrees(turned):.3g} deg" if turned else "")
 
     def __repr__(self) -> str:
         """Return a line with status, position error and reason."""

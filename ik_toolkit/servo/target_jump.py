@@ -138,12 +138,11 @@ class Leap:
     def _patience(self, law: np.ndarray) -> float:
         """Return the time [s] before the target at which the method takes over.
 
-        With gains that the caller chose, or for measured joints, it is the time constant of the gains, else 0: the move
-        ends at the target.
+        With gains that the caller chose it is their time constant, else 0: the move ends at the target.
         """
-        p = laws.Law._make(law.tolist())
-        if not (self._chosen or p.measured):
+        if not self._chosen:
             return 0.0
+        p = laws.Law._make(law.tolist())
         return 1.0 / p.kappa if p.kappa > 0.0 else p.kd / p.kp if p.kp > 0.0 else 0.0
 
     def _straight(self, goal: np.ndarray, taken: Taken) -> Route | None:

@@ -19,12 +19,12 @@ from . import laws, viability
 from .adapters import bind
 from .collision_guard import ROWS, Guard
 from .constrained_step import DIRECT, LEAVE
+from .joint_observer import FILTER, JointObserver
 from .laws import CLIP
 from .methods import Method
 from .motion_limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .null_space_motion import Secondary, read_secondary
 from .reconfigure import REACHED, Postures, Reconfiguration, Taken
-from .stability import AGE
 from .step import Judged, Step, make_outcome
 from .target_jump import STRAIGHT, Leap
 from .target_stream import STAND, Stream
@@ -54,13 +54,14 @@ class Tracker(CopiesViews, ReadOnly):
         posture: Joint values (n,) to move to in the null space, or (joint values, gain [1/s]).
         elbow: A dict from joint names to 1 or -1: the side of zero on which a joint stays.
         manipulability: Gain [1/s] with which it is raised in the null space.
-        cost: A function of q (n,) [rad or m] to lower in the null space; returns a finite number or its gradient (n,).
+        cost: Function of q (n,) [rad or m] to lower in the null space; it returns a finite number or its gradient (n,).
         avoid_collisions: True (the robot's own links) or a CollisionModel. The arm slows down and slides along
             obstacles, and takes no step after which it could not stop before a static one (BLOCKED).
         reconfigure: Only with "direct". Move in joint space to another posture if only that reaches the target
             (RECONFIGURING): at once if the target rests, else when the error has cost as much. Not with a locked joint.
         straight: Only with "direct". Largest duration of a straight line to a target that jumped and stands, over that
             of a joint move, which is made if the line takes longer (inf: only if there is no line).
+        delay, noise: Age [samples] and standard deviation [rad or arm reaches] of measured joints, see JointObserver.
         options: Those of the method, and mask, slack, free_turn, frame, relative_to as in `ik.solve`.
 
     Raises InvalidOption (here and in `update` also for a cost that is not finite), InvalidConfiguration.
@@ -90,6 +91,8 @@ class Tracker(CopiesViews, ReadOnly):
         avoid_collisions: Any = False,
         reconfigure: bool = True,
         straight: float = STRAIGHT,
+        delay: int = FILTER.delay,
+        noise: float = FILTER.noise,
         **options: Any,
     ) -> None:
         """Bind a robot and a method; the arguments are described in the docstring of the class."""
@@ -120,13 +123,12 @@ class Tracker(CopiesViews, ReadOnly):
             other = Reconfiguration(robot, self._postures, self._world) if elsewhere else None
             self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
-        for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
-            part[:] = values
+        self._settings.limits[:], self._settings.wish[:] = self._limits, self.secondary.wish
         self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # an error with slack takes two rows
         self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
-        self._rows = 0
-        self._laws: dict[tuple[float, bool], np.ndarray] = {}
+        self._observer, self._rows = JointObserver(n, delay, noise), 0
+        self._laws: dict[float, np.ndarray] = {}
         self._ordered: tuple = ()  # inputs of the law in the settings
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what led the last step, or None: the method
@@ -146,9 +148,8 @@ class Tracker(CopiesViews, ReadOnly):
         q = self.robot.check_q(self.robot.home if q0 is None else q0, "q0")
         self._begin(q, None if rate0 is None else rates(self.robot, rate0))
         if self._touching:
-            raise InvalidConfiguration(
-                f"at q0 '{self._touching[0]}' touches '{self._touching[1]}'; start where nothing touches"
-            )
+            one, other = self._touching
+            raise InvalidConfiguration(f"at q0 '{one}' touches '{other}'; start where nothing touches")
         self._late = self._longest
         if self.secondary.cost is not None:  # An invalid cost raises now, not in a loop.
             self.secondary.look(self._q)
@@ -165,6 +166,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._forget(laws.GIVEN if rate is not None or self._at_rest else laws.MOVING)
         for way in self._ways:
             way.begin()
+        self._observer.reset()
         self.stream.look_anew()
         self._behind = False  # whether the last step that was examined left an error
         self._between: tuple[str, str] | None = None  # the pair of parts that blocked the last step
@@ -181,7 +183,7 @@ class Tracker(CopiesViews, ReadOnly):
 
     @property
     def q(self) -> np.ndarray:
-        """Present commanded joint values (n,) [rad or m]."""
+        """Present command (n,) [rad or m]."""
         return self._q * self.robot.chain.unit
 
     def change_limits(
@@ -206,12 +208,11 @@ class Tracker(CopiesViews, ReadOnly):
             twist: Twist of the target then, (6,) or (3,), base axes, for several tips (F, 6) or a dict; default from
                 the last two targets.
             acceleration: Its acceleration, likewise; default 0.
-            q: Joint values (n,) as measured now, where error and Jacobian are then taken; default gains are then those
-                for joints measured two samples ago. Further than `resync` from the command, the tracker restarts from
-                them, at rest (JUMPED).
+            q: Joint values (n,) as measured now, from which a filter estimates the joints (JointObserver). Further than
+                `resync` from the command that they answer to, the tracker restarts from them, at rest (JUMPED).
 
         For a target that is not finite the arm brakes (HELD). Raises InvalidTarget for a wrong shape, InvalidOption for
-        a dt that is not positive or is absurdly long, InvalidConfiguration for a wrong q.
+        a dt that is not positive or is too long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
         parts_of_step(dt, self._late or LATE * dt)  # This refuses a dt that is absurdly long.
@@ -222,15 +223,17 @@ class Tracker(CopiesViews, ReadOnly):
         before = self._q.copy()
         if q is not None:
             found = self.robot.check_q(q, "q")
-            self._settings.measured[:] = found / self.robot.chain.unit
-            lag = float(np.abs(self._settings.measured - self._q).max()) / self.resync
+            lag = self._observer.take(found / self.robot.chain.unit, self._q, dt) / self.resync
             if resynced := lag > 1.0:
                 self._begin(found, np.zeros(self.robot.n))
         if not self._late:  # Only the first step assigns: an assignment to a sealed object takes half a microsecond.
             self._late = LATE * dt
         h = dt / (parts := parts_of_step(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
+            np.add(self._q, self._observer.offset, out=self._settings.measured)
             self._step(part, h, not finite, q is not None)
+        if q is not None:
+            self._error[:] = self.error_at(self._q + self._observer.offset, self.stream.last_of(part), h)
         code, lost = self._code.copy(), self._out.S[0]
         if self._postures and finite and not self._goes:
             stream.unseen += dt
@@ -244,7 +247,7 @@ class Tracker(CopiesViews, ReadOnly):
             stream.step_on()
         now = self._carried.motion * self._units
         out = make_outcome((
-            self._judged, code, before, self._out.E.copy(), lost, self._state[laws.STATE.share] > 0.0, finite, lag, resynced,
+            self._judged, code, before, self._out.E.copy(), h, lost, self._state[laws.STATE.share] > 0.0, finite, lag, resynced,
             self._between, self._goes.why if self._goes else None,
         ))  # fmt: skip
         return Step(now[0], now[1], out)
@@ -292,15 +295,12 @@ class Tracker(CopiesViews, ReadOnly):
             way.watch(taken)
 
     def _now(self, samples: Samples, h: float, **how: Any) -> Record:
-        """Return a record of the present state, without a step; it is valid until the next call."""
+        """Return a record of the present state, valid until the next call."""
         self.run(samples, h, self._here, **how)
         return self._here
 
     def error_at(self, q: np.ndarray, samples: Samples, h: float) -> np.ndarray:
-        """Return the error (m,) [m, rad] to a target with the joints at q (n,) [kernel units].
-
-        It is valid until the next call.
-        """
+        """Return the error (m,) [m, rad] to a target at q (n,) [kernel units], valid until the next call."""
         self._settings.measured[:] = q
         return self._now(samples, h, measured=True).E[0]
 
@@ -324,7 +324,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._carried = carried_of(self._carried.block)
         self._carried.kept[:], self._carried.basis[:] = 0, 0.0
         posed = tuple(bool(counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
-        self._judged = Judged(self.robot, posed, self.jump, self._speed)
+        self._judged = Judged(self.robot, self.engine.settings, posed, self.jump, self._speed)
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:
@@ -355,11 +355,11 @@ class Tracker(CopiesViews, ReadOnly):
 
     def _order(self, h, pace, brake, measured, runaway, late, rows, avoid) -> None:
         """Write the method's parameters for a run to the settings; pace [s]: step length for which gains are chosen."""
-        made = self._laws.get((pace, measured))
+        made = self._laws.get(pace)
         if made is None:
             if len(self._laws) >= LAWS_KEPT:
                 self._laws.clear()
-            made = self._laws[pace, measured] = self.engine.law(pace, AGE if measured else 0.0)
+            made = self._laws[pace] = self.engine.law(pace)
         law, at = self._settings.law, laws.PLACE
         law[:] = made
         law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)
@@ -367,7 +367,7 @@ class Tracker(CopiesViews, ReadOnly):
 
     @property
     def one_by_one(self) -> bool:
-        """Whether something must be evaluated before every step, so that the loop cannot take several."""
+        """Whether something must be evaluated before every step."""
         return self.secondary.each_step or self._guard is not None
 
     def take(self, samples: Samples, h: float, out: Record, *, brake: bool = False, **how: Any) -> int:

@@ -8,15 +8,16 @@ import numpy as np
 from ..kernel.checks import BAD_TARGET, CONVERGED, ITERATION_LIMIT, STALLED, UNREACHABLE
 from ..kernel.records import ANSWER, AT, HEAD, ORDER
 from .options import PLAIN
+from .postprocess import finish_failures
 from .status import SEARCHED
 
 STARTS, STEPS = 64, 24  # Number of starts of the last search, which is for the tolerances, and of its steps.
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
-def error_size(rows: np.ndarray, scale: float) -> np.ndarray:
-    """Return the squared error (N,) of result rows (N, ANSWER + n) as the search measures it, with lengths over the scale."""
-    return (rows[:, AT.position] / scale) ** 2 + (2.0 * np.sin(0.5 * rows[:, AT.rotation])) ** 2
+def error_size(rows: np.ndarray, length: float) -> np.ndarray:
+    """Return the squared error (N,) of result rows (N, ANSWER + n), in which a position error of `length` [m] is a radian."""
+    return (rows[:, AT.position] / length) ** 2 + rows[:, AT.rotation] ** 2
 
 
 def with_search(plan: Any, closed: Callable) -> Callable:
@@ -133,18 +134,19 @@ def continue_with(
             hist[: len(noted)] = noted
         else:
             plan.run(T[some], how[0], starts, how[1], found)
-        merge(out, rows, found, search.robot.chain.scale)
+        finish_failures(plan, T[some], how[0], starts, how[1], found)
+        merge(out, rows, found, search.options.length_scale or search.robot.reach)
         still[some] = found[:, AT.status] != CONVERGED
     return still
 
 
-def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, scale: float) -> None:
+def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, length: float) -> None:
     """Write what the search found (len(failed), ANSWER + n) into the rows `failed` of out (N, ANSWER + n), see `with_search`."""
     rows = out[failed]
     counts = rows[:, COUNTS] + found[:, COUNTS]
     solved = found[:, AT.status] == CONVERGED
     open_ = rows[:, AT.status] == STALLED
-    better = solved | (error_size(found, scale) < error_size(rows, scale))
+    better = solved | (error_size(found, length) < error_size(rows, length))
     rows[better, ANSWER:] = found[better, ANSWER:]
     for place in (AT.position, AT.rotation, AT.attempt):
         rows[better, place] = found[better, place]

@@ -17,7 +17,6 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SHORTEST = 1e-6  # m, the least length that may count as much as a radian.
 SLICE = 256  # A timed solve makes this many evaluations before it looks at the clock, about a quarter of a millisecond.
 FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
 # kernel/null_space.py knows the objectives by these numbers.
@@ -39,9 +38,10 @@ class Options:
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
     restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
     attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
-    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. length_scale: the position error [m] that
-    counts as much as one radian in the error that a failure's q makes least nearby (None: the robot's reach). limits: keep joints inside their
-    limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair of arrays (see `robot.narrowed`).
+    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. length_scale: the position error
+    [m] that counts as much as one radian in the error that a failure's q makes least nearby (None: the robot's reach). limits:
+    keep joints inside their limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair of arrays
+    (see `robot.narrowed`).
     wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
     otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
     notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
@@ -206,7 +206,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
         elif name == "avoid_collisions":
             values[name] = avoided(value)
         elif name in ("timeout", "length_scale") and value is not None:
-            values[name] = _number(name, value, 0.0 if name == "timeout" else SHORTEST, math.inf)
+            values[name] = _number(name, value, 0.0 if name == "timeout" else 1e-6, math.inf)
         elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):
             if name == "objective" and value is None:
                 continue

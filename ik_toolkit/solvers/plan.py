@@ -71,8 +71,11 @@ class Plan:
 
     @functools.cached_property
     def descends(self) -> bool:
-        """Whether a failure is moved to the closest configuration near it; published methods end where they end."""
-        return (self.row.name == GENERAL or self.row.closed) and not self.options.follow
+        """Whether a failure is moved to the closest configuration near it, as the search that follows a closed form does.
+
+        Published methods end where they end.
+        """
+        return self.row.name == GENERAL and not self.options.follow
 
     def varied(self, **options: Any) -> "Plan":
         """Return the same plan with some options changed."""

@@ -8,21 +8,31 @@ Pinocchio.
 
 from collections.abc import Callable
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
-from ..kernel.records import ANSWER, AT, ORDER
+from ..kernel.records import ANSWER, AT, MISS, ORDER
 from ..robot.pose import check_target
 from .options import OBJECTIVES
 from .status import Status, constraints_of
 from .task import POSE, counted_errors
 
 Step = Callable[[Any], Any]
-REFINE_STEPS = 200  # Limit on the steps in the null space that improve an answer.
-DESCENT = 500  # Limit on the evaluations that lead from a failure to the closest configuration, of 0.3 microseconds each.
-ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)  # Failures of searches that were not cut off.
+
+
+class Limits(NamedTuple):
+    """How long finishing an answer may take."""
+
+    improving: int = 200  # steps in the null space that improve an answer
+    descending: int = 500  # evaluations that lead from a failure to the closest configuration, of 0.3 microseconds each
+    # Each slice of a timed search is so many times as long as the last and repeats it, which costs at most a third more.
+    growth: int = 4
+    told_apart: int = 12  # attempts, beside the winning one, that a history tells apart: as many as a picture shows
+
+
+MOST = Limits()
 
 
 def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
@@ -58,9 +68,9 @@ def finish_failures(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, g
     """Finish the failures among rows (m, width) of targets T, in place.
 
     LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then the default
-    search and the closed forms descend to the closest configuration near theirs. Published methods end where they end.
+    search descends to the closest configuration near its own.
     """
-    for k in np.flatnonzero(np.isin(rows[:, AT.status], ENDED)):
+    for k in np.flatnonzero(np.isin(rows[:, AT.status], (STALLED, LIMIT_BLOCKED, UNREACHABLE))):
         at, row = start[k : k + 1] if len(start) > 1 else start, rows[k]
         if row[AT.status] == LIMIT_BLOCKED and plan.options.limits:
             if plan.unlimited.solve(T[k : k + 1], kinds, at, given)[AT.status] != CONVERGED:
@@ -71,19 +81,18 @@ def finish_failures(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, g
 
 def _descend(plan: Any, T: np.ndarray, kinds: tuple, given: bool, row: np.ndarray) -> None:
     """Move the configuration of a row (width,) to a local minimum of the error, in place."""
-    from ..kernel.closest import descend
+    from ..kernel.closest import approach_target
 
     o, robot = plan.options, plan.robot
-    steps = int(min(DESCENT, (o.max_evaluations or np.inf) - row[AT.evaluations]))
-    q = np.clip(row[ANSWER : ANSWER + robot.n], robot.lower, robot.upper) if o.limits else row[ANSWER : ANSWER + robot.n].copy()
+    steps = int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations]))
     if steps > 1:
-        descend(*plan.chain[:2], T.reshape(-1, 4, 4), q, row, plan.orders(kinds, given), o.length_scale or robot.reach, steps)
-        if row[AT.status] == LIMIT_BLOCKED and not robot.at_limits(row[ANSWER : ANSWER + robot.n]):
+        q, misses = row[ANSWER : ANSWER + robot.n], row[ANSWER + robot.n :].reshape(-1, MISS)
+        beyond = misses[:, 2].copy()  # How far each of several targets is proven out of reach stays as it is.
+        length = o.length_scale or robot.reach
+        approach_target(*plan.chain[:2], T.reshape(-1, 4, 4), row, plan.orders(kinds, given), robot.n, length, steps)
+        misses[:, 2] = beyond
+        if row[AT.status] == LIMIT_BLOCKED and not robot.at_limits(q):
             row[AT.status] = STALLED
-
-
-# Each slice of a timed search is 4 times as long as the last and repeats it, which costs at most a third more.
-GROWTH = 4
 
 
 def extend(outcome: Any) -> Any:
@@ -96,16 +105,13 @@ def extend(outcome: Any) -> Any:
     plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
     began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
     while row[AT.status] != CONVERGED and row[AT.evaluations] >= made:
-        allowed = int(min(GROWTH * made, (left - perf_counter() + began) / pace))
+        allowed = int(min(MOST.growth * made, (left - perf_counter() + began) / pace))
         if allowed <= made:
             break
         plan, started = outcome.plan.varied(max_evaluations=allowed), perf_counter()
         row = plan.solve(outcome.T, outcome.kinds, outcome.start, outcome.given)
         pace, made = (perf_counter() - started) / allowed, allowed
     return outcome._replace(plan=plan, row=row, elapsed=outcome.elapsed + perf_counter() - began)
-
-
-TOLD_APART = 12  # A history tells apart the winning attempt and this many others, as many as a picture shows.
 
 
 def record(outcome: Any) -> Any:
@@ -141,7 +147,7 @@ def _attempts(outcome: Any, row: np.ndarray, rows: int) -> np.ndarray:
     chain, orders = plan.ready(outcome.kinds, outcome.start, outcome.given)
     orders = orders.copy()
     ends = {0: 0, made: noted}
-    for count in {*range(1, min(made, TOLD_APART + 1)), won, won + 1} - {0, made}:
+    for count in {*range(1, min(made, MOST.told_apart + 1)), won, won + 1} - {0, made}:
         orders[ORDER.attempts] = count
         ends[count] = len(plan.note(outcome.T, outcome.start, (chain, orders), noted)[1])
     for count in ends:
@@ -160,7 +166,7 @@ def improve(outcome: Any) -> Any:
         return outcome
     row, what = row.copy(), OBJECTIVES[plan.options.objective]
     orders = plan.orders(outcome.kinds, outcome.given)
-    refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, REFINE_STEPS)
+    refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, MOST.improving)
     return outcome._replace(row=row)
 
 

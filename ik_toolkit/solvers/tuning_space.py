@@ -1,7 +1,7 @@
 """Tunable parameters of a solver: names, ranges, log scale or not, units, and the rule that a point means.
 
 A rule that knows what to tune has a class method `space(robot, position_only, initial=None)`, see
-`study.spaces.make_space`.
+`study.engines.make_space`.
 """
 
 from collections.abc import Callable

@@ -22,8 +22,7 @@ from ..solvers.registry import Row, find_row, make_rule
 from ..solvers.solve import require_robot
 from ..solvers.tuning_space import Space
 from ..validate import number, one_of
-from .engines import Evolution, Swarm
-from .spaces import make_space
+from .engines import Evolution, Swarm, make_space
 from .statistics import wilson
 from .targets import sample_targets
 

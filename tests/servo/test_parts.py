@@ -18,11 +18,12 @@ def step(
     errors=((0.0,) * 6, (0.0,) * 6), code=(0, 0), lost=0.0, down=False, q=(0.0, 0.0), rate=(0.0, 0.0), before=(0.0, 0.0)
 ):
     """A step of two joints, the second a slide of 2 m a unit, with these errors of two tips."""
-    robot = SimpleNamespace(joint_names=("turn", "slide"), chain=SimpleNamespace(unit=UNITS))
+    robot = SimpleNamespace(joint_names=("turn", "slide"), chain=SimpleNamespace(unit=UNITS), reach=1.0)
     left = np.concatenate(errors)
     out = (
-        Judged(robot, (True, True), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before), np.array([left, left]),
-        lost, down, True, 0.0, False, None, None,
+        Judged(robot, lambda h: {}, (True, True), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before),
+        np.array([left, left]),
+        0.01, lost, down, True, 0.0, False, None, None,
     )  # fmt: skip
     return Step(np.array(q), np.array(rate), make_outcome(out))
 

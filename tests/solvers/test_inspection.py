@@ -291,7 +291,7 @@ def test_the_closed_form_takes_its_parameter_without_being_named(arm):
     assert all(q[1] == pytest.approx(0.25) for q in ik.solve_all(arm, T, lift=0.25).q)
     with pytest.raises(ik.IKError, match="'inspection' does not solve positions"):
         ik.solve(arm, T.translation, lift=0.25)
-    with pytest.raises(ik.IKError, match="no option 'kp'.*Solvers with 'kp': pid"):
+    with pytest.raises(ik.IKError, match=r"no option 'kp'.*Solvers with 'kp': pid"):
         ik.solve(arm, T, kp=2.0)
     with pytest.raises(ik.IKError, match="Solvers with 'lift': inspection"):
         ik.solve(ik.Robot.load("planar_3r"), (0.5, 0.2, 0.0), lift=0.25)

@@ -161,7 +161,7 @@ def test_targets_that_exclude_each_other_end_with_a_status(brokk):
     assert result.position_error == max(e[0] for e in brokk.errors(result.q, T))
 
     def size(q):
-        return sum((p / brokk.chain.scale) ** 2 + (2 * np.sin(r / 2)) ** 2 for p, r in brokk.errors(q, T))
+        return sum((p / brokk.reach) ** 2 + r**2 for p, r in brokk.errors(q, T))
 
     tried = ik.solve(brokk, T, restarts=10, history=True).history["q"]
     assert size(result.q) <= min(size(q) for q in tried) + 1e-12

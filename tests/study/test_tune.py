@@ -12,8 +12,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.study.engines import Evolution, Swarm
-from ik_toolkit.study.spaces import Parameter, make_space
+from ik_toolkit.study.engines import Evolution, Parameter, Swarm, make_space
 from ik_toolkit.study.statistics import wilson
 from ik_toolkit.study.targets import sample_targets
 from ik_toolkit.study.tune import Score, check_record, score, tune

@@ -363,7 +363,7 @@ def _other_robots(report: Report) -> None:
 
 def _one_map(robot: Robot, position_only: bool) -> StateSpace:
     """Return a rule of the published structure with gains designed for a robot at its home."""
-    from ...study.spaces import make_space
+    from ...study.engines import make_space
 
     return make_space(robot, "state-space", position_only, 1).initial
 

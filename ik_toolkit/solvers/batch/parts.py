@@ -19,7 +19,7 @@ from ...kernel.records import ANSWER, AT
 from ...kernel.simd_search import LEFT
 from ..outcome import SolveRecord
 from ..plan import Plan
-from ..postprocess import finish_failures, confirmed, mark_open
+from ..postprocess import confirmed, finish_failures, mark_open
 from ..task import counts_in_part
 from .targets import mended
 
@@ -95,7 +95,9 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
     if plan.improving:
         for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
             one = part.rows(slice(k, k + 1))
-            outcome = SolveRecord(plan, one.T, kinds, one.start, one.start.tobytes() if given else b"", out[k].copy(), 0.0)
+            outcome = SolveRecord(
+                plan, one.T, kinds, one.start, one.start.tobytes() if given else b"", out[k].copy(), 0.0
+            )
             for step in plan.improving:
                 outcome = step(outcome)
             out[k] = outcome.row

@@ -28,9 +28,8 @@ from .geometry import (
     no_fit,
     read_screws,
 )
-from .planar_arm import ANGLES, L1, L2, NEARLY, joint_values, list_planar, to_plane
 from .polish import polish
-from .reach import planar_branches, planar_margin
+from .reach import ANGLES, L1, L2, NEARLY, joint_values, list_planar, planar_branches, planar_margin, to_plane
 
 STEPS = 8  # Number of Newton steps that finish a branch of an arm whose axes are only nearly parallel.
 

@@ -8,8 +8,7 @@ from sympy import Abs, Max, Min, atan2, cos, sin, sqrt
 
 from ..explain.worked_solution import Branch, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
-from .planar_arm import ANGLES, HEIGHT, L1, L2, list_planar
-from .reach import ON_AXIS
+from .reach import ANGLES, HEIGHT, L1, L2, ON_AXIS, list_planar
 
 BESIDE = "newton"  # Chinyai compares the closed form with this solver.
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}

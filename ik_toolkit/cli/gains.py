@@ -1,0 +1,108 @@
+"""`ik gains`: whether a tracking method's gains are stable, at rest and along a path."""
+
+from typing import Any
+
+import typer
+
+from ..errors import InvalidOption, InvalidTarget
+from ..text import parameter
+from .command import command, option, options
+from .options import JsonOutput, RobotOptions, assignments, joint_vector
+from .output import facts, notice, show, write_json
+from .track_path import PathOptions, asked_path
+
+GAINS = ("kappa", "kp", "kd")
+
+
+@options()
+class GainsOptions(PathOptions):
+    """The gains, and where they are judged."""
+
+    path: str | None = option("SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: at rest alone.")
+
+
+@options()
+class LateOptions:
+    """Joints that are measured late, where they are fed back directly."""
+
+    delay: float = option("N", "Age of measured joints that are fed back directly [samples].", default=0.0)
+    noise: float | None = option("RAD", "RMS noise of the measured joints [rad or m].")
+
+
+@command
+def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: JsonOutput) -> None:
+    """Judge a tracking method's gains at a rate, at rest and along a path, and name better ones.
+
+    Without gains the best ones at rest are judged. Without a path they are judged at rest alone, which is the same for every robot.
+
+    Exit code 0 when the gains are stable, 1 when they are not.
+
+    Examples:
+    ik gains planar_2r --kappa 40 --rate 50
+    ik gains planar_2r --path circle --radius 0.3 --method ca --kp 61 --kd 3.8 --rate 5 --position-only
+    """
+    from ..robot.robot import Robot
+    from ..servo.stability import check_gains
+
+    arm = robot.load(robot.choose_tips())
+    path = None
+    if asked.shape is not None:
+        if not isinstance(arm, Robot):
+            raise InvalidOption("gains are judged along the path of one tip; choose it with --tip")
+        path = asked_path(arm, asked, joint_vector(arm, asked.q0, "--q0", robot.deg), {}, 1e-3).reference
+    more = {"delay": late.delay, "noise": late.noise}
+    check = check_gains(asked.method, 1.0 / asked.rate, **_path(arm, path), **more, **chosen(asked))
+    along = None if check.along is None else check.along._asdict()
+    write_json({"robot": arm.name, **vars(check), "along": along}, out.as_json)
+    if not out.as_json:
+        show(facts({
+            "robot": arm.name,
+            "method": f"{check.method}, " + ", ".join(f"{name} = {value:.5g}" for name, value in chosen(asked).items()),
+            "stability": words(check),
+            "best at rest": ", ".join(f"{name} = {value:.5g}" for name, value in check.suggestion.items()),
+        }))  # fmt: skip
+    notice(check.message)
+    if not check.stable:
+        raise typer.Exit(1)
+
+
+def _path(arm: Any, path: Any) -> dict[str, Any]:
+    return {} if path is None else {"robot": arm, "path": path}
+
+
+def chosen(asked: PathOptions) -> dict[str, float]:
+    """Return the gains given by options, completed by the best ones for the rate. Raises InvalidOption."""
+    from ..servo.stability import best_gains
+
+    if not 0.0 < asked.rate < float("inf"):
+        raise InvalidOption(f"--rate must be positive, not {asked.rate}")
+    params = {name: parameter(name, text) for name, text in assignments(asked.param, "-p").items()}
+    given = {name: getattr(asked, name) for name in GAINS if getattr(asked, name) is not None} | params
+    return best_gains(asked.method, 1.0 / asked.rate) | given
+
+
+def words(check: Any) -> str:
+    """Say a verdict in a few words."""
+    text = f"spectral radius {check.radius:.4g} at rest"
+    if check.along is not None:
+        text += f"; along the path {check.along.words}"
+    return f"{check.verdict}: {text}"
+
+
+def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], most: int = 3000) -> Any:
+    """Return a run's verdict on its gains with their growth along the path, where that can be told; else as it was.
+
+    A path of more than `most` samples is not judged, as that would take longer than the run.
+    """
+    from ..motion.reference import Reference
+    from ..robot.robot import Robot
+    from ..servo.stability import GAINS as NAMES
+    from ..servo.stability import check_gains
+
+    if check is None or not isinstance(arm, Robot) or not isinstance(path, Reference) or path.duration > most * check.h:
+        return check
+    try:
+        gains = {name: options[name] for name in NAMES[check.method] if name in options}
+        return check_gains(check.method, check.h, robot=arm, path=path, **gains)
+    except InvalidTarget:  # The run says where the path cannot be followed.
+        return check

@@ -1,0 +1,72 @@
+"""Where the joints are, from the commands sent to them and from measurements that are late and noisy.
+
+The estimate is the command plus a slowly varying offset. A critically damped filter of second order drives the offset to the
+difference between the measured joints and the command of `delay` samples before. So neither a constant delay nor noise
+enters the feedback, and its gains are those of a loop without delay. What the filter cannot know is a delay that is longer
+than assumed: at a constant rate it then takes the lag for an offset, and the tip leads by as much.
+"""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidOption, floats, whole
+
+
+class Filter(NamedTuple):
+    """What is assumed of measured joints, and how slowly they then correct the commands."""
+
+    delay: int = 2  # age of measured joints [samples]
+    noise: float = 1e-4  # standard deviation of their noise [rad or arm reaches]
+    acceleration: float = 0.1  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
+    # Bandwidth of the filter times the age of the newest command that it can judge. The loop stays stable where the true delay
+    # is four times the assumed one (tests/servo/test_measured.py).
+    steady: float = 0.3
+
+
+FILTER = Filter()
+
+
+class JointObserver:
+    """Estimates the joints (n,) of one arm, in kernel units.
+
+    Args:
+        n: Number of joints.
+        delay: Age of the measured joints [samples].
+        noise: Standard deviation of their noise [rad or arm reaches].
+    """
+
+    def __init__(self, n: int, delay: int, noise: float) -> None:
+        """Begin without an offset. Raises InvalidOption for a delay that is no whole number, or a negative noise."""
+        self.delay = whole(delay, "delay [samples]", 0)
+        self.noise = float(floats(noise, "noise must be a number [rad]", InvalidOption))
+        if not 0.0 <= self.noise < math.inf:
+            raise InvalidOption(f"noise must be at least 0 and finite [rad], not {noise!r}")
+        self.offset, self._rate = np.zeros(n), np.zeros(n)
+        self._sent: deque[np.ndarray] = deque(maxlen=delay + 1)
+
+    def reset(self) -> None:
+        """Forget the commands and the offset."""
+        self.offset[:], self._rate[:] = 0.0, 0.0
+        self._sent.clear()
+
+    def bandwidth(self, h: float) -> float:
+        """Return the bandwidth [rad/s] of the filter at sample time h [s].
+
+        An innovation e accelerates the estimate by bandwidth^2 e, so noise bounds the bandwidth, and so does the delay.
+        """
+        steady = FILTER.steady / ((self.delay + 1) * h)
+        return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
+
+    def take(self, measured: np.ndarray, command: np.ndarray, h: float) -> float:
+        """Take the joints measured now (n,), and their present command (n,) [kernel units], a sample of h [s] later.
+
+        Returns the largest difference between the measured joints and the command they answer to.
+        """
+        self._sent.append(command.copy())
+        w, apart = self.bandwidth(h), measured - self._sent[0]
+        self._rate += h * w * (w * (apart - self.offset) - 2.0 * self._rate)
+        self.offset += h * self._rate
+        return float(np.abs(apart).max())

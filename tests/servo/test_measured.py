@@ -1,0 +1,76 @@
+"""Joints that are measured late, with noise: the tracker's filter keeps both out of its feedback."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.servo.step import StepStatus
+
+H = 1e-3  # s
+START = np.array([0.1, 0.5, 0.4])
+RADIUS = 0.05  # m
+
+
+def targets(robot, steps, h=H):
+    """A circle that is entered slowly, at half a turn a second."""
+    T = np.tile(robot.fk(START).homogeneous, (steps, 1, 1))
+    t = h * np.arange(1, steps + 1)
+    phase, grown = np.pi * t, np.clip(t / 0.5, 0.0, 1.0) ** 2
+    T[:, 0, 3] += RADIUS * grown * (np.cos(phase) - 1.0)
+    T[:, 1, 3] += RADIUS * grown * np.sin(phase)
+    return T[:, :3, 3].copy()
+
+
+def follow(robot, sigma, true=2, steps=1500, h=H, measured=True, **options):
+    """Errors of the real joints [m], accelerations [rad/s^2] and statuses after the beginning; true: samples of delay."""
+    rng = np.random.default_rng(8)
+    tracker = ik.Tracker(robot, q0=START, **options)
+    real, rates, errors, statuses = [START] * (true + 1), [np.zeros(robot.n)], [], set()
+    for k, target in enumerate(targets(robot, steps, h)):
+        q = real[-1 - true] + sigma * rng.standard_normal(robot.n) if measured else None
+        step = tracker.update(target, h, q=q)
+        real.append(step.q)
+        rates.append(step.rate)
+        if k * h > 0.6:
+            errors.append(np.linalg.norm(robot.fk(real[-1]).translation - target))
+            statuses.add(step.status)
+    return np.array(errors), np.diff(rates, axis=0)[int(0.6 / h) :] / h, statuses
+
+
+def test_noise_and_delay_hardly_change_the_motion():
+    """1 kHz, noise of 1e-4 rad, two samples of delay: 0.1 mm per metre of reach, little acceleration, and no limit is blamed."""
+    robot = robots.load("planar_3r")
+    _, quiet, _ = follow(robot, 0.0, measured=False)
+    errors, loud, statuses = follow(robot, 1e-4)
+    assert errors.max() < 1e-4 * robot.reach
+    assert np.abs(loud).max() < 1.2 * np.abs(quiet).max() and loud.std() < 1.2 * quiet.std()
+    assert statuses == {StepStatus.OK}
+
+
+def test_noise_that_is_told_is_taken_more_slowly():
+    robot = robots.load("planar_3r")
+    _, untold, _ = follow(robot, 1e-3, steps=900)
+    errors, told, _ = follow(robot, 1e-3, steps=900, noise=1e-3)
+    assert errors.max() < 1e-3 and told.std() < 0.8 * untold.std()
+
+
+@pytest.mark.parametrize(("assumed", "true"), [(0, 3), (2, 0), (2, 6), (2, 8), (5, 2)])
+def test_a_wrong_delay_does_not_make_it_swing(assumed, true):
+    """The tip leads or lags by what the delay is wrong, without growing."""
+    robot = robots.load("planar_3r")
+    errors, _, _ = follow(robot, 0.0, true=true, steps=400, h=0.01, delay=assumed, noise=0.0)
+    off = RADIUS * np.pi * 0.01 * abs(assumed - true)  # m, what the tip does in that time
+    assert errors.max() <= 1.6 * off + 1e-4
+    assert errors[-100:].max() <= 1.1 * errors[:-100].max()
+
+
+def test_mistakes_are_typed():
+    robot = robots.load("planar_2r")
+    for wrong in (-1, 1.5, "two", None):
+        with pytest.raises(InvalidOption, match="delay"):
+            ik.Tracker(robot, delay=wrong)
+    for wrong in (-1e-4, np.nan, np.inf, "loud"):
+        with pytest.raises(InvalidOption, match="noise"):
+            ik.Tracker(robot, noise=wrong)

@@ -1,0 +1,57 @@
+"""What a tip does relative to another comes first, and a step says when the arm cannot do all that is asked."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.servo.step import StepStatus
+
+
+@pytest.mark.parametrize("on_limit", ["direct", "leave"])
+def test_a_grasp_of_two_hands_is_kept_where_a_speed_limit_binds(on_limit):
+    tree = ik.Tree.load("brokk_hydrolek")
+    left, right = tree.tips
+    for seed in range(3):
+        q = tree.home + 0.35 * (tree.random_q(np.random.default_rng(seed)) - tree.home)
+        tracker = ik.Tracker(tree, "cv", q0=q, relative_to={right: left}, on_limit=on_limit, reconfigure=False)
+        begun = {tip: T.homogeneous for tip, T in tree.fk(q).items()}
+        grasp, statuses = np.linalg.inv(begun[left]) @ begun[right], set()
+        for k in range(300):
+            T = begun[left].copy()
+            T[2, 3] += 0.1 * np.sin(0.015 * k)
+            step = tracker.update({left: T, right: grasp}, 0.005)
+            now = tree.fk(step.q)
+            held = np.linalg.inv(now[left].homogeneous) @ now[right].homogeneous
+            assert np.linalg.norm((held - grasp)[:3, 3]) < 5e-5
+            statuses.add(step.status)
+        assert StepStatus.LIMITED in statuses
+
+
+@pytest.mark.parametrize("method", ["cv", "aad", "ca"])
+@pytest.mark.parametrize("name", ["planar_3r", "planar_2r"])
+def test_an_arm_of_few_joints_that_is_off_its_target_says_so(name, method):
+    """A full pose that moves away from what the arm can do: OK stands for at the target, or coming nearer."""
+    robot = robots.load(name)
+    q = robot.home + 0.2
+    tracker, T, off = ik.Tracker(robot, method, q0=q), robot.fk(q).homogeneous.copy(), 0
+    for k in range(150):
+        T[:3, 3] += (0.0, 3e-4 * np.cos(0.02 * k), 3e-4 * np.cos(0.02 * k))  # also out of the plane, and back
+        step = tracker.update(T, 0.01)
+        if step.position_error > 1.1e-3:
+            off += 1
+            assert step.status is StepStatus.LIMITED and "mm" in step.reason, step
+    assert off > 50
+
+
+def test_coming_nearer_is_said():
+    robot = robots.load("planar_3r")
+    q = np.array([0.1, 0.5, 0.4])
+    tracker = ik.Tracker(robot, "cv", q0=q, kappa=5.0)
+    target = robot.fk(q).translation + np.array([-0.03, 0.03, 0.0])
+    reasons = []
+    for _ in range(10):
+        step = tracker.update(target, 0.01)
+        assert step.status is StepStatus.OK and step.position_error > 1e-3
+        reasons.append(step.reason)
+    assert all("from the target and coming nearer" in reason for reason in reasons)
