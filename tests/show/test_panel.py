@@ -295,11 +295,11 @@ def test_solving_a_typed_pose(desk):
     desk._guard(desk._solve)()
     assert "beyond reach" in desk.status.content and "The closest pose is" in desk.status.content
     assert "move the target" not in desk.status.content and "move the target" in desk.outcome.content
-    assert np.allclose(desk.stage.lines["/gap"].points[0], [desk.stage.tips[0].position, [9, 0, 0]])
+    assert np.allclose(desk.stage.lines["gap"].points[0], [desk.stage.tips[0].position, [9, 0, 0]])
     desk.goals[0].give("free")
     desk.goals[0].xyz.value = "0.9 0 0"
     desk._guard(desk._solve)()
-    assert "Converged" in desk.status.content and "/gap" not in desk.stage.lines
+    assert "Converged" in desk.status.content and "gap" not in desk.stage.lines
     assert np.isfinite(desk.chart.plot.data).all() and len(desk.chart.plot.data) == len(desk.chart.plot.series) == 2
     desk._dragged()
     assert not desk.chart.plot.visible  # it would show the solve before
@@ -314,11 +314,11 @@ def test_solving_a_typed_pose(desk):
 def test_all_solutions_can_be_picked(desk):
     desk.goals[0].xyz.value = "9 0 0"
     desk._guard(desk._solve)()
-    assert "/gap" in desk.stage.lines
+    assert "gap" in desk.stage.lines
     desk.goals[0].give("free")
     desk.goals[0].xyz.value = desk.session.words(desk.session.poses()["tool"], "free")[0]
     desk._guard(desk._solve_all)()
-    assert "/gap" not in desk.stage.lines  # it led to the target before
+    assert "gap" not in desk.stage.lines  # it led to the target before
     assert ">Infinitely many solutions.<" in desk.status.content  # one line; how they were found is said at the list
     assert "starts converged" in desk.found.table.content
     assert desk.found.folder.visible and len(desk.session.solutions) > 2

@@ -74,7 +74,11 @@ class Visitor:
 
     def drag(self, wxyz, position):
         self.say(
-            type="TransformControlsUpdateMessage", name="/target/0", wxyz=wxyz, position=position, owner=str(self.id)
+            type="TransformControlsUpdateMessage",
+            name=self.desk.stage.handles[0].gizmo.name,
+            wxyz=wxyz,
+            position=position,
+            owner=str(self.id),
         )
 
     def status(self):
@@ -127,7 +131,7 @@ def nonsense(rng, visitor):
     update = {"type": "GuiUpdateMessage", "uuid": rng.choice([slider, text])}
     target = {
         "type": "TransformControlsUpdateMessage",
-        "name": "/target/0",
+        "name": visitor.desk.stage.handles[0].gizmo.name,
         "wxyz": [rng.choice([0.0, math.nan, 1e308, -1.0]) for _ in range(4)],
         "position": [rng.choice([0.0, math.inf, 1e308, 1e-308]) for _ in range(3)],
         "owner": rng.choice([str(visitor.id), "", "x"]),

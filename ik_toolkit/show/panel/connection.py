@@ -98,6 +98,7 @@ class Visit:
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.stage: Any = None
         self.chart: Any = None
+        self.found: Any = None
         self.aspect = 0.0  # of the picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)

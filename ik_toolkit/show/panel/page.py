@@ -46,7 +46,7 @@ class PanelPage(Visit):
                 s.goals(),
                 self.frames,
                 lambda: self._post("drag", self._dragged),
-                self.stage.widest if self.stage else 0,
+                self.stage,
             )
             if self.around is not None:
                 self.around.join(self.stage)
@@ -270,7 +270,6 @@ class PanelPage(Visit):
         s = self.session
         s.q, s.result, s.solutions = s.robot.home.copy(), None, []
         self.chart.hide()
-        self.found.hide()
         self.outcome.visible = False
         self.show()
         self._target_to_tip()
@@ -359,11 +358,14 @@ class PanelPage(Visit):
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
         if self.chart is not None:
             self.chart.hide()
+            self.found.hide()  # they are of another target
         if not found.settled and patience:
             self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
 
     def _put(self, poses: dict[str, np.ndarray]) -> None:
         """Move the targets to poses by tip."""
+        if self.found is not None:
+            self.found.hide()
         with self.client.atomic():
             for goal in self.goals:
                 goal.put(poses[goal.tip])
