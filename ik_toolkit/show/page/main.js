@@ -1,6 +1,6 @@
 // The page: its state, the panel beside the picture, and what happens when something is moved.
 import { Robot, inverse, length, moved, plus, point, times } from "./robot.js";
-import { SOLVERS, attempt, glide, look, randoms, solve } from "./solve.js";
+import { SOLVERS, attempt, glide, look, loose, randoms, solve } from "./solve.js";
 import { Renderer, standing } from "./draw.js";
 import { Camera, dragged, handles, under } from "./hand.js";
 
@@ -28,8 +28,9 @@ function paint() {
     const shades = handles(at, color(result && !result.good ? "bad" : "good"), held?.tip === tip ? held.what : null);
     return gap ? [line, ...shades] : shades;
   });
-  const robots = (race ?? [{ now: shown }]).map(({ name, now }) =>
-    ({ frames: now.frames.map((T) => times(now.base, T)), color: name && color(name) }));
+  const mine = ({ name }) => name === $("solver").value; // in a race the chosen solver's robot is solid, the others are ghosts
+  const robots = (race ? [race.find(mine), ...race.filter((one) => !mine(one))] : [{ now: shown }]).map(({ name, now }, k) =>
+    ({ frames: now.frames.map((T) => times(now.base, T)), color: k ? color(name) : undefined }));
   renderer.draw(camera, { back: color("sky"), line: color("grid"), dark: color("shade") }, floor, robots, drawn);
 }
 
@@ -73,7 +74,7 @@ function show(to, found = null) {
   [q, result, race, shown] = [to, found, null, robot.fk(to)];
   if (!found) follow(shown.tips);
   $("turn").checked = targets[chosen].turn;
-  $("null").disabled = look(robot, q, targets).e.length >= robot.n;
+  $("null").disabled = !loose(robot, q, targets);
   for (const step of [...bars, tell, paint]) step();
   return true;
 }

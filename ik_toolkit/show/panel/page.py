@@ -40,13 +40,7 @@ class PanelPage(Visit):
             self.gui.main_panel.dock_right()
             self._build_controls()
             self.stage = Stage(
-                self.client,
-                body,
-                s.q,
-                s.goals(),
-                self.frames,
-                lambda: self._post("drag", self._dragged),
-                self.stage,
+                self.client, body, s.q, s.goals(), self.frames, lambda: self._post("drag", self._dragged), self.stage
             )
             if self.around is not None:
                 self.around.join(self.stage)
@@ -364,16 +358,17 @@ class PanelPage(Visit):
 
     def _put(self, poses: dict[str, np.ndarray]) -> None:
         """Move the targets to poses by tip."""
-        if self.found is not None:
-            self.found.hide()
         with self.client.atomic():
             for goal in self.goals:
                 goal.put(poses[goal.tip])
 
     def _target_to_tip(self) -> None:
+        if self.found is not None:
+            self.found.hide()
         self._put(self.session.poses())
 
     def _random(self) -> None:
+        self.found.hide()
         self._put(self.session.random_poses())
         if self.live:
             self._solve()
