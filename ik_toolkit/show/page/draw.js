@@ -2,7 +2,7 @@
 import { cross, plus, times, unit } from "./robot.js";
 
 const LIT = 0, HANDLE = 0.4, FLAT = 1, GRID = 2; // how a shape is shaded: see fragment.glsl
-const PALE = 0.25, SEEN = 1e-3; // opacity of a ghost; [sizes of the robot, rad] parts nearer than this are seen as one
+const PALE = 0.25, SAME = 3e-3; // opacity of a ghost; [sizes of the robot, rad] parts nearer than this are seen as one
 const SUN = [0.35, -0.2]; // how far a shadow falls sideways per metre of height
 const matrix = (T) => new Float32Array([T[0], T[4], T[8], 0, T[1], T[5], T[9], 0, T[2], T[6], T[10], 0, T[3], T[7], T[11], 1]);
 
@@ -65,16 +65,15 @@ export class Renderer {
 
   // The robot's parts, `frames` the nodes' placements in the world; with a colour, all in it. Not those that one of `others` has there.
   robot(frames, kind, color, alpha, others = []) {
-    const same = (A, B) => plus(A, B, -1).every((x, i) => Math.abs(x) < (i % 4 === 3 ? SEEN * this.size : SEEN));
+    const same = (A, B) => plus(A, B, -1).every((x, i) => Math.abs(x) < (i % 4 === 3 ? SAME * this.size : SAME));
     for (const { node, T, shapes } of this.parts) {
       if (others.some((other) => node < 0 || same(other[node], frames[node]))) continue;
       for (const shape of shapes) this.one(shape, node < 0 ? T : times(frames[node], T), kind, color, alpha);
     }
   }
 
-  // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; the first solid, others
-  // ghosts of a color)
-  // and handles (shape, T, color, alpha), drawn on top.
+  // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; but for the
+  // first ghosts in a color) and handles (shape, T, color, alpha), drawn on top.
   draw(camera, { back, line, dark }, { z, cell, wide }, robots, handles) {
     const { gl, at, canvas } = this, [x, y] = SUN, view = (T) => gl.uniformMatrix4fv(at.view, false, matrix(T));
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -84,14 +83,7 @@ export class Renderer {
     gl.uniform3f(at.up, camera.view[2], camera.view[6], camera.view[10]);
     for (const [name, size] of Object.entries({ cell, wide })) gl.uniform1f(at[name], size);
     view(camera.view);
-    robots.forEach(({ frames, color }, k) => {
-      const others = robots.slice(0, k).map((one) => one.frames);
-      gl.clear(gl.DEPTH_BUFFER_BIT);
-      gl.colorMask(false, false, false, false); // a ghost shows only its front, and not through the robot: depths are drawn first
-      for (const one of k ? [robots[0].frames, frames] : []) this.robot(one, LIT, undefined, 1, one === frames ? others : []);
-      gl.colorMask(true, true, true, true);
-      this.robot(frames, LIT, color, k ? PALE : undefined, others);
-    });
+    this.robot(robots[0].frames, LIT);
     gl.depthMask(false);
     this.one(this.handles.floor, standing([0, 0, z], [0, 0, z + 1], wide), GRID, line, 0.7);
     gl.enable(gl.STENCIL_TEST); // each pixel is shaded once, however many parts lie over it
@@ -101,6 +93,15 @@ export class Renderer {
     view(camera.view);
     gl.disable(gl.STENCIL_TEST);
     gl.depthMask(true);
+    robots.slice(1).forEach(({ frames, color }, k) => { // a ghost shows only its front, and not through the robot: depths are drawn first
+      const others = robots.slice(0, k + 1).map((one) => one.frames);
+      gl.clear(gl.DEPTH_BUFFER_BIT);
+      gl.colorMask(false, false, false, false);
+      this.robot(others[0], LIT);
+      this.robot(frames, LIT, undefined, 1, others);
+      gl.colorMask(true, true, true, true);
+      this.robot(frames, LIT, color, PALE, others);
+    });
     gl.clear(gl.DEPTH_BUFFER_BIT);
     for (const { shape, T, color, alpha } of handles) this.one(this.handles[shape], T, HANDLE, color, alpha);
   }

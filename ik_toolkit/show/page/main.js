@@ -34,7 +34,8 @@ function paint() {
   renderer.draw(camera, { back: color("sky"), line: color("grid"), dark: color("shade") }, floor, robots, drawn);
 }
 
-const metres = (x) => (x < 1e-3 ? `${(1e6 * x).toPrecision(3)} \u00b5m` : `${(1e3 * x).toFixed(1)} mm`);
+const UNITS = [["m", 1], ["mm", 1e-3], ["\u00b5m", 1e-6], ["nm", 1e-9]];
+const metres = (x, [unit, size] = UNITS.find((one) => x >= one[1]) ?? UNITS[3]) => `${Number((x / size).toPrecision(3))} ${unit}`;
 const degrees = (x) => `${((180 * x) / Math.PI).toFixed(1)}\u00b0`;
 const bars = data.joints.map((joint, k) => { // a slider a joint: what fills it
   const row = $("bar").content.cloneNode(true).firstElementChild, [name, input, value] = row.children;
@@ -175,7 +176,7 @@ try {
   matchMedia("(prefers-color-scheme: dark)").onchange = paint;
   const pixels = (p) => camera.screen(moved(shown.base, p));
   const state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
-  window.arm = { robot, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
+  window.arm = { robot, renderer, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
   play(() => show(q));
 } catch (error) {
   Object.assign($("status"), { className: "bad", textContent: error.message });
