@@ -8,8 +8,8 @@ import numpy as np
 
 from ..motion.reference import Reference
 from ..robot.joints import Joints
-from ..robot.pose import length
 from ..robot.rotation import angles_between
+from ..text import angle, length
 
 CLOSE = (1e-4, 2e-4)  # [m, rad] error that counts as reached: a tenth of what a run is allowed by default
 DENSE = 1000  # samples from which the length of a path is measured
@@ -58,9 +58,7 @@ class Survey:
         """One clause: how far along the path is reachable, and what ends it; '' when all of it is."""
         if self.until is None:
             return ""
-        far, whole = (
-            (f"{np.degrees(x):.3g} deg" if self.turning else length(float(x))) for x in (self.stop, self.along[-1])
-        )
+        far, whole = ((angle(float(x)) if self.turning else length(float(x))) for x in (self.stop, self.along[-1]))
         where = f"reachable up to {far} of {whole}" if self.until else "its start is out of reach"
         at = f"{', '.join(self.joints)} at {'their limits' if len(self.joints) > 1 else 'its limit'}"
         few = self.robot.n < (6 if self.posed else 4)  # three may move the tip in a plane alone

@@ -11,7 +11,9 @@ import numpy as np
 from ..copying import Unique
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
-from ..robot.pose import AxisTarget, check_target, length
+from ..robot.pose import AxisTarget, check_target
+from ..text import angle as in_words
+from ..text import length
 from .animation import MAX_FRAMES, SLATE, animate, motion_of
 from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
@@ -201,7 +203,7 @@ class Scene(Unique):
         for k, row in enumerate(rows):
             text = f"evaluation {row}: {length(float(position[row]))}"
             if np.isfinite(angle[row]):
-                text += f", {np.degrees(angle[row]):.3g} deg"
+                text += f", {in_words(float(angle[row]))}"
             last = k + 1 == len(rows)
             for step in range(1 if last else between):
                 frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))

@@ -91,7 +91,7 @@ def test_wrong_input_is_told_in_a_sentence(desk):
     T[0, 3] = 5.0
     learn._fill(T)
     desk._guard(learn._inverse)()
-    assert "out of reach" in learn.outcome.content and "mm out of reach" in learn.formulas.content
+    assert "out of reach" in learn.outcome.content and " m out of reach" in learn.formulas.content
     assert "gap" in desk.stage.lines
     learn.fields["p"].value = (0.0, float("inf"), 0.0)
     desk._guard(learn._inverse)()

@@ -264,17 +264,17 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
 
 def test_the_camera_shows_the_robot_as_large_as_fits():
     """All corners are seen, none further out than the share that the robot may fill, and one of them that far."""
-    from ik_toolkit.show.panel.viser_scene import FILL, LENS, VIEW, camera_for
+    from ik_toolkit.show.panel.viser_scene import PICTURE, camera_for
 
     box = np.array([[-0.2, -0.5, 0.0], [0.9, 0.4, 1.3]])
     for aspect, free in ((1.1, 1.0), (2.5, 1.0), (0.5, 0.5)):
-        eye, to = camera_for(box, VIEW, aspect, free)
+        eye, to = camera_for(box, PICTURE.view, aspect, free)
         ahead = (to - eye) / np.linalg.norm(to - eye)
         across = np.cross(ahead, (0, 0, 1)) / np.linalg.norm(np.cross(ahead, (0, 0, 1)))
         P = np.array(np.meshgrid(*box.T)).reshape(3, -1).T - eye
-        seen = P @ np.array([across, np.cross(across, ahead)]).T / (P @ ahead)[:, None] / np.tan(LENS / 2)
+        seen = P @ np.array([across, np.cross(across, ahead)]).T / (P @ ahead)[:, None] / np.tan(PICTURE.lens / 2)
         x, y = seen[:, 0] / aspect, (seen[:, 1] - (1.0 - free)) / free  # of the part that is free
-        assert np.isclose(max(np.abs(x).max(), np.abs(y).max()), FILL, atol=0.12) and abs(y).max() < 0.9
+        assert np.isclose(max(np.abs(x).max(), np.abs(y).max()), PICTURE.fill, atol=0.12) and abs(y).max() < 0.9
 
 
 def test_limits_are_shown_rounded(desk):

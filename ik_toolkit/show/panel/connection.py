@@ -84,7 +84,7 @@ class Past:
 
 PLAIN = "#37424f"
 LONGEST = 600  # characters of a status message
-STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.FREE */
+STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.Picture */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
 
 

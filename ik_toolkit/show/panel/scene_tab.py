@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidTarget
-from ...robot.pose import length
 from ...style import BAD
-from ...text import vector
+from ...text import figure, length, vector
 from .session import Session
 from .viser_scene import Stage
 
@@ -102,7 +101,7 @@ class Around:
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
         values = []
         for tip, size in s.manipulability().items():
-            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {size:.3g}")
+            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {figure(size)}")
         words = html.escape("; ".join([words, *values]))
         return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -12,14 +12,35 @@ from ..body import Body, need_trimesh
 
 RED = (204, 51, 38)  # line to a target that is not reached
 GHOST = (0, 114, 178)
-VIEW = np.array([-0.66, 0.63, -0.41])  # along which the robot is looked at: from the front right, from above
-LENS = 0.7  # [rad] from top to bottom
-FILL = 0.72  # of the picture, by the robot: its arrows and the next poses need the rest
-NARROW = 576  # pixels of a page below which viser lays its controls over the lower part of the picture
-EDGE = 0.95  # of the way from the middle of the picture to its edge: a target further out counts as not in it
-ARROW, BALL = 0.22, 0.19  # length of a target's arrows in sizes of the robot; radius of its ball in arrows
-AMBER = (240, 170, 20)  # that ball, which is translucent and stands out of a flange
-FREE = 0.5  # of the height left there, see connection.STYLE
+
+
+class Picture(NamedTuple):
+    """How the robot is looked at, and how the handles of targets are drawn.
+
+    Attributes:
+        view: direction in which the robot is looked at, from the front right, from above.
+        lens: [rad] from top to bottom.
+        fill: part of the picture that the robot takes: its arrows and the next poses need the rest.
+        narrow: [pixels] width of a page below which viser lays its controls over the lower part of the picture.
+        edge: part of the way from the middle of the picture to its edge: a target further out counts as not in it.
+        free: part of the height left on a narrow page, see connection.STYLE.
+        arrow: [sizes of the robot] length of a target's arrows.
+        ball: [arrows] radius of a target's ball, which stands out of a flange.
+        amber: its colour.
+    """
+
+    view: np.ndarray = np.array([-0.66, 0.63, -0.41])
+    lens: float = 0.7
+    fill: float = 0.72
+    narrow: int = 576
+    edge: float = 0.95
+    free: float = 0.5
+    arrow: float = 0.22
+    ball: float = 0.19
+    amber: tuple[int, int, int] = (240, 170, 20)
+
+
+PICTURE = Picture()
 
 
 class Handle:
@@ -30,13 +51,17 @@ class Handle:
         self.T_world_base = stage.body.T_world_base
         scene = stage.client.scene
         path = stage.path(f"target/{k}")
-        self.gizmo = scene.add_transform_controls(path, scale=ARROW * stage.size, disable_sliders=True)
+        self.gizmo = scene.add_transform_controls(path, scale=PICTURE.arrow * stage.size, disable_sliders=True)
         self.name = scene.add_label(f"{path}/name", name, anchor="bottom-left") if name else None
         self.stage = stage
         self._put(T)
         self.gizmo.on_update(lambda event: self._moved(event, dragged))
         self.ball = scene.add_icosphere(
-            f"{path}/ball", BALL * ARROW * stage.size, color=AMBER, opacity=0.7, cast_shadow=False
+            f"{path}/ball",
+            PICTURE.ball * PICTURE.arrow * stage.size,
+            color=PICTURE.amber,
+            opacity=0.7,
+            cast_shadow=False,
         )
         if hasattr(self.ball, "on_drag"):  # releases of viser before 1.1 have only the arrows
             self.ball.on_drag("left")(self._carried(dragged))
@@ -223,12 +248,12 @@ class Stage:
         None is on a target, in another box or under the floor.
         """
         base, half = self.body.T_world_base, 0.5 * float(np.linalg.norm(size))
-        across = np.cross(VIEW, (0.0, 0.0, 1.0)) / np.hypot(*VIEW[:2])
+        across = np.cross(PICTURE.view, (0.0, 0.0, 1.0)) / np.hypot(*PICTURE.view[:2])
         still = self.body.bounds(self.robot.home, still=True)
         taken = [*(handle.gizmo for handle in self.handles if handle.gizmo.visible), *self.boxes.values()]
         centre = np.mean([tip.position for tip in self.tips], axis=0)
-        for far in half + self.size * np.arange(1.2 * ARROW, 4.0, 0.1):
-            for way in (across, -across, np.array([0.0, 0.0, 1.0]), VIEW * (1.0, 1.0, 0.0)):
+        for far in half + self.size * np.arange(1.2 * PICTURE.arrow, 4.0, 0.1):
+            for way in (across, -across, np.array([0.0, 0.0, 1.0]), PICTURE.view * (1.0, 1.0, 0.0)):
                 place = centre + far * way / np.linalg.norm(way)
                 place[2] = max(place[2], self.body.floor + half)
                 free = np.linalg.norm(place - np.clip(place, *still)) > half
@@ -284,8 +309,8 @@ class Stage:
         self.widest = max(self.widest, camera.image_width)
         self.extent, self.away = self.body.bounds(q), False
         camera.up_direction = (0.0, 0.0, 1.0)
-        camera.fov = LENS
-        self._look(camera, self.extent, VIEW)
+        camera.fov = PICTURE.lens
+        self._look(camera, self.extent, PICTURE.view)
 
     def keep_in_view(self) -> None:
         """Move the camera away, along the direction it looks in, until all targets are in the picture, and later back again."""
@@ -297,7 +322,7 @@ class Stage:
         w, x, y, z = camera.wxyz
         turn = pin.Quaternion(w, x, y, z).matrix()
         across, down, ahead = turn.T @ (goals.reshape(-1, 3) - camera.position).T
-        edge, free = EDGE * np.tan(0.5 * camera.fov) * ahead, self._free()
+        edge, free = PICTURE.edge * np.tan(0.5 * camera.fov) * ahead, self._free()
         aspect = camera.image_width / max(camera.image_height, 1)
         inside = (np.abs(across) < aspect * edge) & (-edge < down) & (down < (2.0 * free - 1.0) * edge)
         if not inside.all() or self.away:
@@ -308,7 +333,7 @@ class Stage:
 
     def _free(self) -> float:
         """Return the share of the picture's height, from the top, that no controls cover."""
-        return FREE if self.widest < NARROW else 1.0
+        return PICTURE.free if self.widest < PICTURE.narrow else 1.0
 
     def _look(self, camera: Any, box: np.ndarray, view: np.ndarray) -> None:
         eye, to = camera_for(box, view, camera.image_width / max(camera.image_height, 1), self._free())
@@ -334,10 +359,10 @@ def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) ->
     ahead = view / np.linalg.norm(view)
     across = np.cross(ahead, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
-    up, centre, half = np.cross(across, ahead), box.mean(axis=0), math.tan(0.5 * LENS)
+    up, centre, half = np.cross(across, ahead), box.mean(axis=0), math.tan(0.5 * PICTURE.lens)
     corners = np.array(np.meshgrid(*(box - centre).T)).reshape(3, -1).T
     wide, tall, deep = np.abs(corners @ across), np.abs(corners @ up), corners @ ahead
-    away = (np.maximum(wide / max(aspect, 0.1), tall / free) / (half * FILL) - deep).max()
+    away = (np.maximum(wide / max(aspect, 0.1), tall / free) / (half * PICTURE.fill) - deep).max()
     to = centre - (1.0 - free) * half * away * up
     return to - away * ahead, to
 
