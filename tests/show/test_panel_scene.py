@@ -9,6 +9,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.show.animation import read_motion
 from ik_toolkit.show.panel.scene_tab import null_directions, slide
 from ik_toolkit.show.panel.session import Session
 
@@ -233,6 +234,30 @@ def test_every_joint_of_every_solution_is_listed_with_its_unit(desk):
         row = text.partition(f"{name} [deg]</th>")[2].partition("</tr>")[0]
         shown = [float(x) for x in re.findall(r">(-?[\d.]+)</td>", row)]
         assert np.allclose(shown, np.degrees([q[i] for q in session.solutions]), atol=0.0051)
+
+
+def test_recorded_postures_become_a_motion_in_files(desk, tmp_path):
+    recorder, session = desk.recorder, desk.session
+    recorder.record()
+    with pytest.raises(InvalidOption, match="record two postures"):
+        recorder.files()
+    for q in session.robot.random_q(np.random.default_rng(2), 2):
+        session.q = q
+        recorder.record()
+    words, files = recorder.files()
+    assert words.startswith("all 3 configurations are passed in ")
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+        t, Q = read_motion(session.robot, tmp_path / name)
+        near = [np.abs(Q - q).max(axis=1).min() for q in session.recorded]
+        assert t[0] == 0.0 and np.array_equal(Q[0], session.recorded[0]) and np.allclose(Q[-1], session.q, atol=1e-9)
+        assert max(near) < 0.02 and not any(session.robot.outside(q) for q in Q)
+        rates = np.diff(Q, axis=0) / np.diff(t)[:, None]
+        assert (np.abs(rates) < session.robot.velocity_limits * 1.001).all()
+    recorder.save()
+    assert "configurations are passed" in desk.status.content
+    desk._switch("planar_3r")
+    assert desk.session.recorded == []
 
 
 def test_limits_by_checkbox(desk):

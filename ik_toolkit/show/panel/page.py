@@ -16,7 +16,7 @@ from .learn_tab import Learn
 from .scene_tab import Around, null_directions, slide
 from .session import PATIENCE
 from .solve_tab import Chart, Goal, SolutionsTab
-from .tables import as_sentence, note_html, pose_html, table_html
+from .tables import Recorder, as_sentence, note_html, pose_html, table_html
 from .viser_scene import Stage
 
 QUIET = (71, 85, 105)  # colour of secondary buttons
@@ -120,6 +120,7 @@ class PanelPage(Visit):
             ("Copy as JSON", "json", self._json),
         ):
             self._on(gui.add_button(text, color=QUIET), name, job)
+        self.recorder = Recorder(gui, s, self._on, self.say)
         self.pose = gui.add_html("")
 
     def _build_goals(self) -> None:

@@ -86,6 +86,7 @@ class Session:
         self.solutions: list[np.ndarray] = []
         self.distances: list[float] = []
         self.branches: np.ndarray | None = None
+        self.recorded: list[np.ndarray] = []  # configurations (n,) of a motion
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
