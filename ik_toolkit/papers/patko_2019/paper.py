@@ -8,7 +8,7 @@ leaves out the arms' paths, lengths, initial errors and durations; those chosen 
 import numpy as np
 
 from ...servo import stability as st
-from ..report import Report
+from ..report import ROUNDING, Report
 from .cases import CASES, MEASURED, METHODS, SETS, GainSet, growth, known_run, settled
 from .dynamics import dynamics
 from .figures import draw_charts, draw_errors, draw_orders, draw_plane
@@ -80,10 +80,13 @@ def _radii(made: Report) -> None:
     made.table("radii", head, rows)
     misprint = st.mapping_matrix("ca", 0.2, kp=40.0, kd=4.0, dof=2)
     misprint[2, 2] = (2.0 - 3.0 * 40.0 * 0.2) / 2.0
+    wrong = SETS["RR bad"]
+    border = float(st.p_limit(wrong.kd * wrong.h)) / wrong.h**2
     bad = made.number("radius_with_misprint_of_41", st.spectral_radius(misprint))
     made.text(
         f"""**The contradiction:** the RR set of Figs. 7 and 8 left, "unstable" in the paper, is not outside the paper's own
-        region: cv is exactly on the border (radius 1) and ca inside it (kp = 61 against the border at 61.58). It does
+        region: cv is exactly on the border (radius 1) and ca inside it (kp = {wrong.kp:g} against the border at
+        {border:.4g}). It does
         diverge on a fast path, because the matrices describe the arm at rest (see growth below). Two misprints: entry (3,3) of
         eq. (41) has kp where it should have kd (as printed the radius of the good RR set would be {bad:.3g}); eqs. (29) and
         (32) print the
@@ -126,7 +129,8 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
     made.heading("Errors reached")
     made.text(
         """Second half of the run [m]; "between" is the largest error between samples, on the motion the method itself assumes
-        (straight at velocity level, constant acceleration else). "diverges": a value left the domain or grew without bound.
+        (straight at velocity level, constant acceleration else). "diverges": a value left the domain or grew without bound; at
+        which step depends on rounding.
         Stable gain sets."""
     )
     found, rows = {}, []
@@ -136,10 +140,20 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
                 result = known_run(name, SETS[gains], key, 1.0 if start == "offset" else 0.0)
                 numbers = found[name, start, key] = settled(CASES[name], result)
                 if result.stopped:
-                    rows.append([name, start, key, "diverges", "", "", f"after {len(result.t) - 1} steps"])
+                    rows.append(
+                        [
+                            name,
+                            start,
+                            key,
+                            "diverges",
+                            "",
+                            "",
+                            f"after about {float(f'{len(result.t) - 1:.2g}'):g} steps",
+                        ]
+                    )
                 else:
                     rows.append([name, start, key, *numbers.values()])
-    made.table("errors", ["case", "start", "method", "max", "RMS", "RMS of the whole run", "between"], rows)
+    made.table("errors", ["case", "start", "method", "max", "RMS", "RMS of the whole run", "between"], rows, ROUNDING)
     return found
 
 
@@ -220,6 +234,7 @@ def _claims(
         st.spectral_radius(st.mapping_matrix("ca", s.h, kp=s.kp, kd=s.kd)) for s in SETS.values() if s.paper == "stable"
     )
     best = st.best_gains("ca", 1.0)
+    near = [SETS[name].kappa * SETS[name].h for name in ("PP good", "RR good")]
     rows = [
         ["The same stability chart for all three systems (3.4)", "holds", "the matrices are those of one joint, repeated"],
         ["Eigenvalues of av are 0, of aa 0 and -1 (3.4)", "holds", "exactly"],
@@ -250,7 +265,8 @@ def _claims(
         ],
         [
             "The good PP and RR gains are nearly optimal (Figs. 5, 7)", "cv yes, ca no",
-            f"cv: kappa h 0.72 and 0.65 against 2/3; ca: radius {slow:.3g} or more against {st.BEST_CA_RADIUS:.3g} at kp h^2 = "
+            f"cv: kappa h {near[0]:.2g} and {near[1]:.2g} against 2/3; "
+            f"ca: radius {slow:.3g} or more against {st.BEST_CA_RADIUS:.3g} at kp h^2 = "
             f"{best['kp']:.4g}, kd h = {best['kd']:.4g}",
         ],
     ]  # fmt: skip
