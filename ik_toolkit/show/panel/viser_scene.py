@@ -82,12 +82,13 @@ class Handle:
 
         async def carry(event: Any) -> None:  # viser keeps the order of events for coroutines only
             nonlocal offset
-            if event.phase == "start":  # the ball may be taken at its rim
-                offset = self.gizmo.position - np.array(event.start_position)
-            place = np.array(event.end_position) + offset
-            if np.isfinite(place).all():
-                self.gizmo.position = tuple(place.tolist())
-                self._moved(event, dragged)
+            with np.errstate(over="ignore", invalid="ignore"):  # a page may send anything
+                if event.phase == "start":  # the ball may be taken at its rim
+                    offset = self.gizmo.position - np.array(event.start_position)
+                place = np.array(event.end_position) + offset
+                if np.isfinite(place).all():
+                    self.gizmo.position = tuple(place.tolist())
+                    self._moved(event, dragged)
 
         return carry
 
@@ -312,6 +313,7 @@ class Stage:
         camera.fov = PICTURE.lens
         self._look(camera, self.extent, PICTURE.view)
 
+    @np.errstate(all="ignore")  # a page may say of its camera and its targets what it likes
     def keep_in_view(self) -> None:
         """Move the camera away, along the direction it looks in, until all targets are in the picture, and later back again."""
         camera = getattr(self.client, "camera", None)
@@ -337,7 +339,8 @@ class Stage:
 
     def _look(self, camera: Any, box: np.ndarray, view: np.ndarray) -> None:
         eye, to = camera_for(box, view, camera.image_width / max(camera.image_height, 1), self._free())
-        camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
+        if np.isfinite([eye, to]).all():
+            camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
 
 
 def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
