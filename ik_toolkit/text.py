@@ -19,14 +19,14 @@ def figure(value: float, digits: int = 3) -> str:
 def _size(value: float, units: str, digits: int) -> str:
     """Write a size in the largest of some units, each a thousandth of the one before, of which it is one or more.
 
-    Less than a thousandth of the smallest is rounding, and has no digits.
+    Less than a hundredth of the smallest is rounding, and has no digits.
     """
     rounded = abs(float(f"{value:.{digits}g}"))
     names = units.split()
     sizes = [10.0 ** (-3 * k) for k in range(len(names))]
     size, unit = next((one for one in zip(sizes, names, strict=True) if rounded >= one[0]), (sizes[-1], names[-1]))
-    if 0.0 < rounded < 1e-3 * size:
-        return f"under 0.001 {unit}"
+    if 0.0 < rounded < 1e-2 * size:
+        return f"under 0.01 {unit}"
     return f"{figure(value / size, digits)} {unit}"
 
 

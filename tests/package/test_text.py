@@ -71,7 +71,7 @@ def test_what_a_result_holds_becomes_json():
         (length(9.999e-7, 3), "1 um"),
         (length(-0.02), "-20 mm"),
         (length(3.88e6), "3880000 m"),
-        (length(2.2e-16), "under 0.001 nm"),  # rounding has no digits
+        (length(2.2e-16), "under 0.01 nm"),  # rounding has no digits
         (length(0.0), "0 mm"),
         (duration(2.1), "2.1 s"),
         (duration(0.0005), "500 us"),

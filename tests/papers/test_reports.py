@@ -43,7 +43,9 @@ def test_times_spread_over_runs_with_the_same_goals(hydrolek, monkeypatch):
     sets = [paper.goals(hydrolek, seed, 20) for seed in (1, 2)]
     rules = {"J+": ("pinv", hydrolek.home), "DLS": ("dls", hydrolek.home)}
     times, steps = speed._compiled(hydrolek, rules, sets)
-    assert {count for count, _ in timed} == {speed.RUNS} and all(len(one) == speed.RUNS for one in times["J+"])
+    assert {count for count, _ in timed} == {speed.AMOUNT.runs} and all(
+        len(one) == speed.AMOUNT.runs for one in times["J+"]
+    )
     assert all(len(set(solves.values())) == 1 and 30 < solves["J+"] <= 40 for _, solves in timed)
     assert 900 < steps["J+"][0]["solved"] <= 1000
 

@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,23 @@ from .published import TABLE_2, TOLERANCES
 from .uncompiled import LIMIT, Interpreted, PlainPinv
 
 SETS = range(7, 14)  # seeds of the sets of 1000 goals
-RUNS = 7  # with the same goals, over which times spread
-FEW, FEW_RUNS = 75, 3  # goals and runs of the interpreted versions, which are slow
+
+
+class Amount(NamedTuple):
+    """How much is timed.
+
+    Attributes:
+        runs: with the same goals, over which times spread.
+        few: goals of the interpreted versions, which are slow.
+        few_runs: their runs.
+    """
+
+    runs: int = 7
+    few: int = 75
+    few_runs: int = 3
+
+
+AMOUNT = Amount()
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
 BASE = "J+"  # the method by whose time all times are divided
@@ -48,7 +63,7 @@ def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
     }
     sets = [sample_targets(robot, 1000, k, position_only=True) for k in SETS]
     compiled, steps = _compiled(robot, rules, sets)
-    slow = _interpreted(robot, sets[0][:FEW], q0)
+    slow = _interpreted(robot, sets[0][: AMOUNT.few], q0)
     names = [name for name in rules if SAME_AS.get(name, name) in TABLE_2]
     base = np.array(TABLE_2[BASE])
     absolute, ratios = [], []
@@ -75,7 +90,7 @@ def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
 
 
 def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tuple[Times, dict[str, list[dict]]]:
-    """Time the toolkit's solvers, RUNS times, on the goals of all sets that all of them solve, and count."""
+    """Time the toolkit's solvers, several times, on the goals of all sets that all of them solve, and count."""
     times: Times = {name: [] for name in rules}
     steps: dict[str, list[dict]] = {name: [] for name in rules}
     points = np.concatenate(sets)
@@ -87,7 +102,7 @@ def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tu
             name: (partial(solve_batch, robot, points[good], rule, q0=start, **options), int(good.sum()))
             for name, (rule, start) in rules.items()
         }
-        for name, spent in rounds(works, RUNS, warm=True).items():
+        for name, spent in rounds(works, AMOUNT.runs, warm=True).items():
             times[name].append(spent)
             batch = made[name]
             evaluations, sweeps = batch.fk_evaluations[good].sum() - good.sum(), batch.iterations[good].sum()
@@ -102,7 +117,7 @@ def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tu
 
 
 def _interpreted(robot: Robot, points: np.ndarray, q0: np.ndarray) -> Times:
-    """Time the methods in numpy, FEW_RUNS times, goal by goal, on the goals that all of them solve."""
+    """Time the methods in numpy, several times, goal by goal, on the goals that all of them solve."""
     plain = Interpreted(robot)
     times: Times = {name: [] for name in plain.names}
     for tolerance in TOLERANCES:
@@ -113,7 +128,7 @@ def _interpreted(robot: Robot, points: np.ndarray, q0: np.ndarray) -> Times:
                 plain.run(name, goal, q0, tolerance)
 
         works: dict[str, Work] = {name: (partial(work, name), len(good)) for name in plain.names}
-        for name, spent in rounds(works, FEW_RUNS, warm=True).items():
+        for name, spent in rounds(works, AMOUNT.few_runs, warm=True).items():
             times[name].append(spent)
     return times
 
@@ -130,9 +145,10 @@ def _explain(
     micro = {name: spread(1e6 * times[AT], ".3g") for name, times in compiled.items()}
     count = {name: made[AT]["steps"] for name, made in steps.items()}
     report.text(
-        f"""All 19 published times (IK-PID has none at 0.1 mm) next to ours: median [min-max] of {RUNS} runs over the same
-        {1000 * len(sets)} goals, {FEW_RUNS} over {FEW} for numpy. Times are processor time on one thread, with solvers taking
-        turns, and over the goals that all of them solve. The start is mid-range, except for the tuned solvers, which have
+        f"""All 19 published times (IK-PID has none at 0.1 mm) next to ours: median [min-max] of {AMOUNT.runs} runs over the same
+        {1000 * len(sets)} goals, {AMOUNT.few_runs} over {AMOUNT.few} for numpy. Times are processor time on one thread, with
+        solvers taking turns, and over the goals that all of them solve. The
+        start is mid-range, except for the tuned solvers, which have
         their own. The machines
         differ, so only the ratios can be compared. The published times are from MATLAB, to which numpy is the closer
         comparison."""
@@ -182,7 +198,7 @@ def _same_starts(robot: Robot, sets: list[np.ndarray]) -> dict[str, dict[str, An
     }
     return {
         name: {"us": spread(1e6 * spent), "solved": 1000.0 * float(works[name][0]().success.mean())}
-        for name, spent in rounds(works, RUNS).items()
+        for name, spent in rounds(works, AMOUNT.runs).items()
     }
 
 

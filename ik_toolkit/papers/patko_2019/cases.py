@@ -14,7 +14,6 @@ from ...servo.orbit_stability import Motion, step_matrices
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
 MEASURED = ("aa1", "aa2")  # whose growth is that of runs
-NEAR = 1e-5  # [s] of the difference of dJ/dt; its error is about 1e-10
 # The methods by their names in the report; the method aad is ours.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
@@ -180,6 +179,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
 def exact_motion(case: Case, times: np.ndarray) -> Motion:
     """Return what `step_matrices` needs of the motion without error at some times [s]; J is square and has an inverse."""
     system, rows = case.system, []
+    near = 1e-5  # [s] of the difference of dJ/dt; its error is about 1e-10
     jacobians = [system.jacobian(case.start(case.path(t)[0])) for t in times]
     for t, J in zip(times[:-1], jacobians, strict=False):
         p, v, a = case.path(t)
@@ -191,7 +191,7 @@ def exact_motion(case: Case, times: np.ndarray) -> Motion:
 
         qd = np.linalg.solve(J, v)
         curve = system.rate(q, qd, qd)
-        second = (along(qd, q + NEAR * qd) - along(qd, q - NEAR * qd)) / (2.0 * NEAR)
+        second = (along(qd, q + near * qd) - along(qd, q - near * qd)) / (2.0 * near)
         bend, acceleration = along(np.linalg.solve(J, curve)), along(np.linalg.solve(J, a - curve))
         rows.append([np.linalg.solve(J, part) for part in (J, along(qd), acceleration, bend, second)])
     row, rate, acceleration, bend, second = (np.array(part) for part in zip(*rows, strict=True))
