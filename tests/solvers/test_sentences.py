@@ -107,8 +107,7 @@ def test_beyond_reach(arm, tree):
 def test_what_is_left_at_each_tip(tree):
     result = ik.solve(tree, tree.fk(tree.home + 0.1), "lm", q0=tree.home, max_iterations=1, restarts=0)
     errors = ", ".join(
-        f"{tip} {length(result.position_errors[tip])} {np.degrees(result.orientation_errors[tip]):.3g} deg"
-        for tip in tree.tips
+        f"{tip} {length(result.position_errors[tip])} {angle(result.orientation_errors[tip])}" for tip in tree.tips
     )
     assert not result.success and result.message.endswith(f"; remaining error at each tip: {errors}")
 
