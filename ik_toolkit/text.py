@@ -1,10 +1,51 @@
-"""Parsing of numbers and values that a user typed, and conversion of results to JSON."""
+"""Numbers and values as people type and read them: parsing, forms for sentences and tables, conversion of results to JSON."""
 
 import json
 import math
 from typing import Any
 
 from .errors import InvalidOption, InvalidTarget
+
+
+def figure(value: float, digits: int = 3) -> str:
+    """Write a number with significant digits as a person does: 3880, 0.0012, 2.5e-6."""
+    text = f"{value:.{digits}g}"
+    head, _, power = text.partition("e")
+    if not power:
+        return text
+    return f"{float(text):.0f}" if 0 < int(power) < 7 else f"{head}e{int(power)}"
+
+
+def _size(value: float, units: str, digits: int) -> str:
+    """Write a size in the largest of some units, each a thousandth of the one before, of which it is one or more.
+
+    Less than a hundredth of the smallest is rounding, and has no digits.
+    """
+    rounded = abs(float(f"{value:.{digits}g}"))
+    names = units.split()
+    sizes = [10.0 ** (-3 * k) for k in range(len(names))]
+    size, unit = next((one for one in zip(sizes, names, strict=True) if rounded >= one[0]), (sizes[-1], names[-1]))
+    if 0.0 < rounded < 1e-2 * size:
+        return f"under 0.01 {unit}"
+    return f"{figure(value / size, digits)} {unit}"
+
+
+def length(metres: float, digits: int = 3) -> str:
+    """Write a length [m] in a unit that suits it."""
+    return _size(metres, "m mm um nm", digits) if metres else "0 mm"
+
+
+def duration(seconds: float, digits: int = 3) -> str:
+    """Write a time [s] in a unit that suits it."""
+    return _size(seconds, "s ms us", digits) if seconds else "0 s"
+
+
+def angle(radians: float, deg: bool = True, digits: int = 3) -> str:
+    """Write an angle [rad] in degrees or radians, and one of less than a thousandth of these in urad or nrad."""
+    unit = (math.radians(1.0), "deg") if deg else (1.0, "rad")
+    if radians and abs(radians) < 1e-3 * unit[0]:
+        return _size(1e6 * radians, "urad nrad", digits)
+    return f"{figure(radians / unit[0], digits)} {unit[1]}"
 
 
 def numbers(text: str) -> list[float] | None:

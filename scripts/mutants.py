@@ -134,9 +134,8 @@ def is_compiled(top: ast.AST) -> bool:
     marks = [ast.unparse(mark) for mark in getattr(top, "decorator_list", ())]
     if of_kernel:  # where everything runs uncompiled
         return any(word in mark for mark in marks for word in NUMBAS)
-    if isinstance(top, ast.FunctionDef) and any(
-        isinstance(inside, ast.FunctionDef) for inside in ast.walk(top) if inside is not top
-    ):
+    inside = [node for node in ast.walk(top) if node is not top]
+    if isinstance(top, ast.FunctionDef) and any(isinstance(node, ast.FunctionDef) for node in inside):
         marks += [ast.unparse(call.func) for call in inside if isinstance(call, ast.Call)]
     return any(mark.split("(")[0].split(".")[-1] in COMPILED for mark in marks)
 

@@ -17,6 +17,7 @@ from ..robot.pose_files import Convention, read_poses
 from ..solvers.batch.result import BatchCheckFailed, BatchInterrupted, BatchResult
 from ..solvers.batch.solve_batch import solve_batch, solve_parts
 from ..solvers.status import Status
+from ..text import duration, figure
 from .output import facts, notice, progress, show, write_json
 from .streams import uninterrupted
 
@@ -258,12 +259,12 @@ def solve_file(
     write_json(payload, as_json)
     if not as_json:
         others = ", ".join(f"{number} {status}" for status, number in tally.statuses.items() if status != "CONVERGED")
-        rate = f"{elapsed:.3g} s, {done / elapsed:.3g} targets/s with reading and writing"
+        rate = f"{duration(elapsed)}, {figure(done / elapsed)} targets/s with reading and writing"
         facing = {
             "solved": f"{solved} of {done}",
             "not solved": others or None,
             "solver": tally.solver or None,
-            "time": rate,
+            "computed in": rate,
         }
         show(facts(facing))
     if solved < done:

@@ -58,7 +58,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
         show(facts({
             "robot": arm.name,
             "method": f"{check.method}, " + ", ".join(f"{name} = {value:.5g}" for name, value in chosen(asked).items()),
-            "stability": words(check),
+            "stability": judged(check),
             "best at rest": ", ".join(f"{name} = {value:.5g}" for name, value in check.suggestion.items()),
         }))  # fmt: skip
     notice(check.message)
@@ -81,7 +81,7 @@ def chosen(asked: PathOptions) -> dict[str, float]:
     return best_gains(asked.method, 1.0 / asked.rate) | given
 
 
-def words(check: Any) -> str:
+def judged(check: Any) -> str:
     """Say a verdict in a few words."""
     text = f"spectral radius {check.radius:.4g} at rest"
     if check.along is not None:

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,13 +146,21 @@ def facts(rows: dict[str, Any]) -> "Table":
 
 
 @contextmanager
-def progress(what: str, total: int | None) -> Iterator[Callable[..., None]]:
-    """Bar on stderr if that is a terminal; yields a function of the number done and, if they change, the text and the total."""
+def progress(what: str, total: int | None, seconds: float | None = None) -> Iterator[Callable[..., None]]:
+    """Bar on stderr if that is a terminal; yields a function of the number done and, if they change, the text and the total.
+
+    seconds: time [s] after which the work stops at the latest, which is counted down in place of an estimate.
+    """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+
+    class TimeLeft(ProgressColumn):
+        def render(self, task: Any) -> str:
+            return f"{timedelta(seconds=max(0, math.ceil((seconds or 0.0) - (task.elapsed or 0.0))))}"
 
     console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    left = TimeRemainingColumn() if seconds is None else TimeLeft()
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), left
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done, shown=None, total=None: bar.update(task, completed=done, description=shown, total=total)

@@ -7,7 +7,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption, InvalidTarget
-from ..text import numbers
+from ..text import angle, duration, figure, length, numbers
 from .command import PLOTS, REQUIRED, command, flag, option, options, same
 from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
 from .output import facts, notice, partial, progress, show, table, write_json
@@ -238,12 +238,12 @@ def _show(result: Any, made: Any) -> None:
                 "status": f"{result.status.name}: {result.message}",
                 "poses": f"{len(result.q)}, {len(result.curve) - len(result.q)} more inserted between them",
                 "reconfigurations": changes,
-                "length": f"{turn:.4g} rad" + (f" and {slide:.4g} m" if slides else ""),
-                "largest step": f"{math.degrees(step):.3g} deg" + (f" and {1e3 * glide:.3g} mm" if slides else ""),
-                "between poses": f"off by {1e3 * off:.3g} mm and {math.degrees(tilt):.3g} deg at most (a bound)",
-                "clearance": None if clearance is None else f"at least {1e3 * clearance:.3g} mm",
-                "time": f"{result.elapsed:.3g} s",
-                "trajectory": None if made is None else f"{made.duration:.4g} s, {len(made.t)} samples",
+                "length": f"{figure(turn, 4)} rad" + (f" and {length(slide, 4)}" if slides else ""),
+                "largest step": angle(step) + (f" and {length(glide)}" if slides else ""),
+                "between poses": f"off by {length(off)} and {angle(tilt)} at most (a bound)",
+                "clearance": None if clearance is None else f"at least {length(clearance)}",
+                "trajectory": None if made is None else f"lasts {duration(made.duration)}, {len(made.t)} samples",
+                "computed in": duration(result.elapsed),
             }
         )
     )
@@ -252,7 +252,7 @@ def _show(result: Any, made: Any) -> None:
         for one in result.reconfigurations:
             i = max(range(len(one.move)), key=lambda k: abs(one.move[k]))
             turning = result.robot.joint_kinds[i] != "prismatic"
-            by = f"{math.degrees(one.move[i]):.4g} deg" if turning else f"{1e3 * one.move[i]:.4g} mm"
+            by = angle(one.move[i], digits=4) if turning else length(one.move[i], 4)
             changes.add_row(f"{one.index} and {one.index + 1}", result.robot.joint_names[i], by)
         show(changes)
     for missing in result.unreachable[:LISTED]:

@@ -1,6 +1,5 @@
 """`ik solve`: joint values that bring the tip to a target."""
 
-import math
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import typer
 
 from ..errors import InvalidOption
 from ..files import write_table
-from ..text import parameter, vector
+from ..text import angle, duration, length, parameter, vector
 from . import first_use
 from .command import PLOTS, command, flag, option, options, same
 from .options import (
@@ -25,7 +24,7 @@ from .options import (
     joint_vector,
     solver_named,
 )
-from .output import facts, notice, number, show, table, unit, write_json
+from .output import facts, fixed, notice, number, show, table, unit, write_json
 from .pictures import draw
 from .target import CountOptions, TargetOptions, in_base, relations
 
@@ -325,13 +324,13 @@ def _solutions(found: Any, deg: bool) -> list[Any]:
         made[0].add_row("", *(unit(kind, deg) for kind in kinds), "", style="dim")
         for k, (q, distance) in enumerate(zip(found, found.distance, strict=True), 1):
             values = (number(float(x), kind, deg) for x, kind in zip(q, kinds, strict=True))
-            made[0].add_row(str(k), *values, f"{distance:.3g}")
+            made[0].add_row(str(k), *values, fixed(distance, 3))
     for first in range(0, 0 if in_rows else len(found), ABREAST):
         rows = range(first, min(first + ABREAST, len(found)))
         made.append(table("<joint", "<unit", *(f">{k + 1}" for k in rows)))
         for i, (name, kind) in enumerate(zip(arm.joint_names, kinds, strict=True)):
             made[-1].add_row(name, unit(kind, deg), *(number(float(found.q[k, i]), kind, deg) for k in rows))
-        made[-1].add_row("distance", "", *(f"{found.distance[k]:.3g}" for k in rows), style="dim")
+        made[-1].add_row("distance", "", *(fixed(found.distance[k], 3) for k in rows), style="dim")
     return made
 
 
@@ -347,30 +346,27 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
         relative = options.get("relative_to") or {}
         tips = table("<tip", "<target in", ">position\nerror", ">orientation\nerror")
         for tip, position in result.position_errors.items():
-            angle = result.orientation_errors[tip]
-            left = "free" if angle is None else f"{math.degrees(angle):.3g} deg" if deg else f"{angle:.3g} rad"
-            given = (relative.get(tip, robot.base), _length(position), left)
+            given = (relative.get(tip, robot.base), length(position), _angle(result.orientation_errors[tip], deg))
             tips.add_row(tip, *(given if tip in target else ("no target", "free", "free")))
         show(tips)
     counts = f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}"
-    errors = {"position error": _length(result.position_error), "orientation error": _angle(result.orientation_error)}
+    errors = {"position error": length(result.position_error), "orientation error": _angle(result.orientation_error)}
     status = {"status": f"{result.status.name}, solver {result.solver}"}
-    show(facts({**status, **({} if robot.by_tip else errors), "iterations": counts, "time": _time(result.elapsed)}))
-
-
-def _angle(value: float | None) -> str:
-    return "free" if value is None else f"{value:.3g} rad ({math.degrees(value):.3g} deg)"
-
-
-def _length(value: float) -> str:
-    return f"{value:.3g} m" if value < 1e-6 or value >= 1 else f"{1000 * value:.4g} mm"
-
-
-def _time(seconds: float) -> str:
-    return (
-        f"{1e6 * seconds:.0f} us"
-        if seconds < 1e-3
-        else f"{1e3 * seconds:.3g} ms"
-        if seconds < 1
-        else f"{seconds:.3g} s"
+    show(
+        facts(
+            {
+                **status,
+                **({} if robot.by_tip else errors),
+                "iterations": counts,
+                "computed in": duration(result.elapsed),
+            }
+        )
     )
+
+
+def _angle(value: float | None, deg: bool | None = None) -> str:
+    """An angle in words; in both units unless one is asked for."""
+    if value is None:
+        return "free"
+    words = angle(value, deg is not False)
+    return f"{angle(value, deg=False)} ({words})" if deg is None and words.endswith("deg") else words

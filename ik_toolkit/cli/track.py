@@ -1,5 +1,6 @@
 """`ik track`: follow a path with one of the tracking methods."""
 
+import functools
 import math
 import warnings
 from collections.abc import Callable, Mapping
@@ -8,11 +9,12 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from ..text import parameter
+from ..text import angle, duration, figure, length, parameter
 from .command import command, flag, option, options
-from .gains import GAINS, along_the_path, words
-from .options import CollisionOptions, JsonOutput, RobotOptions, assignments, joint_vector
+from .gains import GAINS, along_the_path, judged
+from .options import CollisionOptions, RobotOptions, SceneOutput, assignments, joint_vector
 from .output import facts, notice, partial, progress, show, table, turns, unit, write_json
+from .pictures import present
 from .streams import uninterrupted
 from .target import CountOptions
 from .track_path import Asked, TrackOptions, advice, asked_path, doubt_metres
@@ -52,7 +54,7 @@ def track(
     collisions: TrackCollisions,
     tolerances: TrackTolerances,
     robot: RobotOptions,
-    out: JsonOutput,
+    out: SceneOutput,
 ) -> None:
     """Follow a path with the tip and report errors, joint speeds and limits.
 
@@ -70,6 +72,7 @@ def track(
     ik track hydrolek_7w --path circle
     ik track hydrolek_7w --path eight --radius 0.08 --position-only --plot run.png
     ik track hydrolek_7w --path line --length 0.2 --on-limit leave
+    ik track hydrolek_7w --path circle --html run.html
     """
     if not (asked.rate > 0.0 and asked.rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {asked.rate}")
@@ -83,6 +86,10 @@ def track(
 
     path, result = _follow(arm, asked, q, what, tolerances.position_tolerance, run)
     _write(result, arm, asked)
+    if out.html is not None or out.live:
+        from ..show.scene import view
+
+        present(view(arm, result), out.html, out.live)
     stopped, tried = None, []
     try:
         if result.reach is not None:
@@ -179,31 +186,31 @@ def _run(arm: Any, asked: TrackOptions, path: Asked, own: set[str], more: dict[s
 
 def _show(result: Any, arm: Any, path: Asked, deg: bool, check: Any) -> None:
     figures = result.figures
-    angle, of_angle = unit("revolute", deg), math.degrees(1.0) if deg else 1.0
+    of_angle = math.degrees(1.0) if deg else 1.0
     gains = ", ".join(f"{name} = {value:.5g}" for name, value in result.options.items())
     steps = len(result.t) - 1
-    tried = f", {result.searched:.3g} s of trying other runs" if result.searched > result.elapsed else ""
+    tried = f", {duration(result.searched)} of trying other runs" if result.searched > result.elapsed else ""
     show(
         facts(
             {
                 "robot": f"{result.robot} ({arm.base} -> {' and '.join(arm.tips)})",
                 "path": f"{path.words} (chosen)" if path.words else path.shown,
-                "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {result.dt:.5g} s",
-                "stability": None if check is None else words(check),
+                "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {duration(result.dt, 5)}",
+                "stability": None if check is None else judged(check),
                 "status": f"{result.status.name}: {result.message}",
-                "time": f"{result.elapsed:.3g} s of stepping{tried}",
+                "computed in": f"{duration(result.elapsed)} of stepping{tried}",
             }
         )
     )
     errors = table("<error", ">max", ">RMS", ">final", ">max,\n2nd half", ">between\nsamples")
-    for name, measure, factor in (("position", "m", 1.0), ("orientation", angle, of_angle)):
+    for name, words in (("position", length), ("orientation", functools.partial(angle, deg=deg))):
         if name in figures:
             row = figures[name]
             keys = ("max", "rms", "final", "settled_max", "between_max")
-            errors.add_row(f"{name} [{measure}]", *(f"{factor * row[key]:.3g}" if key in row else "-" for key in keys))
+            errors.add_row(name, *(words(row[key]) if key in row else "-" for key in keys))
     same = all(turns(kind) for kind in arm.joint_kinds)
     peaks = (
-        f">{name}\n[{angle if same else 'unit'}/{per}]"
+        f">{name}\n[{unit('revolute', deg) if same else 'unit'}/{per}]"
         for name, per in (("speed", "s"), ("accel.", "s2"), ("jerk", "s3"))
     )
     joints = table("<joint", *peaks, ">of\nlimit", ">at\nlimit")
@@ -212,13 +219,13 @@ def _show(result: Any, arm: Any, path: Asked, deg: bool, check: Any) -> None:
         speed, factor = figures["peak_speed"][i], of_angle if turns(kind) else 1.0
         joints.add_row(
             name if same else f"{name} [{unit(kind, deg)}]",
-            *(f"{factor * figures[key][i]:.3g}" for key in ("peak_speed", "peak_acceleration", "peak_jerk")),
+            *(figure(factor * figures[key][i]) for key in ("peak_speed", "peak_acceleration", "peak_jerk")),
             f"{100 * speed / limit:.0f} %" if 0.0 < limit < float("inf") else "-",
-            f"{figures['time_at_limits_by_joint'][name]:.3g} s",
+            duration(figures["time_at_limits_by_joint"][name]),
         )
     show(errors, joints)
     if figures["jumps"]:
         move = figures["largest_move"]
         kind = arm.joint_kinds[result.joint_names.index(move["joint"])]
-        by = f"{(of_angle if turns(kind) else 1.0) * move['value']:.3g} {unit(kind, deg)}"
+        by = angle(move["value"], deg) if turns(kind) else length(move["value"])
         notice(f"{figures['jumps']} step(s) moved a joint far: {move['joint']} by {by} at t = {move['time']:.4g} s")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import InvalidOption, near_match, whole
-from ..text import vector
+from ..text import figure, length, vector
 from .command import PLOTS, flag, option, options
 from .output import notice, number
 
@@ -189,8 +189,10 @@ def doubt_metres(arm: Any, reference: Any) -> None:
         way = one.at(np.linspace(0.0, one.duration, SEEN))[0][:, :3, 3] - tips[tip].translation
         away = float(np.linalg.norm(way, axis=1).max())
         if away > FAR * arm.reach:
-            times = f"{away / arm.reach:.3g} times its reach" if arm.reach > 0.0 else "which cannot move"
-            notice(f"warning: the path goes {away:.4g} m away from {tip} at home, {times}; were millimetres meant?")
+            times = f"{figure(away / arm.reach)} times its reach" if arm.reach > 0.0 else "which cannot move"
+            notice(
+                f"warning: the path goes {length(away, 4)} away from {tip} at home, {times}; were millimetres meant?"
+            )
             return
 
 

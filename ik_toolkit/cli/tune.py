@@ -81,7 +81,7 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
     for file in (preset, record):
         writable(file.suffix)(file)
     unchanged = "method maps targets held_out generations population seconds seed tolerance max_iterations how".split()
-    with _record(record, asked.resume), progress("searching", asked.generations) as bar:
+    with _record(record, asked.resume), progress("searching", asked.generations, asked.seconds) as bar:
         result = search(
             arm,
             asked.solver,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption
+from ..text import length
 from .command import PLOTS, command, flag, option, options
 from .options import ObjectOutput, WholeRobot, joint_vector
 from .output import facts, heading, notice, partial, progress, show, table, write_json
@@ -135,7 +136,7 @@ def _show(found: Any) -> None:
     box = " by ".join(f"{a:.3f}..{b:.3f}" for a, b in zip(found.low, found.high, strict=True))
     near, far = found.radius
     show(facts({"reach, sampled": f"x, y, z {box} m", "from the base": f"{near:.3f} to {far:.3f} m"}))
-    made = table("<solver", "<solved", "<per 1000", ">steps", ">worst\n(mm)", "<not solved")
+    made = table("<solver", "<solved", "<per 1000", ">steps", ">worst", "<not solved")
     for name, outcome in found.outcomes.items():
         data = outcome.to_dict()
         low, high = data["wilson_95"]
@@ -146,7 +147,7 @@ def _show(found: Any) -> None:
             f"{outcome.solved} of {outcome.targets}",
             f"{1000 * low:.1f}..{1000 * high:.1f}",
             "-" if steps is None else f"{steps:.1f}",
-            f"{1000 * outcome.worst:.4g}",
+            length(outcome.worst),
             other or "-",
         )
     show(made)

@@ -59,11 +59,14 @@ class Report:
         """Add a paragraph of Markdown."""
         self._parts.append(" ".join(text.split()))
 
-    def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-        """Add a table under a key of `data`; floats are shown with 5 significant digits and stored in full precision."""
+    def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]], least: float = 0.0) -> None:
+        """Add a table under a key of `data`; floats are shown with 5 significant digits and stored in full precision.
+
+        Of sizes below `least` only this is shown: their digits are rounding, which differs from processor to processor.
+        """
         self.data[key] = {"columns": list(head), "rows": [list(row) for row in rows]}
         lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
-        lines += ["| " + " | ".join(_cell(x) for x in row) + " |" for row in rows]
+        lines += ["| " + " | ".join(cell(x, least) for x in row) + " |" for row in rows]
         self._parts.append("\n".join(lines))
 
     def number(self, key: str, value: Any) -> Any:
@@ -126,10 +129,12 @@ class Report:
         return files
 
 
+ROUNDING = 1e-11  # Errors below this (in m, mm, rad or deg) are rounding.
 WIDEST = 8.0  # largest width of a figure [inches]; its 9-point text is then 12 pixels high on a page 740 pixels wide
 
 
-def _cell(value: Any) -> str:
+def cell(value: Any, least: float = 0.0) -> str:
+    """Write a value as a table has it, see `Report.table`."""
     if isinstance(value, float | np.floating):
-        return "-" if np.isnan(value) else f"{value:.5g}"
+        return "-" if np.isnan(value) else f"under {least:.0e}" if 0.0 < abs(value) < least else f"{value:.5g}"
     return str(value).replace("|", "\\|").replace("\n", " ")

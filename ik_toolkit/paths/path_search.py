@@ -13,6 +13,7 @@ import numpy as np
 from ..kernel.counted_error import POSE
 from ..kernel.kinematics import TAU
 from ..solvers.task import counts_in_part
+from ..text import length
 from .contact import Margins
 from .continuation import ISOLATED, MOST, POOL, SAME, STARTS, THIN, Tracks, spread
 from .exact_branches import ROUNDING, alive, copies, solutions, unwound
@@ -369,7 +370,7 @@ class Search:
             else:
                 reason = f"no solution found from {STARTS} starts"
             if beyond > 0.0:
-                reason = f"beyond reach by {1000 * beyond:.4g} mm (a bound from the link lengths)"
+                reason = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)"
             elif self.sure is not None and self.sure[t] and not self.legal[t].any():
                 reason, beyond = "every solution violates a joint limit, or none exists", np.inf
             said.append(Unreachable(int(place), reason, beyond > 0.0))

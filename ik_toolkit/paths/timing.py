@@ -12,6 +12,7 @@ from ..motion.trajectory import Piece, Trajectory, sample
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
+from ..text import duration, figure
 from ..validate import positive
 from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
@@ -60,15 +61,10 @@ def retime(
             )
             deviation, turn, clearance = max(deviation, off), max(turn, turned), min(clearance, free)
             made.append(piece)
-    pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
-    if not pieces:  # A path of a single pose has no motion.
-        pieces = (_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits),)
-    total = sum(piece.duration for piece in pieces)
-    if total * rate > MOST_SAMPLES:
-        raise InvalidOption(
-            f"rate = {rate:g} gives {total * rate:.3g} samples in {total:.4g} s; at most {MOST_SAMPLES:g}"
-        )
-    t = np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
+    if not made:  # A path of a single pose has no motion.
+        made = [_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits)]
+    pieces, t = _instants(made, rate)
+    total = float(t[-1])
     slow = () if tip_speed is None else _slower(robot, pieces, asked)
     message = missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
     if stops:
@@ -81,6 +77,44 @@ def retime(
         robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces, result.collision,
         tuple(stops), slow,
     )  # fmt: skip
+
+
+def through(
+    robot: Joints, Q: Any, velocity: Any = None, acceleration: Any = None, *, collision: Any = None, rate: float = 100.0
+) -> Trajectory:
+    """Motion through configurations Q (N, n) [rad or m], straight in the joints and at rest at each, which `place` counts.
+
+    Limits, rate and errors are as in `PathResult.retime`. With a CollisionModel as `collision` it goes around what is in the way,
+    or ends where no way was found.
+    """
+    limits, rate = _limits(robot, velocity, acceleration), positive(rate, "rate [1/s]")
+    rows = np.array([robot.check_q(q) for q in Q])
+    if not len(rows):
+        raise InvalidOption("there is no configuration to go through")
+    made, missing = [_straight(rows[0], rows[0], np.zeros(2), limits)], ""
+    for k, (a, b) in enumerate(itertools.pairwise(rows)):
+        way = connect(robot, collision, a, b, 0)
+        if way is None:
+            missing = f"it ends at configuration {k + 1}: no collision-free motion to the next one was found"
+            break
+        places = np.linspace(k, k + 1, len(way))
+        made += [_straight(way[i], way[i + 1], places[i : i + 2], limits) for i in range(len(way) - 1)]
+    pieces, t = _instants(made, rate)
+    message = missing or f"all {len(rows)} configurations are passed in {duration(float(t[-1]), 4)}"
+    return Trajectory(
+        robot, t, *sample(pieces, t), not missing, message, *limits, (0.0, 0.0), None, pieces, collision
+    )  # fmt: skip
+
+
+def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.ndarray]:
+    """The pieces that last, or one that does not, and the times (N,) [s] of their samples."""
+    pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
+    total = sum(piece.duration for piece in pieces)
+    if total * rate > MOST_SAMPLES:
+        raise InvalidOption(
+            f"rate = {rate:g} gives {figure(total * rate)} samples in {duration(total, 4)}; at most {MOST_SAMPLES:g}"
+        )
+    return pieces, np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
 
 
 def _listed(places: list[Any]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError
+from ..text import angle, length
 from .formats.mimic import mimic_limits
 from .probe import JointPath, limits
 
@@ -147,10 +148,10 @@ class Closure:
         if isinstance(constraint, Loop):
             yield from self._between(*constraint.ends)
             return
-        for length in (constraint.y, constraint.x):
-            for name, _ in length.joints if length else ():
+        for one in (constraint.y, constraint.x):
+            for name, _ in one.joints if one else ():
                 yield self.model.getJointId(name)
-            for a, b, _ in length.lines if length else ():
+            for a, b, _ in one.lines if one else ():
                 yield from self._between(a, b)
 
     def _between(self, a: End, b: End) -> set[int]:
@@ -183,11 +184,11 @@ class Closure:
         """Return as text how far a constraint is violated, '' if it is within the tolerances."""
         if np.isnan(off).any():
             return "unknown"
-        length = isinstance(constraint, Loop) or constraint.y.metres
-        far = float(np.linalg.norm(off[:3])) if length else 0.0
-        angle = float(np.linalg.norm(off[3:] if length else off))
-        parts = [f"{far:.3g} m" if far >= 1.0 else f"{1000 * far:.3g} mm"] if far > position else []
-        parts += [f"{np.degrees(angle):.3g} deg"] if angle > orientation else []
+        metres = isinstance(constraint, Loop) or constraint.y.metres
+        far = float(np.linalg.norm(off[:3])) if metres else 0.0
+        turned = float(np.linalg.norm(off[3:] if metres else off))
+        parts = [length(far)] if far > position else []
+        parts += [angle(turned)] if turned > orientation else []
         return " and ".join(parts)
 
     def residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

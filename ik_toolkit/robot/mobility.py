@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from ..text import angle as in_words
+from ..text import figure, length
+
 SAMPLES = 24  # number of random configurations; a motion that is possible in none of them is taken as impossible
 # Singular values below this share of the largest count as 0, because axes in files have five or six digits.
 ROUNDING = 1e-5
@@ -51,21 +54,21 @@ class Mobility:
             off = float(normal @ point) - height
             if abs(off) > position:
                 found.append(
-                    f"the tip never moves along {named(normal)} of the base, and the target is {_length(off)} off"
+                    f"the tip never moves along {named(normal)} of the base, and the target is {length(abs(off))} off"
                 )
         if T.ndim == 1:
             return found
         if self.rotation is not None:
             off = np.arccos(np.clip((np.trace(self.rotation.T @ T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
             if off > angle:
-                found.append(f"the tip never turns, and the target is turned by {np.degrees(off):.3g} deg")
+                found.append(f"the tip never turns, and the target is turned by {in_words(float(off))}")
         elif self.axis is not None and self.tip_axis is not None:
             off = np.arccos(np.clip(self.axis @ T[:3, :3] @ self.tip_axis, -1.0, 1.0))
             if off > angle:
                 opposite = "the opposite way, " if np.degrees(off) > 179.0 else ""
                 found.append(
                     f"the tip's {named(self.tip_axis)} axis always points along {named(self.axis)} of the base, and the target's "
-                    f"points {opposite}{np.degrees(off):.3g} deg from it"
+                    f"points {opposite}{in_words(float(off))} from it"
                 )
         return found
 
@@ -86,11 +89,7 @@ def named(axis: np.ndarray) -> str:
     k = int(np.abs(axis).argmax())
     if abs(abs(axis[k]) - 1.0) < 1e-6:
         return ("-" if axis[k] < 0.0 else "") + NAMES[k]
-    return "(" + ", ".join(f"{x:.3g}" for x in axis + 0.0) + ")"
-
-
-def _length(metres: float) -> str:
-    return f"{abs(metres):.3g} m" if abs(metres) >= 1.0 else f"{1e3 * abs(metres):.3g} mm"
+    return "(" + ", ".join(figure(x) for x in axis + 0.0) + ")"
 
 
 def mobility_of(arm: Any) -> Mobility:

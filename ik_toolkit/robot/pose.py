@@ -324,9 +324,3 @@ def corrected(target: Any) -> np.ndarray:
     if notice:
         logging.getLogger("ik_toolkit").warning("%s", notice)
     return T
-
-
-def length(value: float) -> str:
-    """Write a length [m] with a suitable unit."""
-    size, unit = next((x for x in ((1.0, "m"), (1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
-    return f"{value / size:.3g} {unit}"

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..motion.reference import Reference
 from ..robot.joints import Joints
-from ..robot.pose import length
 from ..robot.rotation import angles_between
+from ..text import angle, length
 
 CLOSE = (1e-4, 2e-4)  # [m, rad] error up to which a pose counts as reached: a tenth of a run's default tolerances
 DENSE = 1000  # number of samples from which the length of a path is measured
@@ -62,9 +62,7 @@ class Survey:
         """A clause that says how far along the path is reachable and what ends it; '' if all of it is."""
         if self.until is None:
             return ""
-        far, whole = (
-            (f"{np.degrees(x):.3g} deg" if self.turning else length(float(x))) for x in (self.stop, self.along[-1])
-        )
+        far, whole = ((angle(float(x)) if self.turning else length(float(x))) for x in (self.stop, self.along[-1]))
         where = f"reachable up to {far} of {whole}" if self.until else "its start is out of reach"
         at = f"{', '.join(self.joints)} at {'their limits' if len(self.joints) > 1 else 'its limit'}"
         few = self.robot.n < (6 if self.posed else 4)  # Three joints may only be able to move the tip in a plane.

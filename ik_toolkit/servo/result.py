@@ -15,8 +15,8 @@ import numpy as np
 from ..errors import InvalidOption
 from ..files import as_path, whole_file, write_table, write_whole
 from ..robot.constraints import first_open
-from ..robot.pose import length
 from ..robot.ros import joint_trajectory
+from ..text import angle, length
 from ..validate import number
 from . import laws, viability
 from .path_reach import Survey
@@ -329,7 +329,7 @@ def _away(result: TrackResult, outside: np.ndarray) -> str:
     away = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
     allowed = length(result.position_tolerance)
     if result.orientation_error is not None:
-        allowed += f" and {np.degrees(result.orientation_tolerance):.3g} deg"
+        allowed += f" and {angle(result.orientation_tolerance)}"
     first, last = result.t[outside][[0, -1]]
     when = f"from t = {first:.4g} s to " + ("the end" if outside[-1] else f"{last:.4g} s, within it again at the end")
     after = f" after {result.settle:g} s" if result.settle else ""
@@ -394,7 +394,7 @@ def _between_samples(result: TrackResult) -> str:
     return f" Between samples: at most {words}." if more else " No more between samples."
 
 
-def _error_words(position: float, angle: np.ndarray | None, rows: np.ndarray) -> str:
+def _error_words(position: float, orientation: np.ndarray | None, rows: np.ndarray) -> str:
     """Return a position error [m], and the largest of the orientation errors (N+1,) [rad] in `rows`, in words."""
-    turned = "" if angle is None else f" and {np.degrees(angle[rows].max()):.3g} deg"
+    turned = "" if orientation is None else f" and {angle(float(orientation[rows].max()))}"
     return length(float(position)) + turned

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..text import angle, length
 from . import viability
 from .target_jump import Choice
 
@@ -214,7 +215,7 @@ class Step:
     def _left(self) -> str:
         """Return the errors left in words."""
         turned = self.orientation_error
-        return f"{1000 * self.position_error:.3g} mm" + (f", {np.degrees(turned):.3g} deg" if turned else "")
+        return length(self.position_error) + (f", {angle(turned)}" if turned else "")
 
     def __repr__(self) -> str:
         """Return a line with status, position error and reason."""

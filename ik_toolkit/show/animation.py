@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InvalidConfiguration
 from ..files import check_arrays, read_json, without_mark
 from ..robot.joints import Joints
+from ..text import figure
 from .body import DrawnShape, primitive
 
 OBSTACLE = (0.55, 0.58, 0.62)
@@ -106,7 +107,7 @@ def motion_of(what: Any) -> ShownMotion | None:
 
 
 def _much(value: float, unit: str) -> str:
-    return f", {value:.3g} {unit}" if np.isfinite(value) else ""
+    return f", {figure(value)} {unit}" if np.isfinite(value) else ""
 
 
 # ------------------------------------------------------------------------------------------------------------- the scene
@@ -134,7 +135,7 @@ def animate(scene: Any, motion: ShownMotion) -> None:
     if np.isfinite(motion.values).any():
         low, high = np.nanmin(motion.values), np.nanmax(motion.values)
         bands = ", ".join("#" + "".join(f"{round(255 * c):02x}" for c in band) for band in BANDS)
-        scene._say(f"linear-gradient(90deg, {bands})", f"{motion.name}: {low:.3g} to {high:.3g} {motion.unit}")
+        scene._say(f"linear-gradient(90deg, {bands})", f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}")
     count = len(motion.q)
     rows = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).astype(int))
     span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])

@@ -26,6 +26,7 @@ MAX_SHAPES = 2_000  # per robot; robots have up to 150
 COLORED = (".dae", ".obj", ".glb", ".gltf")  # formats with colours worth showing
 GREY = (0.70, 0.72, 0.75)
 STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # colours of stick figures
+SEEN = 1e-4  # [reaches, rad] parts nearer to each other than this look like one
 SMOOTH = np.radians(35.0)  # edges sharper than this stay visible
 
 
@@ -87,6 +88,12 @@ class Body:
                 for arm, at in zip(self.arms, self.robot.places, strict=True)
             ]
         )
+
+    def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
+        """Return (P,) for parts at two sets of poses (P, 4, 4) whether they are seen in different places."""
+        gap = np.abs(A - B)
+        gap[:, :3, 3] /= self.robot.reach
+        return gap.max(axis=(1, 2)) > SEEN
 
     def bounds(self, q: Any, still: bool = False) -> np.ndarray:
         """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only."""

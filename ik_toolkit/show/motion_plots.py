@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..robot.joints import Joints
-from ..robot.pose import length
 from ..servo.result import TrackResult
 from ..style import COLOURS, DASHES, GREY, PALE
+from ..text import length
 from .plots import FLOOR, drawing, literal_text
 
 COLUMNS = 5  # of the legend of the joints, at most

@@ -11,7 +11,9 @@ import numpy as np
 from ..copying import Unique
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
-from ..robot.pose import AxisTarget, check_target, length
+from ..robot.pose import AxisTarget, check_target
+from ..text import angle as in_words
+from ..text import length
 from .animation import MAX_FRAMES, SLATE, animate, motion_of
 from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
@@ -45,10 +47,11 @@ class Scene(Unique):
         self.body = Body(robot)
         self.window = Window()
         self._corners: list[np.ndarray] = []
+        self._placed: dict[str, np.ndarray] = {}  # poses (P, 4, 4) of the parts of the robot and its copies
         self._legend: list[tuple[str, str]] = []
         self._names: list[tuple[str, str, int]] = []
-        lines = [self.body.notice] if self.body.notice else []
-        self.window.say(title=title or robot.name, lines=lines)
+        self.window.say(title=title or robot.name)
+        self.say()
 
     # ------------------------------------------------------------------------------------------------- the robot
     def show(
@@ -59,22 +62,22 @@ class Scene(Unique):
         opacity: float = 1.0,
         label: str = "",
     ) -> None:
-        """Draw the robot at q (n,), or move it there; with a colour, draw a translucent copy under another name."""
+        """Draw the robot at q (n,), or move it; with a colour, a translucent copy, without parts that others have there."""
         poses = self.body.placements(q)
-        if not any(path.startswith(f"{name}/") for path in self.window.transforms):
-            if color is None:
-                for part in self.body.parts:
-                    for k, shape in enumerate(part.shapes):
-                        self.window.shape(f"{name}/{part.name}/{k}", shape)
-            else:
-                if "robot" != name and not any(path.startswith("robot/") for path in self.window.objects):
-                    self.show(q)
-                for part, T in zip(self.body.parts, poses, strict=True):
-                    same = np.allclose(T, self.window.transforms[f"robot/{part.name}"], rtol=0.0, atol=1e-9)
-                    for k in range(
-                        0 if same else len(part.shapes)
-                    ):  # parts that coincide with the robot are not drawn twice
-                        self.window.copy(f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}", color, opacity)
+        if color is not None:
+            self._placed.pop(name, None)
+            self.window.delete(name)
+            if "robot" not in self._placed:
+                self.show(q)
+            drawn = np.all([self.body.apart(poses, others) for others in self._placed.values()], axis=0)
+            for part, alone in zip(self.body.parts, drawn, strict=True):
+                for k in range(len(part.shapes) if alone else 0):
+                    self.window.copy(f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}", color, opacity)
+        elif name not in self._placed:
+            for part in self.body.parts:
+                for k, shape in enumerate(part.shapes):
+                    self.window.shape(f"{name}/{part.name}/{k}", shape)
+        self._placed[name] = poses
         for part, T in zip(self.body.parts, poses, strict=True):
             self.window.place(f"{name}/{part.name}", T)
         self._corners.append(self.body.bounds(q))
@@ -200,7 +203,7 @@ class Scene(Unique):
         for k, row in enumerate(rows):
             text = f"evaluation {row}: {length(float(position[row]))}"
             if np.isfinite(angle[row]):
-                text += f", {np.degrees(angle[row]):.3g} deg"
+                text += f", {in_words(float(angle[row]))}"
             last = k + 1 == len(rows)
             for step in range(1 if last else between):
                 frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
@@ -241,11 +244,8 @@ class Scene(Unique):
         box = np.array([np.min([c[0] for c in self._corners], axis=0), np.max([c[1] for c in self._corners], axis=0)])
         centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
         to = centre if target is None else np.asarray(target, dtype=float)
-        at = (
-            to + 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
-            if eye is None
-            else np.asarray(eye, dtype=float)
-        )
+        away = 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
+        at = to + away if eye is None else np.asarray(eye, dtype=float)
         cell = grid_cell(max(radius, 1e-3))
         self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, self.body.floor])
         grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")

@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import FAR_AWAY
 from ..kernel.counted_error import FREE, POSE, POSITION
 from ..kernel.records import ANSWER, AT
+from ..text import angle, figure, length
 from .status import SEARCHED, Status, constraints_of
 from .task import Counts, all_errors, counted_rows, what_counts
 
@@ -99,11 +100,11 @@ def _left(result: Any) -> str:
     return _said(max(position for position, _ in each), max(turned, default=None), unit)
 
 
-def _said(position: float, angle: float | None, unit: bool) -> str:
+def _said(position: float, turned: float | None, unit: bool) -> str:
     """Errors of a tip in words; unit: whether these are metres and radians, not numbers times a weight."""
     if not unit:
-        return "a weighted error of " + f"{position:.3g}" + ("" if angle is None else f", {angle:.3g}")
-    return _length(position) + ("" if angle is None else f", {np.degrees(angle):.3g} deg")
+        return "a weighted error of " + figure(position) + ("" if turned is None else f", {figure(turned)}")
+    return length(position) + ("" if turned is None else f", {angle(turned)}")
 
 
 def _unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
@@ -120,10 +121,6 @@ def _unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
     }
     each = all_errors(result.robot, result.q, of.T, of.kinds, replace(of.plan.options, mask=mask))
     return [(position, angle) for _, position, angle in each], True
-
-
-def _length(metres: float, digits: int = 3) -> str:
-    return f"{metres:.{digits}g} m" if metres >= 1.0 else f"{1000 * metres:.{digits}g} mm"
 
 
 def _starts(count: int) -> str:
@@ -146,7 +143,7 @@ def _at_each_tip(result: Any) -> str:
 def _closed_form_says(result: Any, left: str) -> str:
     row, robot = result._of.row, result.robot
     joints = ", ".join(result.limited_joints)
-    beyond = _length(float(row[AT.excess]), 4)
+    beyond = length(float(row[AT.excess]), 4)
     slides = [j for j, kind in zip(robot.joint_names, robot.joint_kinds, strict=True) if kind == "prismatic"]
     return CLOSED_FORM_SAYS[result.status].format(
         left=left,
@@ -161,14 +158,14 @@ def _failure(result: Any, left: str, starts: int) -> str:
     """Say how a search failed, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
-        beyond = [f"{tip} by {_length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
+        beyond = [f"{tip} by {length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
         if len(robot.tips) == 1:
             by = beyond[0].removeprefix(robot.tips[0])
             return f"the target is beyond reach{by} (a bound from the link lengths); closest {left} after {_starts(starts)}"
         return f"beyond reach: {', '.join(beyond)} (a bound from the link lengths)"
     if status == Status.TOO_FAR:
         joint, far = int(row[AT.held]), result._of.plan.options.follow
-        most = f"{far * robot.reach:.3g} m" if robot.joint_kinds[joint] == "prismatic" else f"{far:.3g} rad"
+        most = length(far * robot.reach) if robot.joint_kinds[joint] == "prismatic" else angle(far, deg=False)
         return f"{left} away when joint {robot.joint_names[joint]} reached the {most} it may move from q0"
     if status == Status.STALLED and starts > 1:
         return f"closest {left} after {starts} starts"
@@ -240,5 +237,5 @@ def position_alone(result: Any, turned: bool) -> str:
         return ""
     if turned:
         return "the position alone can be reached"
-    nearest = np.degrees(np.linalg.norm(raw[3:]))
-    return f"the position alone can be reached; the nearest orientation found there is {nearest:.3g} deg off"
+    nearest = angle(float(np.linalg.norm(raw[3:])))
+    return f"the position alone can be reached; the nearest orientation found there is {nearest} off"

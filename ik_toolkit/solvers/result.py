@@ -11,6 +11,7 @@ from ..kernel.records import ANSWER, AT
 from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
+from ..text import length
 from .explain.explanation import Explanation
 from .message import sentence
 from .outcome import SPOKEN, SolveRecord
@@ -137,7 +138,7 @@ class Result(ReadOnly):
             joint, amount = move
             at = self.robot.joint_names.index(joint)
             slide = self.robot.joint_kinds[at] == "prismatic"
-            moved = f"joint {joint} moved by {amount:.3g} {'m' if slide else 'rad'}"
+            moved = f"joint {joint} moved by {length(amount) if slide else f'{amount:.3g} rad'}"
             # A bound Solver, which leaves the check out, is for loops; others may well start far away.
             most = np.pi if of.plan.options.check else FAR_MOVE
             if self.attempt:

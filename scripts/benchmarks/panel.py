@@ -24,7 +24,7 @@ def answered(frame: bytes) -> bool:
     """Whether a frame from the server (two sizes, a packed text, arrays) moves the tip or says why it cannot."""
     size = int.from_bytes(frame[8:16], "little")
     text = zstandard.ZstdDecompressor().decompress(frame[16 : 16 + size])
-    return b"/tip" in text or b"stays where it was" in text
+    return b"/tip/" in text or b"stays where it was" in text
 
 
 def drain(page: websockets.sync.client.ClientConnection, patience: float) -> None:
@@ -69,7 +69,7 @@ def drag(robot: str) -> tuple[np.ndarray, np.ndarray]:
                 begun = time.perf_counter()
                 say(
                     type="TransformControlsUpdateMessage",
-                    name="/target/0",
+                    name=desk.stage.handles[0].gizmo.name,
                     wxyz=wxyz,
                     position=place.tolist(),
                     owner=str(number),

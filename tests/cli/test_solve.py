@@ -99,7 +99,7 @@ def test_solve_table_shows_joints_errors_counts_and_time(run):
     code, out, _ = run(*SOLVE)
     robot = ik.Robot.load("hydrolek_7w")
     assert code == 0 and all(name in out for name in robot.joint_names)
-    for word in ("rad", "CONVERGED, solver lm", "position error", "orientation error  free", "restarts", "time"):
+    for word in ("rad", "CONVERGED, solver lm", "position error", "orientation error  free", "restarts", "computed in"):
         assert word in out
 
 
@@ -290,4 +290,4 @@ def test_explain_shows_the_way_in_80_columns_and_as_json(run, monkeypatch):
     assert code == 0 and made["explanation"]["branches"][made["explanation"]["chosen"]]["q"] == made["q"]
     assert run(*line, "--all")[0] == 2
     code, out, _ = run("solve", "planar_2r", "--xyz", "3", "0", "0", "--explain")
-    assert code == 1 and "1000 mm out of reach" in out
+    assert code == 1 and "1 m out of reach" in out

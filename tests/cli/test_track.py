@@ -1,6 +1,7 @@
 """`ik track`: its tables, what it refuses and what it doubts."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -12,14 +13,25 @@ def figures(out):
     return {f"{name.strip()}]": [float(x) for x in numbers.split()[:3]] for name, _, numbers in rows if "." in numbers}
 
 
+def sizes(row):
+    """Lengths [m] or angles [rad] of a row in which each has its unit."""
+    units = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "deg": np.pi / 180, "rad": 1.0, "urad": 1e-6, "nrad": 1e-9}
+    return [float(number) * units[unit] for number, unit in re.findall(r"([\d.]+) ([a-z]+)", row)]
+
+
 def test_tables_of_a_run_follow_deg_and_lengths_stay_in_metres(run):
     words = ("track", "inspection_7dof", "--duration", "20")
     (code, plain, _), (_, degrees, _) = run(*words), run(*words, "--deg")
     assert code == 0 and "[rad]" not in degrees and "[rad]" in plain and "[deg]" not in plain
     wanted, found = figures(plain), figures(degrees)
-    for name in ("orientation", "arm_pitch"):
-        np.testing.assert_allclose(np.radians(found[f"{name} [deg]"]), wanted[f"{name} [rad]"], rtol=0.02)
-    assert found["lift [m]"] == wanted["lift [m]"] and found["position [m]"] == wanted["position [m]"]
+    np.testing.assert_allclose(np.radians(found["arm_pitch [deg]"]), wanted["arm_pitch [rad]"], rtol=0.02)
+    assert found["lift [m]"] == wanted["lift [m]"]
+    for name in ("position", "orientation"):
+        (one,), (other,) = (
+            [line for line in out.splitlines() if line.startswith(f" {name} ")] for out in (plain, degrees)
+        )
+        assert name == "orientation" or one == other
+        np.testing.assert_allclose(sizes(one), sizes(other), rtol=0.02)
     assert "[deg/s]" in run("track", "planar_2r", "--duration", "2", "--deg")[1]
 
 
@@ -88,3 +100,11 @@ def test_a_path_in_millimetres_is_doubted_with_how_far_it_goes(run, tmp_path):
         err = run("track", "planar_2r", "--position-only", "--max-stretch", "1", *words)[2]
         assert f"warning: the path goes {far} away from tool at home, " in err and "were millimetres meant?" in err
     assert "millimetres" not in run("track", "planar_2r", "--position-only", "--radius", "0.4")[2]
+
+
+def test_a_run_is_written_as_a_page(run, tmp_path):
+    pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
+    page = tmp_path / "run.html"
+    code, _, err = run("track", "planar_3r", "--path", "circle", "--radius", "0.1", "--duration", "2", "--html", page)
+    text = page.read_text()
+    assert code == 0 and f"wrote {page}" in err and "planar_3r" in text

@@ -1,6 +1,7 @@
 """Patko and Zelei (2019): settled errors, orders, growth and the report, against an independent implementation."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -172,7 +173,17 @@ def test_growth_in_motion():
     for key in ("cv", "ca"):
         got = cases.growth(cases.CASES["RR"], cases.SETS["RR bad"], key, 4 * np.pi)
         assert got == pytest.approx(wanted[f"RR_unstable|{key}"], rel=0.02)
-    assert cases.growth(cases.CASES["RR"], cases.SETS["RR good"], "aad", 4 * np.pi) < 1e-6
+    for key in ("cv", "ca"):  # too small for a disturbed run to show
+        got = cases.growth(cases.CASES["RR"], cases.SETS["RR good"], key, 4 * np.pi)
+        assert got == pytest.approx(wanted[f"RR_stable|{key}"], rel=1e-4)
+        got = cases.growth(cases.CASES["1-DoF"], cases.SETS["1-DoF"], key, period)
+        assert got == pytest.approx(wanted[f"1dof|{key}"], rel=1e-2)
+
+
+@pytest.mark.parametrize(("key", "gains"), [("cv", "RR bad"), ("ca", "RR bad"), ("aa3", "RR good")])
+def test_growth_is_that_of_disturbed_runs_where_these_show_it(key, gains):
+    wanted = cases.measured_growth(cases.CASES["RR"], cases.SETS[gains], key, 4 * np.pi)
+    assert cases.growth(cases.CASES["RR"], cases.SETS[gains], key, 4 * np.pi) == pytest.approx(wanted, rel=0.01)
 
 
 def test_report(tmp_path):
@@ -184,6 +195,13 @@ def test_report(tmp_path):
     text = (tmp_path / "report.md").read_text()
     assert "contradiction" in text and "misprint" in text
     data = json.loads((tmp_path / "report.json").read_text())
+    (slope,) = (row[-1] for row in data["orders"]["rows"] if row[0] == "aa1")
+    assert f"aa1 shows {slope:.1f}:" in text  # what the table has
+    factors = {(row[0], row[1]): row[2] for row in data["growth"]["rows"]}
+    assert 0.0 < factors["RR good", "ca"] < factors["RR good", "cv"] < 1e-14
+    assert not re.search(
+        r"e-1[5-9] \|", text.partition("## Errors reached")[2].partition("## ")[0]
+    )  # no digits of rounding
     verdicts = {row[0]: (row[2], row[5], row[10], row[11]) for row in data["radii"]["rows"]}
     assert verdicts["RR bad"] == ("unstable", "marginal", "stable", "NO")
     assert verdicts["PP bad"] == ("unstable", "unstable", "unstable", "yes")

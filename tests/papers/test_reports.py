@@ -6,12 +6,12 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.papers.burrell_2016 import gains, paper, swarm
+from ik_toolkit.papers.burrell_2016 import gains, paper, speed, swarm
 from ik_toolkit.papers.burrell_2016.existence import least_distance
 from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
 from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
 from ik_toolkit.papers.patko_2019 import dynamics
-from ik_toolkit.papers.report import Report
+from ik_toolkit.papers.report import Report, cell
 from ik_toolkit.papers.shanmugasundar_2012 import paper as inspection
 from ik_toolkit.papers.timing import rounds, spread
 
@@ -30,6 +30,29 @@ def test_rounds_take_turns_and_the_spread_names_the_ends():
     rounds(works, 2, warm=True)
     assert seen == ["a", "b"] * 2
     assert spread(np.array([3.0, 1.0, 2.0]), ".2f") == "2.00 [1.00-3.00]"
+
+
+def test_times_spread_over_runs_with_the_same_goals(hydrolek, monkeypatch):
+    timed = []
+
+    def once(works, count, warm):
+        timed.append((count, {name: solves for name, (_, solves) in works.items()}))
+        return {name: np.ones(count) for name in works}
+
+    monkeypatch.setattr(speed, "rounds", once)
+    sets = [paper.goals(hydrolek, seed, 20) for seed in (1, 2)]
+    rules = {"J+": ("pinv", hydrolek.home), "DLS": ("dls", hydrolek.home)}
+    times, steps = speed._compiled(hydrolek, rules, sets)
+    assert {count for count, _ in timed} == {speed.AMOUNT.runs} and all(
+        len(one) == speed.AMOUNT.runs for one in times["J+"]
+    )
+    assert all(len(set(solves.values())) == 1 and 30 < solves["J+"] <= 40 for _, solves in timed)
+    assert 900 < steps["J+"][0]["solved"] <= 1000
+
+
+def test_a_table_has_no_digits_of_rounding():
+    assert cell(7.02e-14, 1e-11) == "under 1e-11" and cell(7.02e-14) == "7.02e-14" and cell(0.0, 1e-11) == "0"
+    assert cell(99.985) == "99.985" and cell(float("nan"), 1.0) == "-"
 
 
 def test_the_plain_pseudo_inverse_is_that_by_singular_values(hydrolek):

@@ -69,7 +69,7 @@ def test_a_path_has_poses(flat):
         (dict(acceleration=[1.0, np.inf]), "acceleration of joint 'joint_2' is inf: it must be positive"),
         (dict(acceleration=1.0, velocity=[1.0, -1.0]), "velocity of joint 'joint_2' is -1: it must be positive"),
         (dict(acceleration=[1.0, 1.0, 1.0]), r"acceleration must be one number, or 2, one per joint; not shape \(3,\)"),
-        (dict(acceleration=1.0, rate=1e9), r"rate = 1e\+09 gives .* samples in .* s; at most"),
+        (dict(acceleration=1.0, rate=1e9), r"rate = 1e\+09 gives .* samples in .*s; at most"),
     ],
 )
 def test_time_laws(flat, points, options, said):

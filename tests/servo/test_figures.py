@@ -5,8 +5,8 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.robot.pose import length
 from ik_toolkit.servo.path_reach import survey
+from ik_toolkit.text import length
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.robot.pose import length
 from ik_toolkit.servo.result import TrackStatus
 from ik_toolkit.servo.step import StepStatus
+from ik_toolkit.text import length
 
 Q = np.array([0.3, 0.9])
 

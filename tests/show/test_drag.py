@@ -145,14 +145,14 @@ def test_a_target_dragged_out_of_reach_is_joined_to_the_tip_by_a_line(desk):
     before = desk.session.q.copy()
     desk._dragged(0)
     assert desk.worker.idle() and np.abs(desk.session.q - before).max() > 0.05
-    points = desk.stage.lines["/gap"].points[0]
+    points = desk.stage.lines["gap"].points[0]
     assert np.allclose(points[1], T[:3, 3], atol=1e-5)
     assert np.allclose(points[0], desk.stage.tips[0].position, atol=1e-5)
     for _ in range(20):
         desk._dragged(0)
     assert "The closest pose is" in desk.status.content and "tool" in desk.outcome.content
     desk._home()
-    assert "/gap" not in desk.stage.lines
+    assert "gap" not in desk.stage.lines
     desk._dragged(0)
     assert "Converged" in desk.status.content
 

@@ -162,6 +162,16 @@ def state(page):
     return page.evaluate("arm.state()")
 
 
+def pushed(page):
+    """Push the arm through its null space until a joint has moved by 0.05; q before and after."""
+    before = np.array(state(page)["q"])
+    page.evaluate("document.getElementById('null').value = 0.8; document.getElementById('null').oninput()")
+    page.wait_for_function("(q) => arm.state().q.some((x, k) => Math.abs(x - q[k]) > 0.05)", arg=before.tolist())
+    page.evaluate("document.getElementById('null').value = 0")
+    still(page)
+    return before, np.array(state(page)["q"])
+
+
 def drag(page, start, way, steps=4):
     """Press at pixels `start` and move by `way`."""
     page.mouse.move(*start)
@@ -273,19 +283,44 @@ def test_panel(hydrolek):
     still(page)
     assert np.array_equal(target(page), T)
     assert state(page)["race"] is None and page.locator("tr:visible").count() == 0
-    assert page.locator("#null").is_disabled()  # six joints, six rows
+    assert page.locator("#null").is_disabled()  # six joints, rank 6
     page.uncheck("#turn")
     still(page)
     assert page.locator("#null").is_enabled()
-    before = np.array(state(page)["q"])
-    page.evaluate("document.getElementById('null').value = 0.8; document.getElementById('null').oninput()")
-    page.wait_for_function("(q) => arm.state().q.some((x, k) => Math.abs(x - q[k]) > 0.05)", arg=before.tolist())
-    page.evaluate("document.getElementById('null').value = 0")
-    still(page)
-    after = np.array(state(page)["q"])
-    assert np.abs(after - before).max() > 0.05
+    _, after = pushed(page)
     assert np.allclose(robot.fk(after).translation, T[:, 3], atol=2e-6)
     page.check("#turn")
+
+
+def test_self_motion_is_offered_by_the_rank_of_the_jacobian(browser, tmp_path):
+    """Three parallel joints have three rows for a position, and rank 2."""
+    robot = load("planar_3r")
+    with opened(browser, ik.view(robot).page(tmp_path / "page.html")) as page:
+        still(page)
+        assert page.locator("#null").is_enabled()
+        before, after = pushed(page)
+        assert np.allclose(robot.fk(after).translation, robot.fk(before).translation, atol=2e-6)
+        page.check("#turn")  # the angle is the third direction
+        still(page)
+        assert page.locator("#null").is_disabled()
+
+
+def test_the_chosen_robot_is_solid_in_a_race(hydrolek):
+    page = hydrolek
+    page.evaluate(
+        "() => { const draw = arm.renderer.draw.bind(arm.renderer);"
+        " arm.renderer.draw = (...args) => { window.robots = args[3]; draw(...args); }; }"
+    )
+    page.select_option("#solver", "dls")
+    page.click("#race")
+    still(page)
+    solid, *ghosts = page.evaluate("robots")
+    (mine,) = (run for run in state(page)["race"] if run["name"] == "dls")
+    assert np.allclose(solid["frames"], mine["now"]["frames"], atol=1e-12) and solid.get("color") is None
+    assert len(ghosts) == 4 and all(ghost["color"] for ghost in ghosts)
+    page.select_option("#solver", "lm")
+    page.click("#home")
+    still(page)
 
 
 def test_two_fingers_zoom_and_the_wheel_too(hydrolek):
@@ -360,5 +395,5 @@ def test_what_is_refused(tmp_path, capsys):
 def test_modules_are_few_lines_that_stand_alone():
     assert [file.stem for file in MODULES] == ["draw", "hand", "main", "robot", "solve"]
     texts = [file.read_text() for file in MODULES]
-    assert sum(len(text.splitlines()) for text in texts) < 600
+    assert sum(len(text.splitlines()) for text in texts) < 620
     assert not re.search(r"</script|https?:|import\(|eval\(|innerHTML", "".join(texts))

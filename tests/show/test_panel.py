@@ -264,17 +264,17 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
 
 def test_the_camera_shows_the_robot_as_large_as_fits():
     """All corners are seen, none further out than the share that the robot may fill, and one of them that far."""
-    from ik_toolkit.show.panel.viser_scene import FILL, LENS, VIEW, camera_for
+    from ik_toolkit.show.panel.viser_scene import PICTURE, camera_for
 
     box = np.array([[-0.2, -0.5, 0.0], [0.9, 0.4, 1.3]])
     for aspect, free in ((1.1, 1.0), (2.5, 1.0), (0.5, 0.5)):
-        eye, to = camera_for(box, VIEW, aspect, free)
+        eye, to = camera_for(box, PICTURE.view, aspect, free)
         ahead = (to - eye) / np.linalg.norm(to - eye)
         across = np.cross(ahead, (0, 0, 1)) / np.linalg.norm(np.cross(ahead, (0, 0, 1)))
         P = np.array(np.meshgrid(*box.T)).reshape(3, -1).T - eye
-        seen = P @ np.array([across, np.cross(across, ahead)]).T / (P @ ahead)[:, None] / np.tan(LENS / 2)
+        seen = P @ np.array([across, np.cross(across, ahead)]).T / (P @ ahead)[:, None] / np.tan(PICTURE.lens / 2)
         x, y = seen[:, 0] / aspect, (seen[:, 1] - (1.0 - free)) / free  # of the part that is free
-        assert np.isclose(max(np.abs(x).max(), np.abs(y).max()), FILL, atol=0.12) and abs(y).max() < 0.9
+        assert np.isclose(max(np.abs(x).max(), np.abs(y).max()), PICTURE.fill, atol=0.12) and abs(y).max() < 0.9
 
 
 def test_limits_are_shown_rounded(desk):
@@ -295,11 +295,11 @@ def test_solving_a_typed_pose(desk):
     desk._guard(desk._solve)()
     assert "beyond reach" in desk.status.content and "The closest pose is" in desk.status.content
     assert "move the target" not in desk.status.content and "move the target" in desk.outcome.content
-    assert np.allclose(desk.stage.lines["/gap"].points[0], [desk.stage.tips[0].position, [9, 0, 0]])
+    assert np.allclose(desk.stage.lines["gap"].points[0], [desk.stage.tips[0].position, [9, 0, 0]])
     desk.goals[0].give("free")
     desk.goals[0].xyz.value = "0.9 0 0"
     desk._guard(desk._solve)()
-    assert "Converged" in desk.status.content and "/gap" not in desk.stage.lines
+    assert "Converged" in desk.status.content and "gap" not in desk.stage.lines
     assert np.isfinite(desk.chart.plot.data).all() and len(desk.chart.plot.data) == len(desk.chart.plot.series) == 2
     desk._dragged()
     assert not desk.chart.plot.visible  # it would show the solve before
@@ -314,11 +314,11 @@ def test_solving_a_typed_pose(desk):
 def test_all_solutions_can_be_picked(desk):
     desk.goals[0].xyz.value = "9 0 0"
     desk._guard(desk._solve)()
-    assert "/gap" in desk.stage.lines
+    assert "gap" in desk.stage.lines
     desk.goals[0].give("free")
     desk.goals[0].xyz.value = desk.session.words(desk.session.poses()["tool"], "free")[0]
     desk._guard(desk._solve_all)()
-    assert "/gap" not in desk.stage.lines  # it led to the target before
+    assert "gap" not in desk.stage.lines  # it led to the target before
     assert ">Infinitely many solutions.<" in desk.status.content  # one line; how they were found is said at the list
     assert "starts converged" in desk.found.table.content
     assert desk.found.folder.visible and len(desk.session.solutions) > 2

@@ -1,10 +1,15 @@
 """The panel's further controls, without a browser: undo, random pose, self-motion, limits off, matrices, boxes, collisions."""
 
+import asyncio
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.show.animation import read_motion
 from ik_toolkit.show.panel.scene_tab import null_directions, slide
 from ik_toolkit.show.panel.session import Session
 
@@ -153,6 +158,106 @@ def test_boxes_in_the_page(desk):
         desk.around.size.value = text
         with pytest.raises(InvalidTarget, match="the size of the box"):
             desk.around.add()
+
+
+def test_a_new_box_is_clear_of_arm_targets_and_other_boxes(desk):
+    session, stage, around = desk.session, desk.stage, desk.around
+    rng = np.random.default_rng(5)
+    for q in [session.robot.home, *session.robot.random_q(rng, 4)]:
+        session.q = q
+        desk.show()
+        desk._target_to_tip()
+        for _ in range(3):
+            around.add()
+        for name in session.boxes:
+            assert all(near.distance > 0.02 for near in session.world.distances(q, within=1.0) if name in near.pair)
+        places = [stage.handles[0].gizmo.position, *(box.position for box in around.handles.values())]
+        apart = [np.linalg.norm(a - b) for k, a in enumerate(places) for b in places[:k]]
+        assert len(places) == 4 and min(apart) > 0.2
+        around.clear()
+
+
+def test_names_of_objects_are_never_used_twice(desk):
+    """A page puts a new object where an earlier one of its name was."""
+    seen = set()
+    for source in (ROBOT, "planar_3r", ROBOT):
+        desk._switch(source)
+        desk.around.add()
+        desk.stage.ghost(desk.session.robot.lower)
+        stage = desk.stage
+        new = [*stage.parts, *stage.shade, *stage.tips, *stage.axes, *stage.boxes.values(), stage.handles[0].gizmo]
+        names = {one.name for one in new}
+        assert len(names) == len(new) and not names & seen
+        seen |= names
+
+
+def test_a_ghost_has_only_the_parts_that_differ(desk):
+    stage, session = desk.stage, desk.session
+    desk.show()
+    q = session.q.copy()
+    q[-1] += 0.3  # the last joint turns the last link only
+    stage.ghost(q)
+    moved = [one.name.rpartition("/")[2] for one in stage.shade if one.visible]
+    assert moved and len(moved) < len(stage.shade) and not any("base_link" in name for name in moved)
+    session.q = q
+    desk.show()  # the robot is where its ghost is
+    assert not any(one.visible for one in stage.shade)
+
+
+def test_a_ball_moves_a_target_in_the_plane_of_the_picture(desk):
+    handle = desk.stage.handles[0]
+    (entry,) = handle.ball._impl.drag_cb
+    place = handle.gizmo.position.copy()
+
+    def event(phase, start, end):
+        return SimpleNamespace(phase=phase, start_position=tuple(start), end_position=tuple(end))
+
+    side, up = np.eye(3)[:2]
+    rim = place + 0.01 * side
+    for phase, end in (("start", rim), ("update", rim + 0.03 * up), ("end", rim + 0.04 * side + 0.05 * up)):
+        asyncio.run(entry.callback(event(phase, rim, end)))
+    assert desk.worker.idle()
+    assert np.allclose(handle.gizmo.position - place, (0.04, 0.05, 0.0)) and "Converged" in desk.status.content
+    asyncio.run(entry.callback(event("update", rim, (np.nan, 0.0, 0.0))))
+    assert np.isfinite(handle.gizmo.position).all()
+
+
+def test_every_joint_of_every_solution_is_listed_with_its_unit(desk):
+    desk.goals[0].give("free")
+    desk._solve_all()
+    text, session = desk.found.table.content, desk.session
+    assert len(session.solutions) > 1 and text.count("<tr>") == session.robot.n + 2  # numbers, joints, distances
+    desk.stage.ghost(session.solutions[1])
+    desk._dragged()  # of another target, perhaps: the list and its ghost are gone
+    assert not desk.found.folder.visible and not any(one.visible for one in desk.stage.shade)
+    for i, name in enumerate(session.robot.joint_names):
+        row = text.partition(f"{name} [deg]</th>")[2].partition("</tr>")[0]
+        shown = [float(x) for x in re.findall(r">(-?[\d.]+)</td>", row)]
+        assert np.allclose(shown, np.degrees([q[i] for q in session.solutions]), atol=0.0051)
+
+
+def test_recorded_postures_become_a_motion_in_files(desk, tmp_path):
+    recorder, session = desk.recorder, desk.session
+    recorder.record()
+    with pytest.raises(InvalidOption, match="record two postures"):
+        recorder.files()
+    for q in session.robot.random_q(np.random.default_rng(2), 2):
+        session.q = q
+        recorder.record()
+    words, files = recorder.files()
+    assert words.startswith("all 3 configurations are passed in ")
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+        t, Q = read_motion(session.robot, tmp_path / name)
+        near = [np.abs(Q - q).max(axis=1).min() for q in session.recorded]
+        assert t[0] == 0.0 and np.array_equal(Q[0], session.recorded[0]) and np.allclose(Q[-1], session.q, atol=1e-9)
+        assert max(near) < 0.02 and not any(session.robot.outside(q) for q in Q)
+        rates = np.diff(Q, axis=0) / np.diff(t)[:, None]
+        assert (np.abs(rates) < session.robot.velocity_limits * 1.001).all()
+    recorder.save()
+    assert "configurations are passed" in desk.status.content
+    desk._switch("planar_3r")
+    assert desk.session.recorded == []
 
 
 def test_limits_by_checkbox(desk):

@@ -19,7 +19,7 @@ def test_a_session_solves_for_all_tips():
     assert session.solve(goal).success
     assert all(np.allclose(session.poses()[tip], goal[tip], atol=1e-5) for tip in (LEFT, RIGHT))
     rows = dict(session.figures())
-    assert set(rows) == {"status", LEFT, RIGHT, "iterations", "time"} and "deg" in rows[LEFT]
+    assert set(rows) == {"status", LEFT, RIGHT, "iterations", "computed in"} and "rad" in rows[LEFT]
     far = {**goal, RIGHT: np.array([9.0, 0.0, 0.0])}
     assert not session.solve(far).success and session.followed is not None
     assert "free" in dict(session.figures())[RIGHT]

@@ -81,6 +81,21 @@ def test_ghosts_are_copies_where_the_solutions_are():
     assert fixed and not any(path.startswith(f"ghost_1/{fixed[0]}/") for path in scene.window.copies)
 
 
+def test_ghosts_that_coincide_are_drawn_once_and_follow_their_robot():
+    robot = load("hydrolek_7w")
+    q = robot.home.copy()
+    q[-1] += 0.5
+    scene = view(robot, [robot.home, q, q])
+    (once,) = {path.split("/")[0] for path in scene.window.copies}
+    assert once == "ghost_1" and len(scene.window.copies) < len(scene.window.objects)
+    scene.show(robot.lower, "ghost_1", (0.0, 0.4, 0.7), 0.3)  # elsewhere it has more parts
+    assert "ghost_1/link_2_0/0" in scene.window.copies
+    assert np.allclose(
+        scene.drawn()["ghost_1/link_2_0"],
+        Body(robot).placements(robot.lower)[[part.name for part in Body(robot).parts].index("link_2_0")],
+    )
+
+
 def frames(scene):
     """Animation of a scene as poses (F, P, 3, 4)."""
     import base64

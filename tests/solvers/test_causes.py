@@ -8,6 +8,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.errors import FAR_AWAY
 from ik_toolkit.solvers.status import Status
+from ik_toolkit.text import angle, figure
 
 SCARA = robots.urdf(
     dict(kind="revolute", xyz="0 0 0.39", limits=(-2.6, 2.6)),
@@ -124,13 +125,13 @@ def test_errors_in_a_sentence_are_those_of_the_tip_whatever_their_weight(weight)
     T = skewed(arm, rng, 0.5)
     result = ik.solve(arm, T, mask=(1, 1, 1, weight, weight, weight))
     true = np.degrees(np.linalg.norm(pin.log3(arm.fk(result.q).rotation.T @ T.rotation)))
-    assert not result.success and f"{true:.3g} deg" in result.message
-    weighted = f"{np.degrees(result.orientation_error):.3g} deg"
+    assert not result.success and angle(np.radians(true)) in result.message
+    weighted = angle(result.orientation_error)
     assert weighted not in result.message
     row = ik.solve_batch(arm, T.homogeneous[None], mask=(1, 1, 1, weight, weight, weight))[0]
     assert (
         " deg" not in row.message
-        and f"a weighted error of {row.position_error:.3g}, {row.orientation_error:.3g}" in row.message
+        and f"a weighted error of {figure(row.position_error)}, {figure(row.orientation_error)}" in row.message
     )
 
 

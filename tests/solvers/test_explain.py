@@ -16,6 +16,7 @@ from serial_arms import apart, urdf
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget, MissingExtra
 from ik_toolkit.robot.formats.dh import dh_fk
+from ik_toolkit.text import length
 from ik_toolkit.text import plain as plain_numbers
 
 DATA = read_data("closed_form")
@@ -117,7 +118,7 @@ def test_singular_poses_are_explained_too(case):
 def test_an_unreachable_pose_is_said(case):
     arm = ik.Robot.load("inspection_7dof")
     made = ik.solve(arm, np.array(case["T"]), ik.Inspection(lift=0.22), limits=False).explain()
-    assert f"{-1000 * case['reach_margin_at_0_220']:.4g} mm out of reach at lift 220 mm" in made.worked.words
+    assert f"{length(-case['reach_margin_at_0_220'], 4)} out of reach at lift 220 mm" in made.worked.words
     assert made.worked.words[1:] in re.sub(r"\s+", " ", str(made))
     check_steps(made.worked, 2e-7)  # the elbow is straight: roots of rounding
     (nearest,) = {tuple(arm.fk(branch.q).homogeneous.round(9).ravel()) for branch in made.worked.branches}

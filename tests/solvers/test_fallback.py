@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ik_toolkit as ik
+from ik_toolkit.text import angle, length
 
 LEVEL = ik.pose(
     (-0.5012387278535977, 0.012334031550242807, 0.7275000000000001),
@@ -74,7 +75,7 @@ def test_a_failed_closed_form_returns_the_best_configuration_and_speaks_of_it(ar
             assert size(robot, result) <= size(robot, search) + 1e-12  # rounding of a descent to the same place
             position, orientation = robot.errors(result.q, T)
             assert abs(position - result.position_error) < 1e-9 and abs(orientation - result.orientation_error) < 1e-9
-            assert f"{1000 * position:.3g} mm, {np.degrees(orientation):.3g} deg" in result.message
+            assert f"{length(position)}, {angle(orientation)}" in result.message
     assert {ik.Status.UNREACHABLE, ik.Status.LIMIT_BLOCKED} <= seen
 
 

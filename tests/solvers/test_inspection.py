@@ -13,6 +13,7 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
 from ik_toolkit.kernel.counted_error import POSE, POSITION
 from ik_toolkit.solvers.closed_form import fits, inspection, reach
+from ik_toolkit.text import length
 
 DATA = read_data("closed_form")
 PI = math.pi
@@ -72,7 +73,7 @@ def test_unreachable_poses(arm, case):
     result = ik.solve(arm, T, ik.Inspection(lift=0.22))
     assert result.status == ik.Status.UNREACHABLE and not result.success
     gap = -case["reach_margin_at_0_220"]
-    assert f"{1000 * gap:.4g} mm" in result.message
+    assert length(gap, 4) in result.message
     p = ik.Inspection().pack(arm)
     P = np.empty(12)
     inspection.wrist_pose(p, T, P)
@@ -234,7 +235,7 @@ def test_sample_pose_of_the_paper(arm):
     sample = DATA["sample"]
     result = ik.solve(arm, sample["target"], ik.Inspection(lift=0.22))
     assert "projected" in result.notice and result.status == ik.Status.UNREACHABLE
-    assert f"{-1000 * sample['margin_at_0_220']:.4g} mm with its orientation kept" in result.message
+    assert f"{length(-sample['margin_at_0_220'], 4)} with its orientation kept" in result.message
     assert result.position_error <= -sample["margin_at_0_220"] + 1e-9
     free = ik.solve(arm, sample["target"])
     assert free.success and free.solver == "inspection"

@@ -7,6 +7,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.solvers.message import ADVICE
 from ik_toolkit.solvers.status import Status
+from ik_toolkit.text import angle, length
 
 NARROW = robots.urdf(
     dict(kind="revolute", xyz="0 0 0", limits=(-0.5, 0.5)),
@@ -25,13 +26,9 @@ def tree():
     return robots.load("two_arms")
 
 
-def metres(x, digits=3):
-    return f"{x:.{digits}g} m" if x >= 1.0 else f"{1000 * x:.{digits}g} mm"
-
-
 def left(result):
-    turned = "" if result.orientation_error is None else f", {np.degrees(result.orientation_error):.3g} deg"
-    return metres(result.position_error) + turned
+    turned = "" if result.orientation_error is None else f", {angle(result.orientation_error)}"
+    return length(result.position_error) + turned
 
 
 def target(arm):
@@ -94,14 +91,14 @@ def test_beyond_reach(arm, tree):
         head, _, tail = result.message.partition(" (a bound from the link lengths)")
         beyond = float(head.removeprefix("the target is beyond reach by ").removesuffix(" m"))
         assert 0.0 < beyond <= result.position_error + 1e-3
-        assert tail.startswith(f"; closest {metres(result.position_error)}") and tail.endswith(
+        assert tail.startswith(f"; closest {length(result.position_error)}") and tail.endswith(
             f"{starts}; {ADVICE[result.status]}"
         )
     first, second = tree.tips
     both = ik.solve(tree, {first: (9.0, 0.0, 0.0), second: (0.0, 9.0, 0.0)}, "lm", restarts=1)
     head, _, tail = both.message.partition(" (a bound from the link lengths); ")
     assert head.startswith(f"beyond reach: {first} by ") and f", {second} by " in head
-    errors = ", ".join(f"{tip} {metres(both.position_errors[tip])}" for tip in tree.tips)
+    errors = ", ".join(f"{tip} {length(both.position_errors[tip])}" for tip in tree.tips)
     assert tail == f"{ADVICE[both.status]}; remaining error at each tip: {errors}"
     alone = ik.solve(tree, {second: (0.0, 9.0, 0.0)}, "lm", restarts=1)
     assert alone.message.startswith(f"beyond reach: {second} by ") and first not in alone.message
@@ -110,8 +107,7 @@ def test_beyond_reach(arm, tree):
 def test_what_is_left_at_each_tip(tree):
     result = ik.solve(tree, tree.fk(tree.home + 0.1), "lm", q0=tree.home, max_iterations=1, restarts=0)
     errors = ", ".join(
-        f"{tip} {metres(result.position_errors[tip])} {np.degrees(result.orientation_errors[tip]):.3g} deg"
-        for tip in tree.tips
+        f"{tip} {length(result.position_errors[tip])} {angle(result.orientation_errors[tip])}" for tip in tree.tips
     )
     assert not result.success and result.message.endswith(f"; remaining error at each tip: {errors}")
 
@@ -140,7 +136,7 @@ def test_closed_forms():
     away = ik.solve(robot, (5.0, 0.0, 0.0), "planar-2r")
     reach = np.linalg.norm(robot.fk([0.0, 0.0]).translation[:2])
     assert away.status == Status.UNREACHABLE
-    told = f"the target is out of reach by about {metres(5.0 - reach, 4)}; the closest configuration found is {left(away)} away"
+    told = f"the target is out of reach by about {length(5.0 - reach, 4)}; the closest configuration found is {left(away)} away"
     assert away.message.startswith(told)
 
 
@@ -158,7 +154,7 @@ def test_notices():
         result = ik.solve(arm, arm.fk(q), "lm", q0=arm.home)
         joint, amount = result.largest_move
         assert amount == abs(result.q - arm.home)[arm.joint_names.index(joint)]
-        moved = f"joint {joint} moved by {amount:.3g} {'m' if joint.startswith('lift') else 'rad'}"
+        moved = f"joint {joint} moved by {length(amount) if joint == 'lift' else f'{amount:.3g} rad'}"
         far = f"q was found by attempt {result.attempt}, not from q0: {moved}; in a loop use follow=True"
         assert result.notice == (far if result.attempt else "")
         assert ik.solve(arm, arm.fk(q), "lm").notice == ""  # without q0 there is nothing to be near to

@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,13 +12,29 @@ from ...solvers.rules.jacobian import DLS
 from ...solvers.rules.pid import PID
 from ...solvers.rules.state_space import StateSpace
 from ...study.targets import sample_targets
-from ..report import Report
+from ..report import Report, cell
 from ..timing import Work, rounds, spread
 from .published import TABLE_2, TOLERANCES
 from .uncompiled import LIMIT, Interpreted, PlainPinv
 
-SETS = range(7, 14)  # seeds of the sets of goals, one for each round of timing
-FEW = 25  # number of goals in a set for the interpreted versions, which are slow
+SETS = range(7, 14)  # seeds of the sets of 1000 goals
+
+
+class Amount(NamedTuple):
+    """How much is timed.
+
+    Attributes:
+        runs: with the same goals, over which times spread.
+        few: goals of the interpreted versions, which are slow.
+        few_runs: their runs.
+    """
+
+    runs: int = 7
+    few: int = 75
+    few_runs: int = 3
+
+
+AMOUNT = Amount()
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
 BASE = "J+"  # the method by whose time all times are divided
@@ -28,7 +44,7 @@ SAME_AS = {
     "DLS, limits held": "DLS",
 }  # the row of Table II that each of our rows is compared with
 
-Times = dict[str, list[np.ndarray]]  # times [s] of all rounds for each tolerance, by method
+Times = dict[str, list[np.ndarray]]  # times [s] of all runs for each tolerance, by method
 
 
 def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
@@ -47,7 +63,7 @@ def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
     }
     sets = [sample_targets(robot, 1000, k, position_only=True) for k in SETS]
     compiled, steps = _compiled(robot, rules, sets)
-    slow = _interpreted(robot, [points[:FEW] for points in sets[:3]], q0)
+    slow = _interpreted(robot, sets[0][: AMOUNT.few], q0)
     names = [name for name in rules if SAME_AS.get(name, name) in TABLE_2]
     base = np.array(TABLE_2[BASE])
     absolute, ratios = [], []
@@ -74,56 +90,46 @@ def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
 
 
 def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tuple[Times, dict[str, list[dict]]]:
-    """Time and count the toolkit's solvers on the goals that all of them solve; each round has its own goals."""
+    """Time the toolkit's solvers, several times, on the goals of all sets that all of them solve, and count."""
     times: Times = {name: [] for name in rules}
     steps: dict[str, list[dict]] = {name: [] for name in rules}
+    points = np.concatenate(sets)
     for tolerance in TOLERANCES:
         options: dict[str, Any] = {"tolerance": tolerance, "max_iterations": LIMIT, "check": 0.0, "threads": 1}
-        spent: dict[str, list[float]] = {name: [] for name in rules}
-        counted: dict[str, list[tuple[float, float, float]]] = {name: [] for name in rules}
-        for points in sets:
-            made = {
-                name: solve_batch(robot, points, rule, q0=start, **options) for name, (rule, start) in rules.items()
-            }
-            good = np.all([one.success for one in made.values()], axis=0)
-            some = points[good]
-            works: dict[str, Work] = {
-                name: (
-                    partial(solve_batch, robot, some, rule, q0=start, **options),
-                    len(some),
-                )
-                for name, (rule, start) in rules.items()
-            }
-            for name, one in rounds(works, 1, warm=True).items():
-                spent[name].append(float(one[0]))
-                batch = made[name]
-                evaluations, sweeps = batch.fk_evaluations[good].sum() - len(some), batch.iterations[good].sum()
-                counted[name].append((batch.iterations[good].mean(), evaluations / max(sweeps, 1), batch.success.sum()))
-        for name in rules:
-            times[name].append(np.array(spent[name]))
-            mean = np.mean(counted[name], axis=0)
-            steps[name].append({"steps": mean[0], "fk_a_step": float(mean[1]), "solved": float(mean[2])})
+        made = {name: solve_batch(robot, points, rule, q0=start, **options) for name, (rule, start) in rules.items()}
+        good = np.all([one.success for one in made.values()], axis=0)
+        works: dict[str, Work] = {
+            name: (partial(solve_batch, robot, points[good], rule, q0=start, **options), int(good.sum()))
+            for name, (rule, start) in rules.items()
+        }
+        for name, spent in rounds(works, AMOUNT.runs, warm=True).items():
+            times[name].append(spent)
+            batch = made[name]
+            evaluations, sweeps = batch.fk_evaluations[good].sum() - good.sum(), batch.iterations[good].sum()
+            steps[name].append(
+                {
+                    "steps": float(batch.iterations[good].mean()),
+                    "fk_a_step": float(evaluations / max(sweeps, 1)),
+                    "solved": 1000.0 * float(batch.success.mean()),
+                }
+            )
     return times, steps
 
 
-def _interpreted(robot: Robot, sets: list[np.ndarray], q0: np.ndarray) -> Times:
-    """Time the methods in numpy, goal by goal, on the goals that all of them solve."""
+def _interpreted(robot: Robot, points: np.ndarray, q0: np.ndarray) -> Times:
+    """Time the methods in numpy, several times, goal by goal, on the goals that all of them solve."""
     plain = Interpreted(robot)
     times: Times = {name: [] for name in plain.names}
     for tolerance in TOLERANCES:
-        spent: dict[str, list[float]] = {name: [] for name in plain.names}
-        for points in sets:
-            good = [goal for goal in points if all(plain.run(name, goal, q0, tolerance) for name in plain.names)]
+        good = [goal for goal in points if all(plain.run(name, goal, q0, tolerance) for name in plain.names)]
 
-            def work(name: str, good: list[np.ndarray] = good, tolerance: float = tolerance) -> None:
-                for goal in good:
-                    plain.run(name, goal, q0, tolerance)
+        def work(name: str, good: list[np.ndarray] = good, tolerance: float = tolerance) -> None:
+            for goal in good:
+                plain.run(name, goal, q0, tolerance)
 
-            works: dict[str, Work] = {name: (partial(work, name), len(good)) for name in plain.names}
-            for name, one in rounds(works, 1, warm=True).items():
-                spent[name].append(float(one[0]))
-        for name in plain.names:
-            times[name].append(np.array(spent[name]))
+        works: dict[str, Work] = {name: (partial(work, name), len(good)) for name in plain.names}
+        for name, spent in rounds(works, AMOUNT.few_runs, warm=True).items():
+            times[name].append(spent)
     return times
 
 
@@ -131,7 +137,7 @@ def _explain(
     report: Report, robot: Robot, sets: list[np.ndarray], compiled: Times, slow: Times, steps: dict[str, list[dict]]
 ) -> None:
     fair = report.number("same_starts", _same_starts(robot, sets))
-    equal = {name: f"{row['us']} us and {row['solved']:.0f} of 1000" for name, row in fair.items()}
+    equal = {name: f"{row['us']} us and {cell(row['solved'])} of 1000" for name, row in fair.items()}
 
     def over(times: Times, name: str, base: str) -> str:
         return spread(times[name][AT] / times[base][AT], ".2f")
@@ -139,9 +145,11 @@ def _explain(
     micro = {name: spread(1e6 * times[AT], ".3g") for name, times in compiled.items()}
     count = {name: made[AT]["steps"] for name, made in steps.items()}
     report.text(
-        f"""All 19 published times (IK-PID has none at 0.1 mm) next to ours: median [min-max] over {len(sets)} sets of 1000 goals,
-        3 sets of {FEW} for numpy. Times are processor time on one thread, with solvers taking turns; a set is timed over the
-        goals that all of them solve. The start is mid-range, except for the tuned solvers, which have their own. The machines
+        f"""All 19 published times (IK-PID has none at 0.1 mm) next to ours: median [min-max] of {AMOUNT.runs} runs over the same
+        {1000 * len(sets)} goals, {AMOUNT.few_runs} over {AMOUNT.few} for numpy. Times are processor time on one thread, with
+        solvers taking turns, and over the goals that all of them solve. The
+        start is mid-range, except for the tuned solvers, which have
+        their own. The machines
         differ, so only the ratios can be compared. The published times are from MATLAB, to which numpy is the closer
         comparison."""
     )
@@ -176,27 +184,22 @@ def _same_starts(robot: Robot, sets: list[np.ndarray]) -> dict[str, dict[str, An
     starts = np.asarray(rule.starts, dtype=float)
     tips = robot.chain.forward(starts)[0][:, :3, 3]
     options: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": LIMIT, "check": 0.0, "threads": 1}
-    spent: dict[str, list[float]] = {}
-    solved: dict[str, list[int]] = {}
-    for points in sets:
-        nearest = starts[((points[:, None] - tips) ** 2).sum(axis=2).argmin(axis=1)]
-        calls: dict[str, tuple[Any, Any, dict[str, Any]]] = {
-            "state space": (rule, None, {}),
-            "J+, plain": (PlainPinv(), nearest, {}),
-            "DLS": ("dls", nearest, {}),
-            "LM": ("lm", nearest, {"restarts": 0}),
-        }
-        works: dict[str, Work] = {
-            name: (
-                partial(solve_batch, robot, points, one, q0=q0, **options, **more),
-                len(points),
-            )
-            for name, (one, q0, more) in calls.items()
-        }
-        for name, one in rounds(works, 3).items():
-            spent.setdefault(name, []).append(float(np.median(one)))
-            solved.setdefault(name, []).append(int(works[name][0]().success.sum()))
-    return {name: {"us": spread(1e6 * np.array(spent[name])), "solved": float(np.mean(solved[name]))} for name in spent}
+    points = np.concatenate(sets)
+    nearest = starts[((points[:, None] - tips) ** 2).sum(axis=2).argmin(axis=1)]
+    calls: dict[str, tuple[Any, Any, dict[str, Any]]] = {
+        "state space": (rule, None, {}),
+        "J+, plain": (PlainPinv(), nearest, {}),
+        "DLS": ("dls", nearest, {}),
+        "LM": ("lm", nearest, {"restarts": 0}),
+    }
+    works: dict[str, Work] = {
+        name: (partial(solve_batch, robot, points, one, q0=q0, **options, **more), len(points))
+        for name, (one, q0, more) in calls.items()
+    }
+    return {
+        name: {"us": spread(1e6 * spent), "solved": 1000.0 * float(works[name][0]().success.mean())}
+        for name, spent in rounds(works, AMOUNT.runs).items()
+    }
 
 
 def _over(times: Times, name: str) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...style import COLOURS
+from ..report import cell
 
 KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # numbers of the variants of Newton's step, see formulas.py
 
@@ -22,8 +23,8 @@ def _legend(figure: Any, plt: Any) -> None:
     figure.legend(patches, names, loc="outside lower center", ncols=3, fontsize=8)
 
 
-def target_basins(converge: Callable, limit: float) -> Any:
-    """Draw the outcome for all targets from the start (45, 90) degrees."""
+def target_basins(converge: Callable, limit: float, shares: dict[str, float]) -> Any:
+    """Draw the outcome for all targets from the start (45, 90) degrees; shares: what the table has [%], by its columns."""
 
     def draw(plt: Any) -> Any:
         side = np.linspace(-2.0, 2.0, 401)
@@ -33,13 +34,13 @@ def target_basins(converge: Callable, limit: float) -> Any:
         start = np.radians((45.0, 90.0))
         colours = plt.matplotlib.colors.ListedColormap([COLOURS[0], COLOURS[4]])
         panels = [
-            ("plain Newton", "plain", 1e9),
-            ("steps of at most 0.5 rad", "step", 1e9),
-            ("Levenberg-Marquardt", "LM", 1e9),
-            ("plain, clipped at 150 deg", "plain", limit),
+            ("plain Newton", "plain", "plain", 1e9),
+            ("steps of at most 0.5 rad", "step", "step", 1e9),
+            ("Levenberg-Marquardt", "LM", "LM", 1e9),
+            ("plain, clipped at 150 deg", "plain + clip", "plain", limit),
         ]
         figure, axes = plt.subplots(1, 4, figsize=(10.5, 3.3), layout="constrained", sharey=True)
-        for axis, (title, kind, clip) in zip(axes, panels, strict=True):
+        for axis, (title, column, kind, clip) in zip(axes, panels, strict=True):
             picture = np.full(len(X), np.nan)
             rows = converge(X[inside], 1.0, 1.0, start, KINDS[kind], clip)
             picture[inside] = _outcome(rows)
@@ -56,7 +57,7 @@ def target_basins(converge: Callable, limit: float) -> Any:
             elbow = (math.cos(start[0]), math.sin(start[0]))
             hand = (elbow[0] + math.cos(start.sum()), elbow[1] + math.sin(start.sum()))
             axis.plot(*np.array([(0, 0), elbow, hand]).T, color="black", lw=2.2, marker="o", ms=3.5, mfc="white")
-            axis.set_title(f"{title}:\n{100 * np.mean(rows[:, 2] >= 0):.1f} %")
+            axis.set_title(f"{title}:\n{cell(shares[column])} %")
             axis.set(xlabel="x (m)", xticks=(-2, 0, 2), yticks=(-2, 0, 2), aspect="equal")
         axes[0].set_ylabel("y (m)")
         _legend(figure, plt)
@@ -96,7 +97,7 @@ def start_basins(converge: Callable, target: tuple[float, float]) -> Any:
                 t1 = math.atan2(target[1], target[0]) - math.atan2(math.sin(t2), 1 + math.cos(t2))
                 axis.plot(math.degrees(t1), math.degrees(t2), shape, color="white", mec="black", ms=6)
             axis.set_title(
-                f"{title}:\n{100 * np.mean(rows[:, 2] >= 0):.1f} %, mean {rows[rows[:, 2] >= 0, 2].mean():.1f} steps"
+                f"{title}:\n{cell(100 * np.mean(rows[:, 2] >= 0))} %, mean {rows[rows[:, 2] >= 0, 2].mean():.1f} steps"
             )
             axis.set(
                 xlabel="start theta_1 (deg)",

@@ -12,7 +12,9 @@ import numpy as np
 
 from ...robot.robot import Robot
 from ...solvers.solve import Solver
-from ..report import Report
+from ...text import angle as in_words
+from ...text import figure
+from ..report import Report, cell
 from ..timing import Work, rounds, spread
 from .figures import start_basins, target_basins
 from .formulas import (
@@ -212,7 +214,8 @@ def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
         rows,
     )
     words = "; ".join(
-        f"{name}: {k:.1f} steps on average where it converges, {share:.1f} % do" for name, (k, share) in counts.items()
+        f"{name}: {k:.1f} steps on average where it converges, {cell(share)} % do"
+        for name, (k, share) in counts.items()
     )
     report.text(
         f"Median [min-max] of {ROUNDS} interleaved rounds, processor time, on this machine; links 1 "
@@ -255,6 +258,7 @@ def _convergence(report: Report, rng: np.random.Generator, count: int) -> None:
             rows.append(row)
     head = ["l1, l2", "start (deg)", "plain", "search", "LM", "step", "plain + clip", "step + clip"]
     report.table("convergence", head, rows)
+    (drawn,) = (row for row in rows if row[:2] == ["1, 1", "45, 90"])
     X = targets(rng, count, 1.0, 1.0)
     both = np.empty((count, 4))
     closed_form_all(X, 1.0, 1.0, both)
@@ -265,14 +269,15 @@ def _convergence(report: Report, rng: np.random.Generator, count: int) -> None:
         f"Percent of {count} targets, uniform over the reach, solved to 1e-10 in at most {ITERATIONS} steps; "
         "published: nothing. search: the step is halved until the error falls; LM: Levenberg-Marquardt; step: at "
         f"most {LONGEST} rad a joint; clip: joints cut to +-150 deg after each step. With those limits the two "
-        f"branches of the closed form, filtered, solve {share:.1f} % of the targets of the arm 1, 1: all that can be "
-        "solved."
+        f"branches of the closed form, filtered, solve {cell(share)} % of the targets of the arm 1, 1: all that can be "
+        "solved. Where det J is small a step depends on the last digits of the angles, so another processor may differ in the "
+        "last digits of the shares of plain Newton."
     )
     report.figure(
         "targets.png",
         "Links 1 and 1, start (45, 90) deg, marked: which of the two solutions each target of the workspace leads "
         "to. Plain Newton fails in the white regions and jumps between the branches; clipping at limits loses more.",
-        target_basins(converge, LIMIT),
+        target_basins(converge, LIMIT, dict(zip(head, drawn, strict=True))),
     )
     report.figure(
         "starts.png",
@@ -309,12 +314,12 @@ def _failures(report: Report, rng: np.random.Generator) -> None:
         [
             "target on the border, r = l1 + l2",
             f"double root: {abs(int(border[2.0][2]))} steps against {int(border[1.9][2])} at r = 1.9, theta_2 off by "
-            f"{abs(border[2.0][1]):.1e} rad",
+            f"{in_words(abs(border[2.0][1]), deg=False)}",
         ],
         [
             "unreachable target, r = 2.4",
             f"plain Newton never stops: |e| = {np.median(lost[PLAIN][:, 3]):.2f} m at the end (best possible 0.40), "
-            f"angles up to {np.abs(lost[PLAIN][:, :2]).max():.0e} rad; LM ends at "
+            f"angles up to {figure(np.abs(lost[PLAIN][:, :2]).max(), 1)} rad; LM ends at "
             f"{np.median(lost[LEVENBERG][:, 3]):.2f} m",
         ],
     ]

@@ -9,9 +9,11 @@ import numpy as np
 
 from ...servo import stability as st
 from ...servo.methods import Run, System, simulate
+from ...servo.orbit_stability import Motion, step_matrices
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
+MEASURED = ("aa1", "aa2")  # The growth of these methods is measured on runs.
 # The methods of the paper by their names in the report; the method aad is not from the paper but our own.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
@@ -156,8 +158,48 @@ def settled(case: Case, made: Run) -> dict[str, float]:
     }
 
 
-def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float = 1e-6) -> float:
-    """Return the largest factor by which a small disturbance grows in one lap [s] of the moving target (Floquet multiplier).
+def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
+    """Return the largest factor by which a small disturbance changes in one lap [s] of the moving target (Floquet multiplier).
+
+    It is the spectral radius of the product of the matrices that carry a disturbance over each step of the exact motion; h is
+    adjusted to divide the lap. The first two readings of aa leave that motion by their zigzag: theirs is measured.
+    """
+    if key in MEASURED:
+        return measured_growth(case, gains, key, lap)
+    steps = round(lap / gains.h)
+    h = lap / steps
+    # The third reading of aa is aad without its damping.
+    known = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}, "aa3": {"gamma": 0.5, "share": 1.0}}
+    of_key = known.get(key) or {**METHODS[key][1], "share": 1.0}
+    method = "aad" if key == "aa3" else METHODS[key][0]
+    matrices = step_matrices(exact_motion(case, h * np.arange(steps + 1)), method, h, of_key)
+    return st.spectral_radius(functools.reduce(lambda total, A: A @ total, matrices))
+
+
+def exact_motion(case: Case, times: np.ndarray) -> Motion:
+    """Return what `step_matrices` needs of the motion without error at some times [s]; J is square and has an inverse."""
+    system, rows = case.system, []
+    near = 1e-5  # [s] of the difference of dJ/dt; its error is about 1e-10
+    jacobians = [system.jacobian(case.start(case.path(t)[0])) for t in times]
+    for t, J in zip(times[:-1], jacobians, strict=False):
+        p, v, a = case.path(t)
+        q = case.start(p)
+
+        def along(x: np.ndarray, at: np.ndarray = q) -> np.ndarray:
+            """Derivative of J along joint velocities x (n,)."""
+            return np.column_stack([system.rate(at, x, y) for y in np.eye(len(x))])
+
+        qd = np.linalg.solve(J, v)
+        curve = system.rate(q, qd, qd)
+        second = (along(qd, q + near * qd) - along(qd, q - near * qd)) / (2.0 * near)
+        bend, acceleration = along(np.linalg.solve(J, curve)), along(np.linalg.solve(J, a - curve))
+        rows.append([np.linalg.solve(J, part) for part in (J, along(qd), acceleration, bend, second)])
+    row, rate, acceleration, bend, second = (np.array(part) for part in zip(*rows, strict=True))
+    return Motion(row, rate, acceleration, bend, second, jacobians[0], jacobians[-1])
+
+
+def measured_growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float = 1e-6) -> float:
+    """Return what `growth` does, from disturbed runs: a factor below about 1e-8 is rounding.
 
     The state (angles, and rates or the previous command if the method has them) is disturbed one component at a time at the
     start of a lap; returns the spectral radius of the resulting matrix. h is adjusted to divide the lap.

@@ -99,7 +99,7 @@ def dynamics(made: Report, sets: dict[str, tuple[float, float]]) -> None:
         f"""The paper takes its idea from inverse-dynamics control and prints no numbers for it. Here: two slender links of
         {MASS:g} kg and {LENGTH:g} m in a vertical plane, H = I, u = M v + C by Pinocchio's `rnea`, the motion by `aba` and
         Runge-Kutta with {1000 * STEP:g} ms. At 100 random states the closed loop has the commanded acceleration within
-        {off:.1e}
+        {max(off, 1e-12):.0e}
         rad/s^2, eq. (3). Along a swing of both joints, {np.degrees(SHIFT[0]):.1f} and {np.degrees(SHIFT[1]):.1f} deg off at the
         start, the errors (rad) follow eq. (4) up to the rounding of the integration; 'error left' is the largest in the second
         half of {STEP * STEPS:g} s. With masses {HEAVIER:g} times those the controller assumes, eq. (4) no longer holds and an error

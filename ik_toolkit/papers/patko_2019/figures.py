@@ -100,7 +100,7 @@ def _below(ax: Any, runs: Mapping[str, Any]) -> None:
     }
     names = [NAMES.get(key, key) for key, error in ends.items() if error < FLOOR]
     if names:
-        text = f"{'; '.join(names)}: below 1e-15 m after a step or two"
+        text = f"{'; '.join(names)}: below {FLOOR:g} m after a step or two"
         ax.text(
             0.98,
             0.03,

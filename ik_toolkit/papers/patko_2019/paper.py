@@ -8,8 +8,8 @@ leaves out the arms' paths, lengths, initial errors and durations; those chosen 
 import numpy as np
 
 from ...servo import stability as st
-from ..report import Report
-from .cases import CASES, METHODS, SETS, GainSet, growth, known_run, settled
+from ..report import ROUNDING, Report
+from .cases import CASES, MEASURED, METHODS, SETS, GainSet, growth, known_run, settled
 from .dynamics import dynamics
 from .figures import draw_charts, draw_errors, draw_orders, draw_plane
 
@@ -80,10 +80,13 @@ def _radii(made: Report) -> None:
     made.table("radii", head, rows)
     misprint = st.mapping_matrix("ca", 0.2, kp=40.0, kd=4.0, dof=2)
     misprint[2, 2] = (2.0 - 3.0 * 40.0 * 0.2) / 2.0
+    wrong = SETS["RR bad"]
+    border = float(st.p_limit(wrong.kd * wrong.h)) / wrong.h**2
     bad = made.number("radius_with_misprint_of_41", st.spectral_radius(misprint))
     made.text(
         f"""**The contradiction:** the RR set of Figs. 7 and 8 left, "unstable" in the paper, is not outside the paper's own
-        region: cv is exactly on the border (radius 1) and ca inside it (kp = 61 against the border at 61.58). It does
+        region: cv is exactly on the border (radius 1) and ca inside it (kp = {wrong.kp:g} against the border at
+        {border:.4g}). It does
         diverge on a fast path, because the matrices describe the arm at rest (see growth below). Two misprints: entry (3,3) of
         eq. (41) has kp where it should have kd (as printed the radius of the good RR set would be {bad:.3g}); eqs. (29) and
         (32) print the
@@ -126,7 +129,8 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
     made.heading("Errors reached")
     made.text(
         """Second half of the run [m]; "between" is the largest error between samples, on the motion the method itself assumes
-        (straight at velocity level, constant acceleration else). "diverges": a value left the domain or grew without bound.
+        (straight at velocity level, constant acceleration else). "diverges": a value left the domain or grew without bound; at
+        which step depends on rounding.
         Stable gain sets."""
     )
     found, rows = {}, []
@@ -136,21 +140,25 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
                 result = known_run(name, SETS[gains], key, 1.0 if start == "offset" else 0.0)
                 numbers = found[name, start, key] = settled(CASES[name], result)
                 if result.stopped:
-                    rows.append([name, start, key, "diverges", "", "", f"after {len(result.t) - 1} steps"])
+                    rows.append(
+                        [
+                            name,
+                            start,
+                            key,
+                            "diverges",
+                            "",
+                            "",
+                            f"after about {float(f'{len(result.t) - 1:.2g}'):g} steps",
+                        ]
+                    )
                 else:
                     rows.append([name, start, key, *numbers.values()])
-    made.table("errors", ["case", "start", "method", "max", "RMS", "RMS of the whole run", "between"], rows)
+    made.table("errors", ["case", "start", "method", "max", "RMS", "RMS of the whole run", "between"], rows, ROUNDING)
     return found
 
 
 def _orders(made: Report) -> None:
     made.heading("Order in the sample time")
-    made.text(
-        """RR arm, exact start, largest error in the second half as h is halved, and the slope between the last two; fixed
-        gains are
-        those of the 1-DoF case, scaled ones keep kappa h = 2/3, kp h^2 = 1.6, kd h = 0.8. The paper says only that smaller steps
-        give smaller errors. (aa1 shows 3.9: its growing zigzag still adds to its third order.)"""
-    )
     lap = 4.0 * np.pi
     steps = (0.1, 0.05, 0.025, 0.0125)
     rows, curves = [], {}
@@ -166,6 +174,13 @@ def _orders(made: Report) -> None:
             errors.append(float(e[len(e) // 2 :].max()))
         curves[label] = errors
         rows.append([label, *errors, float(np.log2(errors[-2] / errors[-1]))])
+    (slope,) = (row[-1] for row in rows if row[0] == "aa1")
+    made.text(
+        f"""RR arm, exact start, largest error in the second half as h is halved, and the slope between the last two; fixed
+        gains are
+        those of the 1-DoF case, scaled ones keep kappa h = 2/3, kp h^2 = 1.6, kd h = 0.8. The paper says only that smaller steps
+        give smaller errors. (aa1 shows {slope:.1f}: its growing zigzag still adds to its third order.)"""
+    )
     made.table("orders", ["method", *(f"h = {h:g}" for h in steps), "slope"], rows)
     made.figure(
         "orders.png",
@@ -178,7 +193,10 @@ def _growth(made: Report) -> dict[tuple[str, str], float]:
     made.heading("Growth of small disturbances in motion")
     made.text(
         """The matrices are valid at rest. In motion, each lap (the RR circle, or a period of the
-        1-DoF path) multiplies a small disturbance by the factor below; above 1 it grows until the run diverges."""
+        1-DoF path) multiplies a small disturbance by the factor below; above 1 it grows until the run diverges. It is the
+        spectral radius of the product of the matrices of every step, linearised about the exact motion (a disturbed run would
+        show rounding in place of the small factors). The first two readings of aa leave that motion by their zigzag; their
+        factors are those of disturbed runs."""
     )
     found, rows = {}, []
     for name, gains, keys in (
@@ -191,9 +209,16 @@ def _growth(made: Report) -> dict[tuple[str, str], float]:
             factor = found[gains, key] = growth(CASES[name], SETS[gains], key, lap)
             per_step = factor ** (1.0 / round(lap / SETS[gains].h))
             rows.append(
-                [gains, key, factor, per_step, "grows" if factor > 1.01 else "kept" if factor > 0.99 else "decays"]
+                [
+                    gains,
+                    key,
+                    factor,
+                    per_step,
+                    "grows" if factor > 1.01 else "kept" if factor > 0.99 else "decays",
+                    "runs" if key in MEASURED else "product",
+                ]
             )
-    made.table("growth", ["gain set", "method", "per lap", "per step", "so it"], rows)
+    made.table("growth", ["gain set", "method", "per lap", "per step", "so it", "from"], rows)
     return found
 
 
@@ -209,6 +234,7 @@ def _claims(
         st.spectral_radius(st.mapping_matrix("ca", s.h, kp=s.kp, kd=s.kd)) for s in SETS.values() if s.paper == "stable"
     )
     best = st.best_gains("ca", 1.0)
+    near = [SETS[name].kappa * SETS[name].h for name in ("PP good", "RR good")]
     rows = [
         ["The same stability chart for all three systems (3.4)", "holds", "the matrices are those of one joint, repeated"],
         ["Eigenvalues of av are 0, of aa 0 and -1 (3.4)", "holds", "exactly"],
@@ -239,7 +265,8 @@ def _claims(
         ],
         [
             "The good PP and RR gains are nearly optimal (Figs. 5, 7)", "cv yes, ca no",
-            f"cv: kappa h 0.72 and 0.65 against 2/3; ca: radius {slow:.3g} or more against {st.BEST_CA_RADIUS:.3g} at kp h^2 = "
+            f"cv: kappa h {near[0]:.2g} and {near[1]:.2g} against 2/3; "
+            f"ca: radius {slow:.3g} or more against {st.BEST_CA_RADIUS:.3g} at kp h^2 = "
             f"{best['kp']:.4g}, kd h = {best['kd']:.4g}",
         ],
     ]  # fmt: skip

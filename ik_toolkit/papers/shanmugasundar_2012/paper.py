@@ -20,7 +20,7 @@ from ...solvers.closed_form import inspection, reach
 from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import Solver
 from ...study.statistics import wilson
-from ..report import Report
+from ..report import ROUNDING, Report
 from ..timing import Work, rounds, spread
 from .figures import gallery
 from .formulas import (
@@ -87,7 +87,7 @@ def model(report: Report, robot: Robot) -> None:
     report.table("table_2", ["row, printed / ours", "alpha (deg)", "a (mm)", "d (mm)"], rows)
     report.text(
         "The D-H rows of Table 2 read as classic (distal) parameters, row 2 being a lift along axis 1, give the "
-        f"matrix that the paper prints: all 12 elements agree at 200 random configurations within {worst:.1e} (mm "
+        f"matrix that the paper prints: all 12 elements agree at 200 random configurations within {max(worst, ROUNDING):.0e} (mm "
         "and 1). Our URDF is `inspection_7dof`; its joint limits are our assumption, the paper gives none."
     )
 
@@ -166,6 +166,7 @@ def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None
         "errors",
         ["angles", "position error (mm)", "rotation error (deg)"],
         [[name, *(float(f"{x:.12g}") for x in error)] for name, error in errors.items()],
+        ROUNDING,
     )
     (manual_p, manual_r), (software_p, software_r), *_ = errors.values()
     report.text(

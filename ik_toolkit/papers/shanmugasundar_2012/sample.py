@@ -10,7 +10,7 @@ from ...solvers.closed_form import inspection
 from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import solve
 from ...solvers.solve_all import solve_all
-from ..report import Report
+from ..report import ROUNDING, Report
 from .figures import self_motion
 from .formulas import (
     ANGLES,
@@ -54,7 +54,7 @@ def sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nda
         [f"middle lift, branch {k + 1}", "CONVERGED", *_row(q), 1000.0 * e]
         for k, (q, e) in enumerate(zip(middle, middle.position_error, strict=True))
     ]
-    report.table("sample", ["lift", "status", "theta_1", "lift (mm)", *ANGLES[1:], "error (mm)"], rows)
+    report.table("sample", ["lift", "status", "theta_1", "lift (mm)", *ANGLES[1:], "error (mm)"], rows, ROUNDING)
     report.text(
         f"The printed rotation has singular values {', '.join(f'{x:.4f}' for x in values)}, so it is not a rotation; "
         f"the toolkit projects it and reports that. Projected, the pose is {1000 * beyond:.3f} mm out of "
@@ -95,4 +95,4 @@ def _lift_of(p: np.ndarray, T: np.ndarray, theta_1: float) -> float:
 def _row(q: np.ndarray) -> list[float]:
     degrees = np.degrees(np.remainder(q + math.pi, 2 * math.pi) - math.pi)
     degrees[1] = 1000.0 * q[1]
-    return degrees.tolist()
+    return (np.round(degrees, 4) + 0.0).tolist()

@@ -2,6 +2,7 @@
 import { cross, plus, times, unit } from "./robot.js";
 
 const LIT = 0, HANDLE = 0.4, FLAT = 1, GRID = 2; // how a shape is shaded: see fragment.glsl
+const PALE = 0.25, SAME = 3e-3; // opacity of a ghost; [sizes of the robot, rad] parts nearer than this are seen as one
 const SUN = [0.35, -0.2]; // how far a shadow falls sideways per metre of height
 const matrix = (T) => new Float32Array([T[0], T[4], T[8], 0, T[1], T[5], T[9], 0, T[2], T[6], T[10], 0, T[3], T[7], T[11], 1]);
 
@@ -13,10 +14,10 @@ export function standing(from, to, thick) {
 
 export class Renderer {
   // data: parts, each with its shapes, and the shapes of the handles by name; blob: the triangles of all of them in that order.
-  constructor(canvas, shaders, { parts, handles }, blob) {
+  constructor(canvas, shaders, { parts, handles, room }, blob) {
     const gl = canvas.getContext("webgl2", { alpha: false, stencil: true, preserveDrawingBuffer: true });
     if (!gl) throw new Error("This page needs a browser with WebGL 2.");
-    Object.assign(this, { canvas, gl, blob, read: 0, program: gl.createProgram(), at: {} });
+    Object.assign(this, { canvas, gl, blob, size: room.size, read: 0, program: gl.createProgram(), at: {} });
     for (const [kind, text] of [[gl.VERTEX_SHADER, shaders.vertex], [gl.FRAGMENT_SHADER, shaders.fragment]]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, text);
@@ -28,6 +29,7 @@ export class Renderer {
     for (const name of ["model", "view", "lens", "color", "up", "kind", "cell", "wide"]) this.at[name] = gl.getUniformLocation(this.program, name);
     for (const what of [gl.DEPTH_TEST, gl.BLEND]) gl.enable(what);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.depthFunc(gl.LEQUAL);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
     this.parts = parts.map((part) => ({ ...part, shapes: part.shapes.map((shape) => this.load(shape)) }));
     this.handles = Object.fromEntries(Object.entries(handles).map(([name, shape]) => [name, this.load(shape)]));
@@ -61,15 +63,17 @@ export class Renderer {
     gl.drawElements(gl.TRIANGLES, shape.count, gl.UNSIGNED_INT, 0);
   }
 
-  // The robot's parts, `frames` the nodes' placements in the world; with a colour, all in it.
-  robot(frames, kind, color, alpha) {
+  // The robot's parts, `frames` the nodes' placements in the world; with a colour, all in it. Not those that one of `others` has there.
+  robot(frames, kind, color, alpha, others = []) {
+    const same = (A, B) => plus(A, B, -1).every((x, i) => Math.abs(x) < (i % 4 === 3 ? SAME * this.size : SAME));
     for (const { node, T, shapes } of this.parts) {
+      if (others.some((other) => node < 0 || same(other[node], frames[node]))) continue;
       for (const shape of shapes) this.one(shape, node < 0 ? T : times(frames[node], T), kind, color, alpha);
     }
   }
 
-  // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; translucent with a color)
-  // and handles (shape, T, color, alpha), drawn on top.
+  // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; but for the
+  // first ghosts in a color) and handles (shape, T, color, alpha), drawn on top.
   draw(camera, { back, line, dark }, { z, cell, wide }, robots, handles) {
     const { gl, at, canvas } = this, [x, y] = SUN, view = (T) => gl.uniformMatrix4fv(at.view, false, matrix(T));
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -79,24 +83,25 @@ export class Renderer {
     gl.uniform3f(at.up, camera.view[2], camera.view[6], camera.view[10]);
     for (const [name, size] of Object.entries({ cell, wide })) gl.uniform1f(at[name], size);
     view(camera.view);
-    for (const { frames, color } of robots) { // a translucent robot shows only its front: its depth is drawn first
-      if (color) gl.clear(gl.DEPTH_BUFFER_BIT);
-      gl.depthFunc(gl.LESS);
-      gl.colorMask(!color, !color, !color, !color);
-      this.robot(frames, LIT);
-      gl.colorMask(true, true, true, true);
-      gl.depthFunc(gl.LEQUAL);
-      if (color) this.robot(frames, LIT, color, 0.4);
-    }
+    this.robot(robots[0].frames, LIT);
     gl.depthMask(false);
     this.one(this.handles.floor, standing([0, 0, z], [0, 0, z + 1], wide), GRID, line, 0.7);
     gl.enable(gl.STENCIL_TEST); // each pixel is shaded once, however many parts lie over it
     gl.stencilFunc(gl.EQUAL, 0, 1);
     view(times(camera.view, [1, 0, x, -x * z, 0, 1, y, -y * z, 0, 0, 0, z]));
-    for (const { frames } of robots) this.robot(frames, FLAT, dark, 0.17);
+    this.robot(robots[0].frames, FLAT, dark, 0.17);
     view(camera.view);
     gl.disable(gl.STENCIL_TEST);
     gl.depthMask(true);
+    robots.slice(1).forEach(({ frames, color }, k) => { // a ghost shows only its front, and not through the robot: depths are drawn first
+      const others = robots.slice(0, k + 1).map((one) => one.frames);
+      gl.clear(gl.DEPTH_BUFFER_BIT);
+      gl.colorMask(false, false, false, false);
+      this.robot(others[0], LIT);
+      this.robot(frames, LIT, undefined, 1, others);
+      gl.colorMask(true, true, true, true);
+      this.robot(frames, LIT, color, PALE, others);
+    });
     gl.clear(gl.DEPTH_BUFFER_BIT);
     for (const { shape, T, color, alpha } of handles) this.one(this.handles[shape], T, HANDLE, color, alpha);
   }

@@ -1,6 +1,6 @@
 // The page: its state, the panel beside the picture, and what happens when something is moved.
 import { Robot, inverse, length, moved, plus, point, times } from "./robot.js";
-import { SOLVERS, attempt, glide, look, randoms, solve } from "./solve.js";
+import { SOLVERS, attempt, glide, look, loose, randoms, solve } from "./solve.js";
 import { Renderer, standing } from "./draw.js";
 import { Camera, dragged, handles, under } from "./hand.js";
 
@@ -28,12 +28,14 @@ function paint() {
     const shades = handles(at, color(result && !result.good ? "bad" : "good"), held?.tip === tip ? held.what : null);
     return gap ? [line, ...shades] : shades;
   });
-  const robots = (race ?? [{ now: shown }]).map(({ name, now }) =>
-    ({ frames: now.frames.map((T) => times(now.base, T)), color: name && color(name) }));
+  const mine = ({ name }) => name === $("solver").value; // in a race the chosen solver's robot is solid, the others are ghosts
+  const robots = (race ? [race.find(mine), ...race.filter((one) => !mine(one))] : [{ now: shown }]).map(({ name, now }, k) =>
+    ({ frames: now.frames.map((T) => times(now.base, T)), color: k ? color(name) : undefined }));
   renderer.draw(camera, { back: color("sky"), line: color("grid"), dark: color("shade") }, floor, robots, drawn);
 }
 
-const metres = (x) => (x < 1e-3 ? `${(1e6 * x).toPrecision(3)} \u00b5m` : `${(1e3 * x).toFixed(1)} mm`);
+const UNITS = [["m", 1], ["mm", 1e-3], ["\u00b5m", 1e-6], ["nm", 1e-9]];
+const metres = (x, [unit, size] = UNITS.find((one) => x >= one[1]) ?? UNITS[3]) => `${Number((x / size).toPrecision(3))} ${unit}`;
 const degrees = (x) => `${((180 * x) / Math.PI).toFixed(1)}\u00b0`;
 const bars = data.joints.map((joint, k) => { // a slider a joint: what fills it
   const row = $("bar").content.cloneNode(true).firstElementChild, [name, input, value] = row.children;
@@ -73,7 +75,7 @@ function show(to, found = null) {
   [q, result, race, shown] = [to, found, null, robot.fk(to)];
   if (!found) follow(shown.tips);
   $("turn").checked = targets[chosen].turn;
-  $("null").disabled = look(robot, q, targets).e.length >= robot.n;
+  $("null").disabled = !loose(robot, q, targets);
   for (const step of [...bars, tell, paint]) step();
   return true;
 }
@@ -174,7 +176,7 @@ try {
   matchMedia("(prefers-color-scheme: dark)").onchange = paint;
   const pixels = (p) => camera.screen(moved(shown.base, p));
   const state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
-  window.arm = { robot, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
+  window.arm = { robot, renderer, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
   play(() => show(q));
 } catch (error) {
   Object.assign($("status"), { className: "bad", textContent: error.message });

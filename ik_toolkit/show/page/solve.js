@@ -133,11 +133,17 @@ export function solve(robot, name, q0, targets, { attempts = ATTEMPTS, seed = 1,
   return best && { ...best, attempts: made, way: [...way, { q: best.q, error: Math.sqrt(best.ee) * robot.reach }] };
 }
 
+// What of a joint motion `along` (n) moves no tip.
+function freed(robot, q, targets, along) {
+  const J = columns(robot, look(robot, q, targets), targets), lost = along.reduce((sum, x, k) => plus(sum, J[k], x), J[0].map(() => 0));
+  return plus(along, normal(J, [...q.keys()], 1e-10, lost), -1);
+}
+// Whether joints can move with the tips held: by the rank of the Jacobian, whose rows may be zero or depend on each other.
+export const loose = (robot, q, targets) => q.some((_, j) => length(freed(robot, q, targets, q.map((_, k) => Number(k === j)))) > 1e-3);
+
 // A step of `size` in the null space, in the direction nearest `along` (n), with the tips held. Gives q and the direction.
 export function glide(robot, q, targets, along, size) {
-  const J = columns(robot, look(robot, q, targets), targets);
-  const lost = along.reduce((sum, x, k) => plus(sum, J[k], x), J[0].map(() => 0));
-  const free = plus(along, normal(J, [...q.keys()], 1e-10, lost), -1), far = length(free);
+  const free = freed(robot, q, targets, along), far = length(free);
   const there = far > 1e-3 ? attempt(robot, "lm", plus(q, free, size / far), targets) : null;
   return there?.good ? { q: there.q, along: free.map((x) => x / far) } : { q, along };
 }

@@ -84,7 +84,7 @@ class Past:
 
 PLAIN = "#37424f"
 LONGEST = 600  # characters of a status message
-STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.FREE */
+STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.Picture */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
 
 
@@ -98,6 +98,7 @@ class Visit:
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.stage: Any = None
         self.chart: Any = None
+        self.found: Any = None
         self.aspect = 0.0  # of the picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)

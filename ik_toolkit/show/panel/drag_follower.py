@@ -1,14 +1,13 @@
 """Moves a robot after targets that are dragged by hand, with tracker steps in simulated robot time."""
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...errors import InvalidTarget
-from ...robot.pose import length
 from ...servo.path_reach import near_limits
 from ...servo.tracker import Tracker
+from ...text import angle, length
 
 STEP = 0.02  # Length of a step [s] of robot time.
 STEPS = 50  # Number of steps before the page is drawn anew, which make one second.
@@ -69,7 +68,7 @@ class Hand:
         errors, rested, at, between = _errors(robot, q, target), 0, q, None
         away = max(position for position, _ in errors.values())
         if not away < FAR * robot.reach:
-            raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
+            raise InvalidTarget(f"the target is {length(away)} away, more than {FAR:g} times the reach of the arm")
         kinds = [np.ndim(robot.each_tip(target).get(tip)) for tip in robot.tips]
         if kinds != self._kinds or not np.array_equal(q, tracker.q):
             tracker.reset(q, rate0=np.zeros(robot.n))
@@ -104,8 +103,8 @@ def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> boo
 def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, between: tuple[str, str] | None) -> str:
     """Say the remaining error in a sentence; `between` names what would touch."""
     away = max(position for position, _ in errors.values())
-    angles = [angle for _, angle in errors.values() if angle is not None]
-    left = length(away) + (f" and {math.degrees(max(angles)):.3g} deg" if angles else "")
+    turned = [error for _, error in errors.values() if error is not None]
+    left = length(away) + (f" and {angle(max(turned))}" if turned else "")
     if met:
         return f"converged to {left}"
     touch = f"{' and '.join(between)} would touch" if between else ""

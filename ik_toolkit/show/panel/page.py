@@ -16,7 +16,7 @@ from .learn_tab import Learn
 from .scene_tab import Around, null_directions, slide
 from .session import PATIENCE
 from .solve_tab import Chart, Goal, SolutionsTab
-from .tables import as_sentence, note_html, pose_html, table_html
+from .tables import Recorder, as_sentence, note_html, pose_html, table_html
 from .viser_scene import Stage
 
 QUIET = (71, 85, 105)  # colour of secondary buttons
@@ -40,13 +40,7 @@ class PanelPage(Visit):
             self.gui.main_panel.dock_right()
             self._build_controls()
             self.stage = Stage(
-                self.client,
-                body,
-                s.q,
-                s.goals(),
-                self.frames,
-                lambda: self._post("drag", self._dragged),
-                self.stage.widest if self.stage else 0,
+                self.client, body, s.q, s.goals(), self.frames, lambda: self._post("drag", self._dragged), self.stage
             )
             if self.around is not None:
                 self.around.join(self.stage)
@@ -126,6 +120,7 @@ class PanelPage(Visit):
             ("Copy as JSON", "json", self._json),
         ):
             self._on(gui.add_button(text, color=QUIET), name, job)
+        self.recorder = Recorder(gui, s, self._on, self.say)
         self.pose = gui.add_html("")
 
     def _build_goals(self) -> None:
@@ -270,7 +265,6 @@ class PanelPage(Visit):
         s = self.session
         s.q, s.result, s.solutions = s.robot.home.copy(), None, []
         self.chart.hide()
-        self.found.hide()
         self.outcome.visible = False
         self.show()
         self._target_to_tip()
@@ -359,6 +353,7 @@ class PanelPage(Visit):
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
         if self.chart is not None:
             self.chart.hide()
+            self.found.hide()  # they are of another target
         if not found.settled and patience:
             self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
 
@@ -369,9 +364,12 @@ class PanelPage(Visit):
                 goal.put(poses[goal.tip])
 
     def _target_to_tip(self) -> None:
+        if self.found is not None:
+            self.found.hide()
         self._put(self.session.poses())
 
     def _random(self) -> None:
+        self.found.hide()
         self._put(self.session.random_poses())
         if self.live:
             self._solve()

@@ -20,11 +20,12 @@ from ..access import guarded, is_loopback, new_token
 from .page import PanelPage
 from .session import Session
 
-HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows and rings, the camera
+HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows, rings and ball, the camera
     "GuiUpdateMessage",
     "TransformControlsUpdateMessage",
     "TransformControlsDragStartMessage",
     "TransformControlsDragEndMessage",
+    "SceneNodeDragMessage",
     "ViewerCameraMessage",
 )
 

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import InvalidTarget
-from ...robot.pose import length
 from ...style import BAD
-from ...text import vector
+from ...text import figure, length, vector
 from .session import Session
 from .viser_scene import Stage
 
 BOX = (148, 103, 60)
 SIDE = 0.15  # Edge of a new box, as a fraction of the robot's size.
+CLEAR = 0.05  # Distance of a new box from the arm, as a fraction of the robot's size.
 NEAR = 0.25  # Distances below this fraction of the robot's size are drawn.
 
 
@@ -44,7 +44,7 @@ class Around:
 
     def join(self, stage: Stage) -> None:
         """Draw on a new stage, including the existing boxes."""
-        self.stage, self.handles = stage, {}
+        self.stage, self.handles = stage, stage.boxes
         side = float(f"{SIDE * stage.size:.1g}")
         self.size.value = self.size.value or f"{side:g} {side:g} {side:g}"
         for name, (size, T) in self.session.boxes.items():
@@ -56,22 +56,25 @@ class Around:
         self.changed()
 
     def add(self) -> None:
-        """Add a box of the typed size in front of the robot. Raises InvalidTarget if the size is wrong."""
+        """Add a box of the typed size beside the arm, clear of it. Raises InvalidTarget if the size is wrong."""
         size = vector(self.size.value, "the size of the box x y z [m]", 3)
         if min(size) <= 0.0:
             raise InvalidTarget("the size of the box x y z [m] must be positive")
-        T = np.eye(4)
-        tips = np.array([pose[:3, 3] for pose in self.session.poses().values()])
-        T[:3, 3] = tips.mean(axis=0)
-        T[2, 3] += 0.5 * size[2] + 0.1 * self.stage.size  # The box is above the tips.
-        self._draw(self.session.add_box(size, T), size, T)
+        s, clear = self.session, CLEAR * self.stage.size
+        name = s.add_box(size, np.eye(4))
+        for T in self.stage.spots(size):
+            s.move_box(name, T)
+            if not any(name in near.pair for near in s.world.distances(s.q, within=clear)):
+                break
+        self._draw(name, size, s.boxes[name][1])
         self.changed()
 
     def clear(self) -> None:
         """Remove all boxes."""
         for gizmo in self.handles.values():
             gizmo.remove()
-        self.handles = {}
+        self.handles.clear()
+        self.stage.keep_in_view()
         self.session.clear_boxes()
         self.changed()
 
@@ -93,12 +96,12 @@ class Around:
         elif near is not None:
             words = f"clearance {length(near.distance)} ({near.pair[0]} to {near.pair[1]})"
         close = near is not None and not touching and near.distance < NEAR * stage.size and self.distance.value
-        stage.line("/near", [near.points] if close and near else [], (70, 70, 70))
+        stage.line("near", [near.points] if close and near else [], (70, 70, 70))
         for k, (axes, radii) in enumerate(s.ellipsoids().values()):
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
         values = []
         for tip, size in s.manipulability().items():
-            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {size:.3g}")
+            values.append(f"manipulability{f' of {tip}' if len(s.robot.tips) > 1 else ''} {figure(size)}")
         words = html.escape("; ".join([words, *values]))
         return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
 

@@ -14,7 +14,7 @@ from ...kernel.counted_error import POSE, POSITION
 from ...robot.geometry.collision import CollisionModel
 from ...robot.geometry.distance import Near
 from ...robot.library import find
-from ...robot.pose import check_target, length, pose
+from ...robot.pose import check_target, pose
 from ...robot.robot import Robot
 from ...robot.rotation import matrix_quat, matrix_rpy
 from ...robot.tips import path_ends
@@ -23,7 +23,7 @@ from ...solvers.registry import find_row, list_rows, make_rule
 from ...solvers.result import Result
 from ...solvers.solve import solve
 from ...solvers.solve_all import solve_all
-from ...text import parameter, plain, vector
+from ...text import angle, duration, length, parameter, plain, vector
 from .drag_follower import Followed, Hand, prepare
 
 # A typed target's orientation has one of the forms in KINDS.
@@ -86,6 +86,7 @@ class Session:
         self.solutions: list[np.ndarray] = []
         self.distances: list[float] = []
         self.branches: np.ndarray | None = None
+        self.recorded: list[np.ndarray] = []  # configurations (n,) of a motion
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
@@ -305,7 +306,7 @@ class Session:
         """Return rows (name, value) about the last solve, or the current state of a drag."""
         if self.followed is not None and self.result is None:
             left = self.followed.errors
-            words = {tip: f"{length(position)}, {_angle(angle)}" for tip, (position, angle) in left.items()}
+            words = {tip: f"{length(position)}, {_angle(turned)}" for tip, (position, turned) in left.items()}
             return [(tip, words.get(tip, NONE)) for tip in self.robot.tips]
         r = self.result
         if r is None:
@@ -320,7 +321,7 @@ class Session:
             ("status", r.status.name),
             *errors,
             ("iterations", f"{r.iterations}, restarts {r.restarts}"),
-            ("time", f"{1e3 * r.elapsed:.3g} ms, solver {r.solver}"),
+            ("computed in", f"{duration(r.elapsed)}, solver {r.solver}"),
         ]
 
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
@@ -382,7 +383,7 @@ def _copy(target: Any) -> Any:
 
 
 def _angle(value: float | None) -> str:
-    return "free" if value is None else f"{math.degrees(value):.3g} deg"
+    return "free" if value is None else angle(value)
 
 
 def _figure(value: float) -> str:

@@ -93,15 +93,14 @@ class Goal:
 
 
 GO = "Go to this solution"
-TALL = 230  # height [pixels] of the list; the rest scrolls
 SIGNS = {1: "+", -1: "\N{MINUS SIGN}", 0: "0"}
 CELL = "padding:2px 10px 2px 0;white-space:nowrap;font-variant-numeric:tabular-nums;text-align:right"
-STAY = "position:sticky;top:0;background:#fff"  # header stays visible while rows scroll
-# Pointing at a row enters its number into the field below, as typing would; a click also presses the button.
+STAY = "position:sticky;left:0;background:#fff;text-align:left;font-weight:400"  # names of joints stay visible while columns scroll
+# Pointing at a column enters its number into the field below, as typing would; a click also presses the button.
 POINT = (
-    "const e=document.getElementById('{field}');"
-    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(e,'{k}');"
-    "e.dispatchEvent(new Event('input',{{bubbles:true}}))"
+    "const e=document.getElementById('{field}'),k=event.target.cellIndex;if(k&&e.value!==String(k)){{"
+    "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(e,String(k));"
+    "e.dispatchEvent(new Event('input',{{bubbles:true}}))}}"
 )
 CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()==='{GO}').click()"
 
@@ -126,7 +125,7 @@ class SolutionsTab:
         with self.folder:
             self.table = gui.add_html("")
             self.number = gui.add_number(
-                "Solution", 1, min=1, step=1, hint="Shown as a ghost, like a row you point at."
+                "Solution", 1, min=1, step=1, hint="Shown as a ghost, like a column you point at."
             )
             button = gui.add_button(GO)
         listen(self.number, "ghost", self.point)
@@ -156,23 +155,28 @@ class SolutionsTab:
         self.ghost(None)
 
     def rows(self) -> str:
-        """Write the table of solutions: number, branch, distance, joint values under their names and units."""
+        """Write the table of solutions, a column each: number, branch, distance, joint values beside their names and units."""
         s = self.session
         signs = s.branches if s.branches is not None and np.any(s.branches) else None
-        branch = ["branch"] if signs is not None else []
-        joints = [f"{name} [{s.unit(i)}]" for i, name in enumerate(s.robot.joint_names)]
-        head = "".join(f'<th style="{CELL};{STAY}">{html.escape(x)}</th>' for x in ["", *branch, "distance", *joints])
-        lines = []
-        for k, (q, distance) in enumerate(zip(s.solutions, s.distances, strict=True)):
-            label = [] if signs is None else [" ".join(f"{a}{SIGNS[x]}" for a, x in zip("SEW", signs[k], strict=True))]
-            values = [f"{s.scale(i) * x:.{s.digits(i)}f}" for i, x in enumerate(q)]
-            cells = "".join(f'<td style="{CELL}">{x}</td>' for x in [f"{k + 1}", *label, f"{distance:.3f}", *values])
-            point = POINT.format(field=self.number._impl.uuid, k=k + 1)
-            lines.append(f'<tr style="cursor:pointer" onmouseenter="{point}" onclick="{CLICK}">{cells}</tr>')
-        note = "<div>S, E, W: signs of shoulder, elbow and wrist.</div>" if branch else ""
+        lines = [("", [str(k + 1) for k in range(len(s.solutions))])]
+        if signs is not None:
+            words = [" ".join(f"{a}{SIGNS[x]}" for a, x in zip("SEW", row, strict=True)) for row in signs]
+            lines.append(("branch", words[: len(s.solutions)]))
+        for i, name in enumerate(s.robot.joint_names):
+            values = [f"{round(s.scale(i) * q[i], s.digits(i)) + 0.0:.{s.digits(i)}f}" for q in s.solutions]
+            lines.append((f"{name} [{s.unit(i)}]", values))
+        lines.append(("distance [rad]", [f"{distance:.3f}" for distance in s.distances]))
+        rows = "".join(
+            f'<tr><th style="{CELL};{STAY}">{html.escape(name)}</th>'
+            + "".join(f'<td style="{CELL}">{value}</td>' for value in values)
+            + "</tr>"
+            for name, values in lines
+        )
+        note = "<div>S, E, W: signs of shoulder, elbow and wrist.</div>" if signs is not None else ""
+        point = POINT.format(field=self.number._impl.uuid)
         return (
-            f'<div style="padding:2px 12px;font-size:12px;overflow:auto;max-height:{TALL}px">'
-            f"{note}<table><tr>{head}</tr>{''.join(lines)}</table></div>"
+            f'<div style="padding:2px 12px;font-size:12px;overflow:auto">{note}<table style="cursor:pointer" '
+            f'onmouseover="{point}" onclick="if(event.target.cellIndex){CLICK}">{rows}</table></div>'
         )
 
 

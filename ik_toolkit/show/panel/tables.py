@@ -1,10 +1,16 @@
-"""Writes texts and tables of the panel as HTML; all contents are escaped."""
+"""Writes texts, tables and files of the panel as HTML; all contents are escaped."""
 
+import base64
 import html
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...errors import InvalidOption
+from ...paths.timing import through
 from ...style import MUTED
 from .session import KINDS, Session
 
@@ -30,6 +36,68 @@ def table_html(rows: Any, head: Any = None) -> str:
         for row in rows
     )
     return f'<div style="padding:2px 12px 6px;font-size:12px;overflow-x:auto"><table><tr>{top}</tr>{body}</table></div>'
+
+
+class Recorder:
+    """Controls that record configurations and save the motion through them."""
+
+    def __init__(self, gui: Any, session: Session, listen: Callable[..., None], say: Callable[[str], None]) -> None:
+        """Build the controls; `listen` is as in Goal, say(text) shows a sentence."""
+        self.gui, self.session, self.say = gui, session, say
+        with gui.add_folder("Motion", expand_by_default=False):
+            jobs = (
+                ("Record this posture", self.record),
+                ("Save the motion", self.save),
+                ("Forget the record", self.forget),
+            )
+            for text, job in jobs:
+                listen(gui.add_button(text, color=(71, 85, 105)), "record", job)
+            self.acceleration = gui.add_number(
+                "Acceleration",
+                1.0,
+                min=1e-3,
+                hint="Of every joint [rad/s2 or m/s2]; speeds are the robot's limits, or 1.",
+            )
+
+    def record(self) -> None:
+        """Add the present configuration to the motion."""
+        self.session.recorded.append(self.session.q.copy())
+        count = len(self.session.recorded)
+        self.say(f"{count} posture{'s' * (count > 1)} recorded")
+
+    def forget(self) -> None:
+        """Begin a new motion."""
+        self.session.recorded.clear()
+        self.say("the record is empty")
+
+    def files(self) -> tuple[str, dict[str, bytes]]:
+        """Return what the motion does in words, and its files by name: CSV, and JSON as ROS has it. Raises InvalidOption."""
+        s = self.session
+        if len(s.recorded) < 2:
+            raise InvalidOption("record two postures or more, then save the motion through them")
+        speeds = np.where(np.isfinite(s.robot.velocity_limits), s.robot.velocity_limits, 1.0)
+        found = through(
+            s.robot, s.recorded, speeds, float(self.acceleration.value), collision=s.world if s.avoid else None
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            written = [found.to_csv(Path(folder) / "motion.csv"), found.to_json(Path(folder) / "motion.json")]
+            return found.message, {file.name: file.read_bytes() for file in written}
+
+    def save(self) -> None:
+        """Show links to the files of the motion."""
+        message, files = self.files()
+        modal = self.gui.add_modal("Motion (metres, radians and seconds)")
+        kinds = {".csv": ("text/csv", "CSV"), ".json": ("application/json", "JSON of a ROS JointTrajectory")}
+        links = []
+        for name, content in files.items():
+            kind, words = kinds[Path(name).suffix]
+            data = base64.b64encode(content).decode()
+            links.append(f'<p><a download="{name}" href="data:{kind};base64,{data}">{name}</a>: {words}</p>')
+        with modal:
+            self.gui.add_html(note_html(message) + f'<div style="padding:4px 12px">{"".join(links)}</div>')
+            done = self.gui.add_button("Close")
+        done.on_click(lambda _: modal.close())
+        self.say(message)
 
 
 def pose_html(T: np.ndarray, s: Session, tip: str) -> str:

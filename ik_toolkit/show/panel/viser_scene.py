@@ -1,8 +1,8 @@
 """The 3-D view of one visitor of the panel (viser): the robot, frames, and a target to drag for each tip."""
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -12,12 +12,35 @@ from ..body import Body, need_trimesh
 
 RED = (204, 51, 38)  # line to a target that is not reached
 GHOST = (0, 114, 178)
-VIEW = np.array([-0.66, 0.63, -0.41])  # along which the robot is looked at: from the front right, from above
-LENS = 0.7  # [rad] from top to bottom
-FILL = 0.72  # of the picture, by the robot: its arrows and the next poses need the rest
-NARROW = 576  # pixels of a page below which viser lays its controls over the lower part of the picture
-EDGE = 0.95  # of the way from the middle of the picture to its edge: a target further out counts as not in it
-FREE = 0.5  # of the height left there, see connection.STYLE
+
+
+class Picture(NamedTuple):
+    """How the robot is looked at, and how the handles of targets are drawn.
+
+    Attributes:
+        view: direction in which the robot is looked at, from the front right, from above.
+        lens: [rad] from top to bottom.
+        fill: part of the picture that the robot takes: its arrows and the next poses need the rest.
+        narrow: [pixels] width of a page below which viser lays its controls over the lower part of the picture.
+        edge: part of the way from the middle of the picture to its edge: a target further out counts as not in it.
+        free: part of the height left on a narrow page, see connection.STYLE.
+        arrow: [sizes of the robot] length of a target's arrows.
+        ball: [arrows] radius of a target's ball, which stands out of a flange.
+        amber: its colour.
+    """
+
+    view: np.ndarray = np.array([-0.66, 0.63, -0.41])
+    lens: float = 0.7
+    fill: float = 0.72
+    narrow: int = 576
+    edge: float = 0.95
+    free: float = 0.5
+    arrow: float = 0.22
+    ball: float = 0.19
+    amber: tuple[int, int, int] = (240, 170, 20)
+
+
+PICTURE = Picture()
 
 
 class Handle:
@@ -27,11 +50,21 @@ class Handle:
         """Draw arrows and rings at T (4, 4); `dragged` is called when the visitor moves them."""
         self.T_world_base = stage.body.T_world_base
         scene = stage.client.scene
-        self.gizmo = scene.add_transform_controls(f"/target/{k}", scale=0.22 * stage.size, disable_sliders=True)
-        self.name = scene.add_label(f"/target/{k}/name", name, anchor="bottom-left") if name else None
+        path = stage.path(f"target/{k}")
+        self.gizmo = scene.add_transform_controls(path, scale=PICTURE.arrow * stage.size, disable_sliders=True)
+        self.name = scene.add_label(f"{path}/name", name, anchor="bottom-left") if name else None
         self.stage = stage
         self._put(T)
         self.gizmo.on_update(lambda event: self._moved(event, dragged))
+        self.ball = scene.add_icosphere(
+            f"{path}/ball",
+            PICTURE.ball * PICTURE.arrow * stage.size,
+            color=PICTURE.amber,
+            opacity=0.7,
+            cast_shadow=False,
+        )
+        if hasattr(self.ball, "on_drag"):  # releases of viser before 1.1 have only the arrows
+            self.ball.on_drag("left")(self._carried(dragged))
 
     def put(self, target: np.ndarray) -> None:
         """Move to T_base_target (4, 4), or to a position (3,) with the present rotation, and keep it in the picture."""
@@ -42,6 +75,22 @@ class Handle:
         dragged()
         if getattr(event, "phase", "") == "end":  # older releases of viser have no phases
             self.stage.keep_in_view()
+
+    def _carried(self, dragged: Callable[[], None]) -> Callable[[Any], Any]:
+        """Return what moves the target with its ball, in the plane of the picture."""
+        offset = np.zeros(3)
+
+        async def carry(event: Any) -> None:  # viser keeps the order of events for coroutines only
+            nonlocal offset
+            with np.errstate(over="ignore", invalid="ignore"):  # a page may send anything
+                if event.phase == "start":  # the ball may be taken at its rim
+                    offset = self.gizmo.position - np.array(event.start_position)
+                place = np.array(event.end_position) + offset
+                if np.isfinite(place).all():
+                    self.gizmo.position = tuple(place.tolist())
+                    self._moved(event, dragged)
+
+        return carry
 
     def _put(self, target: np.ndarray) -> None:
         if target.ndim == 1:
@@ -73,13 +122,16 @@ class Stage:
         targets: dict[str, np.ndarray],
         frames: bool,
         dragged: Callable[[], None],
-        widest: int = 0,
+        before: "Stage | None" = None,
     ) -> None:
         """Draw the robot at q and targets (4, 4) by tip; `dragged` is called when the visitor moves one.
 
-        `widest` is the largest width [pixels] of the picture so far.
+        `before` is the stage that this one replaces, if there was one.
         """
-        self.widest, self.away = widest, False  # whether the camera has moved away to see a target
+        # The page places a new object where an earlier one of the same name was, unless it is told otherwise.
+        self.number = before.number + 1 if before else 0
+        self.widest = before.widest if before else 0  # largest width [pixels] of the picture so far
+        self.away = False  # whether the camera has moved away to see a target
         self.client, self.body = client, body
         self.robot: Any = body.robot
         scene, robot = client.scene, self.robot
@@ -89,7 +141,7 @@ class Stage:
         cell = 10.0 ** np.round(np.log10(self.size / 8.0))
         faint, clear = (228, 231, 235), (198, 204, 211)
         scene.add_grid(
-            "/grid",
+            self.path("grid"),
             40 * cell,
             40 * cell,
             cell_size=cell,
@@ -100,38 +152,51 @@ class Stage:
         )
         self.parts = []
         for part in body.parts:
-            self.parts.append(scene.add_frame(f"/robot/{part.name}", show_axes=False))
+            path = self.path(f"robot/{part.name}")
+            self.parts.append(scene.add_frame(path, show_axes=False))
             for k, shape in enumerate(part.shapes):
                 rgb = tuple(round(255 * c) for c in shape.color)
                 opacity = None if shape.opacity >= 1.0 else shape.opacity
                 scene.add_mesh_simple(
-                    f"/robot/{part.name}/{k}", shape.vertices, shape.faces, color=rgb, opacity=opacity, side="double"
+                    f"{path}/{k}", shape.vertices, shape.faces, color=rgb, opacity=opacity, side="double"
                 )
         length = 0.1 * self.size
         self.tips = [
-            scene.add_frame(f"/tip/{k}", axes_length=length, axes_radius=0.03 * length) for k in range(len(targets))
+            scene.add_frame(self.path(f"tip/{k}"), axes_length=length, axes_radius=0.03 * length)
+            for k in range(len(targets))
         ]
         self.axes = [
-            scene.add_frame(f"/joint/{k}", axes_length=0.8 * length, axes_radius=0.02 * length, visible=frames)
+            scene.add_frame(
+                self.path(f"joint/{k}"), axes_length=0.8 * length, axes_radius=0.02 * length, visible=frames
+            )
             for k in range(robot.n)
         ]
         self.handles = [
             Handle(self, k, tip if len(targets) > 1 else "", T, dragged) for k, (tip, T) in enumerate(targets.items())
         ]
         self.lines: dict[str, Any] = {}
+        self.boxes: dict[str, Any] = {}
         self.ellipsoids: dict[int, Any] = {}
         self.shade: list[Any] = []
+        self.ghosted: np.ndarray | None = None
+        self.poses = body.placements(q)
         self.aim(q)
+
+    def path(self, name: str) -> str:
+        """Return the name of an object in the page, which no object of an earlier stage has had."""
+        return f"/{self.number}/{name}"
 
     def show(self, q: np.ndarray) -> None:
         """Place everything except the target for joint values q (n,)."""
         body, model = self.body, self.robot.model
-        for handle, M in zip(self.parts, body.placements(q), strict=True):
+        self.poses = body.placements(q)
+        for handle, M in zip(self.parts, self.poses, strict=True):
             _place(handle, M)
         for handle, T in zip(self.tips, body.tips(q), strict=True):
             _place(handle, T)
         for handle, joint in zip(self.axes, self.robot.joint_names, strict=True):
             _place(handle, body.data.oMi[model.getJointId(joint)].homogeneous)
+        self.ghost(self.ghosted)
 
     def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
         """Draw a line from each tip to its target, a pose (4, 4) or position (3,); {} draws none."""
@@ -139,10 +204,11 @@ class Stage:
         base = self.body.T_world_base
         goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
         tips = [tip.position for tip, T in zip(self.tips, targets.values(), strict=False) if T is not None]
-        self.line("/gap", [*zip(tips, goals, strict=True)], RED)
+        self.line("gap", [*zip(tips, goals, strict=True)], RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
-        """Also show the robot at q (n,), translucent; None removes it."""
+        """Also show the robot at q (n,), translucent, but for the parts that are where the robot has them; None removes it."""
+        self.ghosted = q
         if q is None:
             for handle in self.shade:
                 handle.visible = False
@@ -150,10 +216,11 @@ class Stage:
         scene = self.client.scene
         if not self.shade:
             for part in self.body.parts:
-                self.shade.append(scene.add_frame(f"/ghost/{part.name}", show_axes=False))
+                path = self.path(f"ghost/{part.name}")
+                self.shade.append(scene.add_frame(path, show_axes=False))
                 for k, shape in enumerate(part.shapes):
                     scene.add_mesh_simple(
-                        f"/ghost/{part.name}/{k}",
+                        f"{path}/{k}",
                         shape.vertices,
                         shape.faces,
                         color=GHOST,
@@ -161,17 +228,40 @@ class Stage:
                         cast_shadow=False,
                     )
         with self.client.atomic():
-            for handle, M in zip(self.shade, self.body.placements(q), strict=True):
+            poses = self.body.placements(q)
+            for handle, M, alone in zip(self.shade, poses, self.body.apart(poses, self.poses), strict=True):
                 _place(handle, M)
-                handle.visible = True
+                handle.visible = bool(alone)
 
     def box(self, name: str, size: Any, T: np.ndarray, color: tuple[int, int, int]) -> Any:
-        """Draw a box of size (x, y, z) [m] at T_base_box (4, 4) with arrows and rings; return the handle to drag."""
-        scene = self.client.scene
-        gizmo = scene.add_transform_controls(f"/box/{name}", scale=1.2 * max(size), disable_sliders=True)
-        scene.add_box(f"/box/{name}/shape", dimensions=tuple(size), color=color, opacity=0.85)
+        """Draw a box of size (x, y, z) [m] at T_base_box (4, 4), in the picture; return its arrows and rings, to drag."""
+        scene, path = self.client.scene, self.path(f"box/{name}")
+        gizmo = scene.add_transform_controls(path, scale=1.2 * max(size), disable_sliders=True)
+        scene.add_box(f"{path}/shape", dimensions=tuple(size), color=color, opacity=0.85)
         _place(gizmo, self.body.T_world_base @ T)
+        self.boxes[name] = gizmo
+        self.keep_in_view()
         return gizmo
+
+    def spots(self, size: Any) -> Iterator[np.ndarray]:
+        """Yield poses (4, 4) in the base for a new box of size (x, y, z) [m], nearest first, beside the arm as it is seen.
+
+        None is on a target, in another box or under the floor.
+        """
+        base, half = self.body.T_world_base, 0.5 * float(np.linalg.norm(size))
+        across = np.cross(PICTURE.view, (0.0, 0.0, 1.0)) / np.hypot(*PICTURE.view[:2])
+        still = self.body.bounds(self.robot.home, still=True)
+        taken = [*(handle.gizmo for handle in self.handles if handle.gizmo.visible), *self.boxes.values()]
+        centre = np.mean([tip.position for tip in self.tips], axis=0)
+        for far in half + self.size * np.arange(1.2 * PICTURE.arrow, 4.0, 0.1):
+            for way in (across, -across, np.array([0.0, 0.0, 1.0]), PICTURE.view * (1.0, 1.0, 0.0)):
+                place = centre + far * way / np.linalg.norm(way)
+                place[2] = max(place[2], self.body.floor + half)
+                free = np.linalg.norm(place - np.clip(place, *still)) > half
+                if free and all(np.linalg.norm(place - one.position) > half + one.scale for one in taken):
+                    T = np.eye(4)
+                    T[:3, 3] = base[:3, :3].T @ (place - base[:3, 3])
+                    yield T
 
     def dragged(self, gizmo: Any) -> np.ndarray:
         """Return the pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
@@ -183,7 +273,9 @@ class Stage:
             self.lines.pop(name).remove()
         if len(points):
             ends = np.asarray(points, dtype=np.float32)
-            self.lines[name] = self.client.scene.add_line_segments(name, ends, color, thickness=0.004 * self.size)
+            self.lines[name] = self.client.scene.add_line_segments(
+                self.path(name), ends, color, thickness=0.004 * self.size
+            )
 
     def ellipsoid(self, k: int, axes: np.ndarray, radii: np.ndarray, visible: bool) -> None:
         """Draw a velocity ellipsoid around tip k: axes (3, 3) in the base, radii (3,) [m/s] as the way of a quarter of a second."""
@@ -196,7 +288,7 @@ class Stage:
                 return
             form = need_trimesh().creation.icosphere(subdivisions=3)
             ball = self.ellipsoids[k] = self.client.scene.add_mesh_simple(
-                f"/ellipsoid/{k}", form.vertices, form.faces, color=GHOST, opacity=0.35, cast_shadow=False
+                self.path(f"ellipsoid/{k}"), form.vertices, form.faces, color=GHOST, opacity=0.35, cast_shadow=False
             )
         ball.scale = tuple(np.maximum(0.25 * radii, 1e-3 * self.size).tolist())
         ball.visible = visible
@@ -218,22 +310,24 @@ class Stage:
         self.widest = max(self.widest, camera.image_width)
         self.extent, self.away = self.body.bounds(q), False
         camera.up_direction = (0.0, 0.0, 1.0)
-        camera.fov = LENS
-        self._look(camera, self.extent, VIEW)
+        camera.fov = PICTURE.lens
+        self._look(camera, self.extent, PICTURE.view)
 
+    @np.errstate(all="ignore")  # a page may say of its camera and its targets what it likes
     def keep_in_view(self) -> None:
         """Move the camera away, along the direction it looks in, until all targets are in the picture, and later back again."""
         camera = getattr(self.client, "camera", None)
         if camera is None:
             return
-        goals = np.array([handle.gizmo.position for handle in self.handles if handle.gizmo.visible])
+        seen = [*(handle.gizmo for handle in self.handles if handle.gizmo.visible), *self.boxes.values()]
+        goals = np.array([gizmo.position for gizmo in seen])
         w, x, y, z = camera.wxyz
         turn = pin.Quaternion(w, x, y, z).matrix()
         across, down, ahead = turn.T @ (goals.reshape(-1, 3) - camera.position).T
-        edge, free = EDGE * np.tan(0.5 * camera.fov) * ahead, self._free()
+        edge, free = PICTURE.edge * np.tan(0.5 * camera.fov) * ahead, self._free()
         aspect = camera.image_width / max(camera.image_height, 1)
-        seen = (np.abs(across) < aspect * edge) & (-edge < down) & (down < (2.0 * free - 1.0) * edge)
-        if not seen.all() or self.away:
+        inside = (np.abs(across) < aspect * edge) & (-edge < down) & (down < (2.0 * free - 1.0) * edge)
+        if not inside.all() or self.away:
             box = np.array([self.extent[0], self.extent[1], *goals])
             box = np.array([box.min(axis=0), box.max(axis=0)])
             self.away = not np.allclose(box, self.extent)
@@ -241,11 +335,12 @@ class Stage:
 
     def _free(self) -> float:
         """Return the share of the picture's height, from the top, that no controls cover."""
-        return FREE if self.widest < NARROW else 1.0
+        return PICTURE.free if self.widest < PICTURE.narrow else 1.0
 
     def _look(self, camera: Any, box: np.ndarray, view: np.ndarray) -> None:
         eye, to = camera_for(box, view, camera.image_width / max(camera.image_height, 1), self._free())
-        camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
+        if np.isfinite([eye, to]).all():
+            camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
 
 
 def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
@@ -267,10 +362,10 @@ def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) ->
     ahead = view / np.linalg.norm(view)
     across = np.cross(ahead, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
-    up, centre, half = np.cross(across, ahead), box.mean(axis=0), math.tan(0.5 * LENS)
+    up, centre, half = np.cross(across, ahead), box.mean(axis=0), math.tan(0.5 * PICTURE.lens)
     corners = np.array(np.meshgrid(*(box - centre).T)).reshape(3, -1).T
     wide, tall, deep = np.abs(corners @ across), np.abs(corners @ up), corners @ ahead
-    away = (np.maximum(wide / max(aspect, 0.1), tall / free) / (half * FILL) - deep).max()
+    away = (np.maximum(wide / max(aspect, 0.1), tall / free) / (half * PICTURE.fill) - deep).max()
     to = centre - (1.0 - free) * half * away * up
     return to - away * ahead, to
 

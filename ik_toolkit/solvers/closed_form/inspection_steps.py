@@ -7,6 +7,7 @@ import numpy as np
 from sympy import Abs, Matrix, Max, Min, atan2, cos, pi, sin, sqrt
 
 from ...compile.jit import cached
+from ...text import length
 from ..explain.worked_solution import Branch, Free, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
 from .lift_arm import A4, A6, GIVEN, JOINTS, LIFT, joint_values, near_angles, wrist_pose
@@ -104,9 +105,9 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
         inside = feasible_lifts(p, T, box[0, place], box[1, place])
         free = Free(place, "lift", tuple(inside), tuple(feasible_lifts(p, T)))
     if _is_far(p, head):
-        where = f" at lift {round(1000.0 * value, 6) + 0.0:.6g} mm" if place >= 0 else ""
+        where = f" at lift {length(value, 6)}" if place >= 0 else ""
         words = (
-            f"the pose is {1000.0 * head[HEAD.moved]:.4g} mm out of reach{where}; the branches are those of the nearest one with "
+            f"the pose is {length(float(head[HEAD.moved]), 4)} out of reach{where}; the branches are those of the nearest one with "
             "the same orientation"
         )
     return WorkedSolution(tuple(sheet.steps), tuple(branches), LEGEND, words, free)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from sympy import Abs, Max, Min, atan2, cos, sin, sqrt
 
+from ...text import length
 from ..explain.worked_solution import Branch, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
 from .reach import ANGLES, HEIGHT, L1, L2, ON_AXIS, list_planar
@@ -70,7 +71,7 @@ def _words(robot: Any, room: float, off: float) -> str:
     near = 1e-9 * robot.reach
     parts = []
     if room < -near:
-        parts.append(f"the point is {-1000.0 * room:.4g} mm out of reach in the arm's plane")
+        parts.append(f"the point is {length(-room, 4)} out of reach in the arm's plane")
     if abs(off) > near:
-        parts.append(f"the point lies {1000.0 * abs(off):.4g} mm off the arm's plane")
+        parts.append(f"the point lies {length(abs(off), 4)} off the arm's plane")
     return f"{' and '.join(parts)}; the branches are those of the nearest point that the arm reaches" if parts else ""

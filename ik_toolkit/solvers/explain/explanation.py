@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.formats.dh import DHTable
+from ...text import length
 from .dh_table import dh_blocks
 from .layout import (
     UNITS,
@@ -156,7 +157,7 @@ class Explanation:
             texts = [digits(branch.q[i], unit_of(kind), self.places) for branch in branches]
             bad = [name in branch.outside for branch in branches]
             rows.append((name, *(OutsideLimits(x) if y else x for x, y in zip(texts, bad, strict=True))))
-        rows.append(("FK error", *(f"{1000.0 * position:.0e}" for position, _ in self.errors)))
+        rows.append(("FK error", *(length(position, 1) for position, _ in self.errors)))
         yield Table(("joint", *(str(k + 1) for k in range(len(branches)))), rows)
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
         yield Sentence(f"{marked}FK error: distance from the target by Pinocchio. {self.worked.legend}".rstrip())
