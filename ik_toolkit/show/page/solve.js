@@ -1,7 +1,7 @@
 // Five iterative solvers over one view of the error, attempts from other starts, and motion inside the null space.
 import { length, plus, point, turnBetween } from "./robot.js";
 
-const TOLERANCE = 1e-6, RADIAN = 0.25; // [m] and [rad], as in the toolkit; weight of a radian of error, in reaches
+const TOLERANCE = 1e-6, RADIAN = 1; // [m] and [rad], and the reaches that weigh as much as a radian, as in the toolkit
 const PRIME = 2147483647, ATTEMPTS = 100, LOOKS = 20000, DRAWN = 12; // most of each in all; random starts drawn, of which the nearest is used
 const inner = (a, b) => a.reduce((sum, x, k) => sum + x * b[k], 0);
 
