@@ -280,7 +280,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     if stop in (laws.RUNAWAY, laws.NOT_FINITE):
         what = "moved joints without bound" if stop == laws.RUNAWAY else "produced a step that is not finite"
         check = result.gain_check
-        hint = check.message if check is not None and not check.stable else "Try aad, a smaller dt, or limits=True."
+        hint = check.message if check is not None and not check.stable else "Try the method aad, a higher rate, or keep the joints' limits."
         return (
             TrackStatus.DIVERGED if stop == laws.RUNAWAY else TrackStatus.NOT_FINITE,
             f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
@@ -296,7 +296,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     if outside.any():
         status = TrackStatus.LOST if outside[-1] else TrackStatus.LEFT
         if outside[0]:
-            note += " It begins off the reference: leave out q0, or give it time to get there with settle."
+            note += " It begins off the reference: start nearer, or give it time to settle."
         if result.gain_check is not None and result.gain_check.verdict == "unstable":
             note += " The gains are unstable at this sample time."
         return status, f"{_away(result, outside)}{_added(result, '; took ')}.{note}"
