@@ -17,7 +17,7 @@ from .output import facts, notice, partial, progress, show, table, turns, unit, 
 from .pictures import present
 from .streams import uninterrupted
 from .target import CountOptions
-from .track_path import Asked, TrackOptions, advice, asked_path, doubt_metres
+from .track_path import Asked, TrackOptions, advice, asked_path
 
 
 @options()
@@ -125,7 +125,6 @@ def _follow(
     try:
         with progress("tracking", None):
             path = asked_path(arm, asked, q, counts, tolerance)
-            doubt_metres(arm, path.reference)
             return path, run(path)
     except TrackInterrupted as stop:
         if asked.output is not None:

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..errors import InvalidOption, near_match, whole
-from ..text import figure, length, vector
+from ..text import vector
 from .command import PLOTS, flag, option, options
-from .output import notice, number
+from .output import number
 
 SHAPES = ("circle", "line", "eight")
 RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
@@ -18,8 +18,6 @@ PLACE = {  # options that say where a path is and how large; a file says all tha
     "line": ("length", "axis", "start", "end"),
     "file": (),
 }
-FAR = 20.0  # times the reach: a path that goes further away is more often in millimetres
-SEEN = 65  # points of a path that are looked at for that
 TIMES = ("duration", "law", "turns")
 DRAWN = ("radius", "length", "axis", "start", "end", *TIMES)
 PLACED = (*DRAWN[:5], "law", "turns")  # options of a path that say more than how long a default one takes
@@ -176,24 +174,6 @@ def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tol
         reference = reference_from_file(asked.path)
         return Asked(freed(reference) if asked.position_only and not reference.position_only else reference, q, "")
     return Asked(_drawn(arm, asked, q, counts), arm.home if q is None and asked.start is None else q, "")
-
-
-def doubt_metres(arm: Any, reference: Any) -> None:
-    """Warn, once, that a path far beyond the reach may have been meant in millimetres."""
-    import numpy as np
-
-    at = arm.fk(arm.home)
-    tips = at if arm.by_tip else {arm.tip: at}
-    each = reference if isinstance(reference, Mapping) else {arm.tip: reference}
-    for tip, one in each.items():
-        way = one.at(np.linspace(0.0, one.duration, SEEN))[0][:, :3, 3] - tips[tip].translation
-        away = float(np.linalg.norm(way, axis=1).max())
-        if away > FAR * arm.reach:
-            times = f"{figure(away / arm.reach)} times its reach" if arm.reach > 0.0 else "which cannot move"
-            notice(
-                f"warning: the path goes {length(away, 4)} away from {tip} at home, {times}; were millimetres meant?"
-            )
-            return
 
 
 def _drawn(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any]) -> Any:

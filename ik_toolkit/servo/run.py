@@ -17,6 +17,7 @@ from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.rotation import angles_between
 from ..robot.tree import Tree
+from ..solvers.batch.targets import doubt_far
 from ..solvers.collision_free import collision_model
 from ..validate import number, one_of, positive
 from . import laws
@@ -124,6 +125,8 @@ def track(
     stretch = number(max_stretch, "max_stretch")
     if stretch < 1.0:
         raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
+    seen = np.linspace(0.0, duration, 65)  # enough to see how far a path goes
+    doubt_far(robot, np.stack([one.at(seen)[0] for one in references], axis=1), "the path")
     q0 = _start(robot, references, options.get("avoid_collisions", False)) if q0 is None else q0
     tracker = Tracker(
         robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..errors import FAR_AWAY
 from ..text import angle, length
 from . import viability
 from .target_jump import Choice
@@ -188,6 +189,8 @@ class Step:
             return "; ".join([*parts, f"{what}: braking and holding"])
         if status is StepStatus.FOLLOWING_ERROR:
             parts.append("the measured joints are far from the commanded ones")
+        if self.position_error > FAR_AWAY * o.by.robot.reach:
+            parts.append("were millimetres meant?")
         if status is StepStatus.AT_LIMIT:
             limited = not o.lost and o.code.any()
             parts.append(f"about as close as {'the limits allow' if limited else 'the arm reaches from here'}")

@@ -147,4 +147,8 @@ def test_millimetres_are_doubted_at_every_entrance(caplog, monkeypatch):
             assert ("were millimetres meant?" in call()) == doubted
         ik.solve_batch(arm, [(x, 0.0, 0.0)])
         ik.solve_path(arm, [(x, 0.0, 0.0)])
-        assert ("were millimetres meant?" in caplog.text) == doubted
+        straight = ik.line((x, 0.0, 0.0), (0.99 * x, 0.0, 0.0), duration=0.1)
+        ik.track(arm, straight, dt=0.02, on_limit="leave")
+        assert ("were millimetres meant?" in ik.Tracker(arm).update((x, 0.0, 0.0), 0.01).reason) == doubted
+        said = [one for one in caplog.text.splitlines() if "were millimetres meant?" in one]
+        assert [any(f"{what} of tool" in one for one in said) for what in ("targets", "the path")] == [doubted] * 2

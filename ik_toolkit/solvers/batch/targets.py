@@ -174,11 +174,11 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
         yield block
 
 
-def doubt_far(robot: Any, T: np.ndarray) -> None:
+def doubt_far(robot: Any, T: np.ndarray, what: str = "targets") -> None:
     """Warn, once for a tip, that targets T (m, 4, 4) or (m, F, 4, 4) far out of reach may be in millimetres."""
     for f, tip in enumerate(robot.tips):
         away = np.abs(T.reshape(len(T), -1, 4, 4)[:, f, :3, 3])
-        doubt_lengths(f"targets of {tip} on {robot.name}", float(np.nanmax(away, initial=0.0)), robot.reach)
+        doubt_lengths(f"{what} of {tip} on {robot.name}", float(np.nanmax(away, initial=0.0)), robot.reach)
 
 
 def _stacked(array: np.ndarray, robot: Any) -> Block:
