@@ -278,7 +278,7 @@ def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
 
 def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
     """The request, for JSON."""
-    plain = target if arm.by_tip else {arm.tip: target}
+    plain = arm.each_tip(target)
     plain = {tip: getattr(one, "T_base_tip", one) for tip, one in plain.items()}
     if not arm.by_tip:
         return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}

@@ -156,13 +156,13 @@ class CountOptions:
         """Options of a call, only those given; relative: --relative. Raises InvalidOption."""
         turn = math.radians(1.0) if deg else 1.0
         slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
-        axis = _by_tip(self.free_turn, "--free-turn", _axis)
+        axis = _for_tips(self.free_turn, "--free-turn", _axis)
         options = {"mask": _vectors(self.mask, "--mask", 6), "slack": slack, "free_turn": axis}
-        options |= {"frame": _by_tip(self.frame, "--frame", str), "relative_to": relations(relative)}
+        options |= {"frame": _for_tips(self.frame, "--frame", str), "relative_to": relations(relative)}
         return {name: value for name, value in options.items() if value is not None}
 
 
-def _by_tip(texts: Sequence[str] | None, name: str, read: Callable[[str], Any]) -> Any:
+def _for_tips(texts: Sequence[str] | None, name: str, read: Callable[[str], Any]) -> Any:
     """Value of an option for all tips, or a dict by tip where it is given as TIP:VALUE; None where it is not given.
 
     Raises InvalidOption when it is given twice for a tip, or both for all tips and for one.
@@ -181,7 +181,7 @@ def _by_tip(texts: Sequence[str] | None, name: str, read: Callable[[str], Any]) 
 def _vectors(texts: Sequence[str] | None, name: str, size: int, factors: Sequence[float] | None = None) -> Any:
     """The same for an option that takes this many numbers, as tuples, each number times its factor."""
     each = factors or (1.0,) * size
-    return _by_tip(
+    return _for_tips(
         texts, name, lambda text: tuple(x * factor for x, factor in zip(vector(text, name, size), each, strict=True))
     )
 

@@ -126,7 +126,7 @@ def joint_motion(
         duration = max(duration, float(np.ceil(duration * np.sqrt(missed))))
     made = _swings(robot, q0, swing, turns, duration)
     made = {tip: freed(one) for tip, one in made.items()} if position_only else made
-    return made if robot.by_tip else made[robot.tips[0]]
+    return robot.for_tips(made)
 
 
 def _swings(robot: Any, q0: np.ndarray, swing: np.ndarray, turns: np.ndarray, duration: float) -> dict[str, Reference]:

@@ -256,7 +256,7 @@ class Run:
     def _planned(self, samples: Samples) -> np.ndarray | None:
         """Return the joint path (K + 1, n) of `solve_path` from the present joints, or None if there is none."""
         robot, unit = self.tracker.robot, self.tracker.robot.chain.unit
-        reference: Any = dict(zip(robot.tips, self.references, strict=True)) if robot.by_tip else self.references[0]
+        reference: Any = robot.for_tips(dict(zip(robot.tips, self.references, strict=True)))
         anywhere = bound_lm(robot, **self.counts)
         if not all(
             anywhere(one, self.q0).success for one in targets_at(reference, samples_of(robot, reference, POSES)[0])

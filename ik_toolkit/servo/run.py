@@ -252,14 +252,14 @@ def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
 
     avoid: the option `avoid_collisions`; if something touches at home, another start is sought.
     """
-    targets = [one.target(0.0) for one in references]
-    errors = robot.errors(robot.home, targets) if robot.by_tip else [robot.errors(robot.home, targets[0])]
+    targets = robot.for_tips({tip: one.target(0.0) for tip, one in zip(robot.tips, references, strict=True)})
+    errors = np.array(robot.errors(robot.home, targets), dtype=float).reshape(-1, 2)  # NaN where orientation is free
     touches = avoid is not False and collision_model(robot, avoid).collides(robot.home)
-    if not touches and all(position < 1e-9 and (orientation or 0.0) < 1e-9 for position, orientation in errors):
+    if not touches and not (errors >= 1e-9).any():
         return robot.home
     from ..solvers.solve import solve
 
-    return solve(robot, targets if robot.by_tip else targets[0], q0=robot.home, avoid_collisions=avoid).q
+    return solve(robot, targets, q0=robot.home, avoid_collisions=avoid).q
 
 
 def _between(
