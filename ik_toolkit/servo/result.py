@@ -280,9 +280,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     if stop in (laws.RUNAWAY, laws.NOT_FINITE):
         what = "moved joints without bound" if stop == laws.RUNAWAY else "produced a step that is not finite"
         check = result.gain_check
-        hint = "Try the method aad, a higher rate, or keep the joints' limits."
-        if check is not None and not check.stable:
-            hint = check.message
+        hint = check.message if check is not None and not check.stable else "Try aad, a higher rate, or joint limits."
         return (
             TrackStatus.DIVERGED if stop == laws.RUNAWAY else TrackStatus.NOT_FINITE,
             f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
