@@ -8,6 +8,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError, InvalidOption, InvalidTarget
+from ik_toolkit.servo.default_path import joint_motion
 from ik_toolkit.servo.methods import Method, make_method
 from ik_toolkit.servo.stability import best_gains, check_gains
 
@@ -248,3 +249,14 @@ def test_wrong_inputs_are_typed(wrong):
         with pytest.raises(IKError):
             call()
             pytest.fail(f"call {k} took {wrong!r}")
+
+
+@pytest.mark.parametrize("seconds", [3.0, 9.0])
+def test_the_default_path_knows_its_velocity_and_acceleration(seconds):
+    robot = ik.Robot.load("planar_3r")
+    motion, h = joint_motion(robot, robot.home + 0.1, duration=seconds), 1e-5
+    t = np.linspace(0.1, seconds - 0.1, 9)
+    (_, V, A), before, after = (motion.at(x) for x in (t, t - h, t + h))
+    slid = (after[0] - before[0])[:, :3, 3] / (2.0 * h)
+    assert np.abs(V[:, :3] - slid).max() < 1e-7 * max(1.0, np.abs(V).max())
+    assert np.abs(A - (after[1] - before[1]) / (2.0 * h)).max() < 1e-6 * max(1.0, np.abs(A).max())

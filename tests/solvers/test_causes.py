@@ -8,7 +8,7 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.errors import FAR_AWAY
 from ik_toolkit.solvers.status import Status
-from ik_toolkit.text import angle, figure
+from ik_toolkit.text import angle, figure, length
 
 SCARA = robots.urdf(
     dict(kind="revolute", xyz="0 0 0.39", limits=(-2.6, 2.6)),
@@ -152,3 +152,15 @@ def test_millimetres_are_doubted_at_every_entrance(caplog, monkeypatch):
         assert ("were millimetres meant?" in ik.Tracker(arm).update((x, 0.0, 0.0), 0.01).reason) == doubted
         said = [one for one in caplog.text.splitlines() if "were millimetres meant?" in one]
         assert [any(f"{what} of tool" in one for one in said) for what in ("targets", "the path")] == [doubted] * 2
+
+
+def test_raw_errors_of_each_tip_stand_beside_a_weighted_one():
+    """A mask of one tip leaves the words on the other tip as they are."""
+    tree = ik.Tree.load("brokk_hydrolek")
+    left, right = tree.tips
+    goal = {left: tree.fk(tree.home)[left].homogeneous, right: tree.fk(tree.home)[right].homogeneous}
+    goal[left][:3, 3] += (9.0, 0.0, 0.0)
+    result = ik.solve(tree, goal, mask={left: (1, 1, 1, 0.1, 0.1, 0.1)}, restarts=1)
+    assert not result.success
+    for tip, (position, turned) in zip(tree.tips, tree.errors(result.q, goal), strict=True):
+        assert f"{tip} {length(position)} {angle(turned)}" in result.message

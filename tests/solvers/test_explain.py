@@ -372,3 +372,10 @@ def test_markdown_and_plain_numbers():
         number = eval(compiled(step["formula"]), {"__builtins__": {}}, FUNCTIONS | values)
         assert number == pytest.approx(step["value"], abs=1e-9)
         values[step["name"]] = step["value"]
+
+
+def test_every_branch_has_a_row():
+    robot = load("planar_2r")
+    made = ik.solve(robot, robot.fk([0.4, 0.7]).translation).explain()
+    text = str(made)
+    assert all(branch.label in text for branch in made.worked.branches) and "; the answer" in text
