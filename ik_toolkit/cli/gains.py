@@ -39,7 +39,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
 
     Examples:
     ik gains planar_2r --kappa 40 --rate 50
-    ik gains planar_2r --path circle --radius 0.3 --method ca --kp 61 --kd 3.8 --rate 5 --position-only
+    ik gains planar_2r --path circle --position-only --kappa 4 --rate 5
     """
     from ..robot.robot import Robot
     from ..servo.stability import check_gains

@@ -93,6 +93,7 @@ class Miss(NamedTuple):
 
 # Lengths of the records in an array.
 HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
+PAST = 3  # numbers in a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
 WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the orders for one tip
 # The index of each field in its array: row[AT.status], orders[ORDER.seed], task[WHAT.kind].
 AT = Answer._make(range(ANSWER))

@@ -35,7 +35,7 @@ from .checks import (
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
 from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
-from .records import ANSWER, HEAD, MISS, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .records import ANSWER, HEAD, MISS, PAST, TASK, Answer, Array, Ends, Orders, copy, read, write
 from .serial import make_serial, serial_on
 from .starts import BEST, FEATURES, StartTable, make_table, sow
 from .tree import make_tree, tree_on
@@ -112,7 +112,7 @@ class SearchInput(NamedTuple):
     table: StartTable
     best: Array  # (n,) the configuration of the least error so far
     closest: Array  # (n,) the solution nearest the start so far
-    history: Array  # (H, 2 + n) a row for each evaluation: position error [m], rotation error [rad], q
+    history: Array  # (H, PAST + n) a row for each evaluation: position error [m], rotation error [rad], attempt, q
 
 
 @compiled
@@ -159,16 +159,17 @@ def judge_evaluation(e, k, ceiling, patience, count, o):
 
 
 @inner
-def note(p, e, ends, history, row):
-    """Write one row of history: position error [m], rotation error [rad] and q [rad or m]."""
+def note(p, e, ends, history, row, attempt):
+    """Write one row of history: position error [m], rotation error [rad], number of the attempt, and q [rad or m]."""
     p.keep(e, NOW)
     history[row, 0], history[row, 1] = p.left(NOW)
+    history[row, 2] = attempt
     for i in range(p.desk.q.shape[0]):
-        history[row, 2 + i] = p.desk.q[i] * ends.unit(i)
+        history[row, PAST + i] = p.desk.q[i] * ends.unit(i)
 
 
 @inline
-def make_attempt(rule, p, job, patience, needs_jacobian, spent, least):
+def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
     """Iterate from p.desk.q until the attempt converges, fails or is given up.
 
     The q of the least error goes to `job.best`, and its errors are kept by p as BEST_OF_ALL. Returns the status, the last
@@ -183,7 +184,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least):
         e = p.evaluate(q)
         count += 1
         if noted < job.history.shape[0]:
-            note(p, e, job.near, job.history, noted)
+            note(p, e, job.near, job.history, noted, attempt)
             noted += 1
         if e.ee < least or e.good:
             least = e.ee
@@ -237,7 +238,7 @@ def search(rule, p, job, needs_jacobian, excess):
     while True:
         patience = start_attempt(p, job, tries - given, excess)
         before = least
-        status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least)
+        status, e, least, spent = make_attempt(rule, p, job, patience, needs_jacobian, spent, least, tries)
         if place == BEST_OF_ALL and (least < before or status == CONVERGED):
             found = tries
         tries += 1
@@ -333,7 +334,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     o = read(Orders, orders)
     tips = features.shape[0] // FEATURES
     width = ANSWER + n + (MISS * tips if len(T.shape) == 4 else 0)
-    history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (2 + n), 2 + n)
+    history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (PAST + n), PAST + n)
     first = HEAD + TASK * tips
     rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
@@ -384,8 +385,8 @@ def entry(cls: type) -> Callable:
     - chain: all arrays of a chain or a tree (see `packed_model.join`);
     - T: target poses (N, 4, 4) [m] in the base frame, for F tips (N, F, 4, 4);
     - Q0: starts (1 or N, n) [rad or m], used if the orders say so; the answer is the turn nearest to them;
-    - out: receives N rows of ANSWER + n numbers, and MISS F more with several tips; what is left of it receives history, 2 + n
-      numbers for each evaluation: position error [m], rotation error [rad], q;
+    - out: receives N rows of ANSWER + n numbers, and MISS F more with several tips; what is left of it receives history, PAST
+      + n numbers for each evaluation: position error [m], rotation error [rad], number of the attempt, q;
     - orders: an `Orders`, a `Task` for each tip, the joint weights (n) and the parameters of the rule.
     """
     step = step_class(cls)

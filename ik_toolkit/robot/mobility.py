@@ -43,8 +43,11 @@ class Mobility:
     rotation: np.ndarray | None
     reach: float
 
-    def never(self, T: np.ndarray, tolerances: tuple[float, float]) -> list[str]:
-        """Return sentences on why the tip never has a pose T (4, 4) or position (3,), within tolerances [m], [rad]."""
+    def never(self, T: np.ndarray, tolerances: tuple[float, float], free: Any = None) -> list[str]:
+        """Return sentences on why the tip never has a pose T (4, 4) or position (3,), within tolerances [m], [rad].
+
+        free: axis of the tip (3,) about which any turn will do, or None.
+        """
         position, angle = (
             max(given, DOUBTLESS * size) for given, size in zip(tolerances, (self.reach, 1.0), strict=True)
         )
@@ -58,6 +61,8 @@ class Mobility:
                 )
         if T.ndim == 1:
             return found
+        if free is not None:
+            return [*found, *self._never_along(T[:3, :3], np.asarray(free) / np.linalg.norm(free), angle)]
         if self.rotation is not None:
             off = np.arccos(np.clip((np.trace(self.rotation.T @ T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0))
             if off > angle:
@@ -71,6 +76,20 @@ class Mobility:
                     f"points {opposite}{in_words(float(off))} from it"
                 )
         return found
+
+    def _never_along(self, R: np.ndarray, free: np.ndarray, tolerance: float) -> list[str]:
+        """Return a sentence if the tip's axis `free` never points as that of a target's rotation R (3, 3)."""
+        fixed = self.axis if self.rotation is None else self.rotation @ free
+        own = free if self.rotation is not None else self.tip_axis
+        if fixed is None or own is None:
+            return []
+        stands, asked = (float(np.arccos(np.clip(x, -1.0, 1.0))) for x in (own @ free, fixed @ R @ free))
+        if abs(stands - asked) <= tolerance:
+            return []
+        always, wanted = in_words(stands), in_words(asked)
+        return [
+            f"the tip's {named(free)} axis always stands at {always} to {named(fixed)} of the base, and the target's at {wanted}"
+        ]
 
     def __str__(self) -> str:
         """Describe the mobility in one sentence."""

@@ -91,7 +91,7 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
 
 
 def attempts(history: Mapping[str, Any], q: Any = None) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return the rows of the winning attempt, up to its result, and those of each other attempt.
+    """Return the rows of the winning attempt, up to its result, and those of the first twelve others.
 
     If the result q (n,) is not among the rows because it was refined, the last row is used instead, and without q the
     row with the smallest position error. A history without the column `attempt` is one attempt.
@@ -105,7 +105,7 @@ def attempts(history: Mapping[str, Any], q: Any = None) -> tuple[np.ndarray, lis
         same = np.flatnonzero((np.asarray(history["q"]) == q).all(axis=1))
         answer = int(same[-1]) if len(same) else len(error) - 1
     won = number[answer]
-    others = [rows[number == one] for one in np.unique(number[number >= 0]) if one != won]
+    others = [rows[number == one] for one in np.unique(number) if one != won][:12]
     return rows[(number == won) & (rows <= answer)], others
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..kernel.checks import BAD_TARGET, CONVERGED, ITERATION_LIMIT, STALLED, UNREACHABLE
-from ..kernel.records import ANSWER, AT, HEAD, ORDER
+from ..kernel.records import ANSWER, AT, HEAD, ORDER, PAST
 from .options import PLAIN
 from .postprocess import finish_failures
 from .status import SEARCHED
@@ -29,7 +29,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
     all.
     """
     robot = plan.robot
-    silent = np.empty((0, 2 + robot.n))
+    silent = np.empty((0, PAST + robot.n))
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
@@ -52,7 +52,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             out, hist = flat[None], silent
         else:
             filled = len(T) * plan.width
-            out, hist = flat[:filled].reshape(len(T), -1), flat[filled:].reshape(-1, 2 + robot.n)
+            out, hist = flat[:filled].reshape(len(T), -1), flat[filled:].reshape(-1, PAST + robot.n)
         closed(rows, ends, seeds, feat, T, Q0, out, opt, hist)
         if len(out) == 1 and out[0, AT.status] == CONVERGED:
             return

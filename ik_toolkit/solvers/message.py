@@ -193,11 +193,13 @@ def impossible(result: Any) -> list[str]:
     found, o = [], of.plan.options
     given = zip(result.robot.arms, of.kinds, of.T.reshape(-1, 4, 4), what_counts(result.robot, o), strict=True)
     for arm, kind, T, counts in given:
-        if kind not in (POSE, POSITION) or o.relative_to or counts != Counts(None, None, None, counts.frame):
+        free = kind[1] if isinstance(kind, tuple) else counts.free_turn
+        if kind == FREE or o.relative_to or counts != Counts(None, None, counts.free_turn, counts.frame):
             continue
         target = T[:3, 3] if kind == POSITION else T
         at = f"{arm.tip}: " if len(of.kinds) > 1 else ""
-        found += [at + text for text in arm.mobility.never(target, (o.position_tolerance, o.orientation_tolerance))]
+        never = arm.mobility.never(target, (o.position_tolerance, o.orientation_tolerance), free)
+        found += [at + text for text in never]
     return found
 
 

@@ -16,7 +16,7 @@ from ..kernel.chain import split_rows, table, without_limits, without_wrap
 from ..kernel.counted_error import POSITION
 from ..kernel.limits import LARGEST
 from ..kernel.packed_model import join
-from ..kernel.records import ANSWER, AT, MISS, POINTS, Orders
+from ..kernel.records import ANSWER, AT, MISS, PAST, POINTS, Orders
 from ..kernel.starts import BEST
 from .closed_form_then_search import with_search
 from .options import PLAIN, Options
@@ -120,9 +120,9 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row (width,) of one target T (1, ...), and its history (at most `count`, 2 + n), with arrays from `ready`."""
+        """Return the row (width,) of one target T (1, ...), and its history (<= count, PAST + n), with arrays from `ready`."""
         chain, orders = ready
-        out = np.empty(self.width + count * (2 + self.robot.n))
+        out = np.empty(self.width + count * (PAST + self.robot.n))
         self.kernel(chain, T, start, out, orders)
         row, history = out[: self.width], out[self.width :].reshape(count, -1)
         return row, history[: int(row[AT.history])]

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
-from ..kernel.records import ANSWER, AT, MISS, ORDER
+from ..kernel.records import ANSWER, AT, MISS, PAST
 from ..robot.pose import check_target
 from .options import OBJECTIVES
 from .status import Status, constraints_of
@@ -27,9 +27,9 @@ class Limits(NamedTuple):
 
     improving: int = 200  # steps in the null space that improve an answer
     descending: int = 500  # evaluations that lead from a failure to the closest configuration, of 0.3 microseconds each
+    begins: int = 20  # random configurations where the descent begins as well if a length_scale is given
     # Each slice of a timed search is so many times as long as the last and repeats it, which costs at most a third more.
     growth: int = 4
-    told_apart: int = 12  # attempts, beside the winning one, that a history tells apart: as many as a picture shows
 
 
 MOST = Limits()
@@ -76,23 +76,51 @@ def finish_failures(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, g
             if plan.unlimited.solve(T[k : k + 1], kinds, at, given)[AT.status] != CONVERGED:
                 row[AT.status] = STALLED
         if plan.descends:
-            _descend(plan, T[k], kinds, given, row)
+            _descend(plan, T[k], kinds, at, given, row)
 
 
-def _descend(plan: Any, T: np.ndarray, kinds: tuple, given: bool, row: np.ndarray) -> None:
-    """Move the configuration of a row (width,) to a local minimum of the error, in place."""
+def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, row: np.ndarray) -> None:
+    """Move the configuration of a row (width,) to a local minimum of the error, in place.
+
+    The search compares its attempts with lengths divided by about the reach. Where another length is given, the best may lie
+    elsewhere, so the descent begins at its start and at random places as well.
+    """
     from ..kernel.closest import approach_target
 
     o, robot = plan.options, plan.robot
-    steps = int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations]))
-    if steps > 1:
-        q, misses = row[ANSWER : ANSWER + robot.n], row[ANSWER + robot.n :].reshape(-1, MISS)
-        beyond = misses[:, 2].copy()  # How far each of several targets is proven out of reach stays as it is.
-        length = o.length_scale or robot.reach
-        approach_target(*plan.chain[:2], T.reshape(-1, 4, 4), row, plan.orders(kinds, given), robot.n, length, steps)
-        misses[:, 2] = beyond
-        if row[AT.status] == LIMIT_BLOCKED and not robot.at_limits(q):
-            row[AT.status] = STALLED
+    begins = [row[ANSWER : ANSWER + robot.n].copy()]
+    if o.length_scale is not None and not len(plan.held):
+        begins += [start[0].copy(), *robot.random_q(np.random.default_rng(o.seed), MOST.begins)]
+    misses = row[ANSWER + robot.n :].reshape(-1, MISS)
+    beyond = misses[:, 2].copy()  # The column of distances proven out of reach is kept.
+    length, least = o.length_scale or robot.reach, np.inf
+    for q in begins:
+        made = row.copy()
+        made[ANSWER : ANSWER + robot.n], steps = (
+            q,
+            int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations])),
+        )
+        if steps < 2:
+            break
+        approach_target(*plan.chain[:2], T.reshape(-1, 4, 4), made, plan.orders(kinds, given), robot.n, length, steps)
+        row[AT.evaluations] = made[AT.evaluations]
+        left = _size(made, robot.n, length)
+        if left < least or made[AT.status] == CONVERGED:
+            least = left
+            row[:] = made
+            if made[AT.status] == CONVERGED:
+                break
+    misses[:, 2] = beyond
+    if row[AT.status] == LIMIT_BLOCKED and not robot.at_limits(row[ANSWER : ANSWER + robot.n]):
+        row[AT.status] = STALLED
+
+
+def _size(row: np.ndarray, n: int, length: float) -> float:
+    """Return the squared error of a row (width,), in which a position error of `length` [m] is a radian."""
+    each = (
+        row[ANSWER + n :].reshape(-1, MISS)[:, :2] if len(row) > ANSWER + n else row[[AT.position, AT.rotation]][None]
+    )
+    return float(((each / (length, 1.0)) ** 2).sum())
 
 
 def extend(outcome: Any) -> Any:
@@ -122,39 +150,16 @@ def record(outcome: Any) -> Any:
     """
     plan = outcome.plan
     ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
-    row, history = plan.note(outcome.T, outcome.start, ready, int(outcome.row[AT.evaluations]) + 1)
+    history = plan.note(outcome.T, outcome.start, ready, int(outcome.row[AT.evaluations]) + 1)[1]
     last = outcome.row
     q = last[ANSWER : ANSWER + plan.robot.n]
-    if not (history[:, 2:] == q).all(axis=1).any():
-        history = np.vstack([history, [last[AT.position], last[AT.rotation], *q]])
+    if not (history[:, PAST:] == q).all(axis=1).any():
+        history = np.vstack([history, [last[AT.position], last[AT.rotation], last[AT.attempt], *q]])
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
-    columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
-    return outcome._replace(history=columns | {"attempt": _attempts(outcome, row, len(history))})
-
-
-def _attempts(outcome: Any, row: np.ndarray, rows: int) -> np.ndarray:
-    """Return the number of the attempt (rows,) of each row of a history, or -1 in attempts too late to be told apart.
-
-    A search with fewer attempts is the beginning of one with more, so the rows it writes tell where its last attempt
-    ends.
-    """
-    plan, made, won, noted = outcome.plan, int(row[AT.restarts]) + 1, int(row[AT.attempt]), int(row[AT.history])
-    number = np.zeros(rows, dtype=int)
-    if made == 1 or plan.row.closed:
-        return number
-    number[:] = -1
-    chain, orders = plan.ready(outcome.kinds, outcome.start, outcome.given)
-    orders = orders.copy()
-    ends = {0: 0, made: noted}
-    for count in {*range(1, min(made, MOST.told_apart + 1)), won, won + 1} - {0, made}:
-        orders[ORDER.attempts] = count
-        ends[count] = len(plan.note(outcome.T, outcome.start, (chain, orders), noted)[1])
-    for count in ends:
-        if count + 1 in ends:
-            number[ends[count] : ends[count + 1]] = count
-    number[noted:] = won
-    return number
+    attempt = history[:, 2].astype(int) * (not plan.row.closed)  # The search after a closed form is not told from it.
+    columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, PAST:]}
+    return outcome._replace(history=columns | {"attempt": attempt})
 
 
 def improve(outcome: Any) -> Any:

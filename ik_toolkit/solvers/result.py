@@ -44,8 +44,7 @@ class Result(ReadOnly):
         collision: Names of two parts that touch at q if collisions are avoided and no other answer was found, otherwise
             None.
         clearance: Distance [m] of the nearest two parts, if collisions are avoided.
-        history: Arrays q, position_error, orientation_error and attempt with a row for each evaluation, or None. The
-            attempt is -1 in attempts after the first 12 other than the one that q comes from.
+        history: Arrays q, position_error, orientation_error and attempt with a row for each evaluation, or None.
     """
 
     __slots__ = ("_of",)

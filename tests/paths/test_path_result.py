@@ -112,3 +112,14 @@ def test_revolute_and_prismatic_steps_are_told_apart():
     result = made(PathStatus.FOLLOWED, **fields, reconfigurations=(), unreachable=())
     assert result.largest_step == pytest.approx((0.0, 0.4)) and result.length == pytest.approx((0.0, 0.9))
     assert repr(result).endswith("length 0 rad and 0.9 m)")
+
+
+def test_a_pose_that_limits_forbid_is_not_called_beyond_reach():
+    """In reach of the links, though no attempt finds it: nothing is proven."""
+    arm = ik.Robot.load("planar_2r").narrowed({"joint_2": (0.5, 0.6)})
+    inside = arm.fk([0.2, 0.55]).translation
+    result = ik.solve_path(arm, [inside, 0.6 * inside], position_tolerance=1e-4)
+    (said,) = result.unreachable
+    assert said.index == 1 and "beyond reach" not in said.reason and not said.proven
+    far = ik.solve_path(arm, [inside, 4.0 * inside])
+    assert "beyond reach by" in far.unreachable[0].reason and far.unreachable[0].proven

@@ -47,16 +47,15 @@ def test_convergence_draws_the_history(solved):
 def test_a_failed_solve_shows_the_attempt_of_its_answer():
     robot = load("hydrolek_7w")
     for target, rpy in (
-        ((3.0, 0.0, 0.0), (0.3, 0.2, 0.1)),
+        ((3.0, 1.0, 0.0), (0.3, 0.2, 0.1)),
         ((0.8, 0.2, 0.3), (0.0, 0.0, 0.0)),
     ):  # proven out of reach in three attempts; 250 attempts fail
         result = ik.solve(robot, ik.pose(target, rpy=rpy), history=True)
         assert not result.success and result.attempt > 0
         won, others = attempts(result.history, result.q)
         assert np.array_equal(result.history["q"][won[-1]], result.q)
-        assert set(result.history["attempt"][won]) == {result.attempt} and np.array_equal(
-            np.diff(won), np.ones(len(won) - 1)
-        )
+        assert set(result.history["attempt"][won]) == {result.attempt}
+        assert (np.diff(won)[:-1] == 1).all()  # the last row is the closest configuration, found after all attempts
         assert not set(np.concatenate(others)) & set(won)
         drawn = plots.convergence(result).axes[0].get_lines()
         (line,) = [line for line in drawn if line.get_label() == "position [m]"]
@@ -73,10 +72,10 @@ def test_rows_of_a_history_are_told_apart_by_attempts():
     whole = ik.solve(robot, target, history=True).history
     for restarts in (1, 4):
         alone = ik.solve(robot, target, history=True, restarts=restarts).history
-        rows = np.isin(whole["attempt"], range(restarts + 1))
+        rows, mine = whole["attempt"] < restarts, alone["attempt"] < restarts  # the last attempt is not given up early
         for key in ("q", "position_error", "attempt"):
-            same = whole[key][rows][: len(alone[key])]
-            assert np.array_equal(same, alone[key][: len(same)]) and len(alone[key]) - rows.sum() in (0, 1)
+            same = whole[key][rows]
+            assert len(same) > 1 and np.array_equal(same, alone[key][mine][: len(same)])
 
 
 def test_tracking_errors_of_runs():

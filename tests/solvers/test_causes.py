@@ -164,3 +164,35 @@ def test_raw_errors_of_each_tip_stand_beside_a_weighted_one():
     assert not result.success
     for tip, (position, turned) in zip(tree.tips, tree.errors(result.q, goal), strict=True):
         assert f"{tip} {length(position)} {angle(turned)}" in result.message
+
+
+def test_a_tool_axis_that_the_arm_cannot_point_is_named():
+    arm = robots.load("planar_3r")
+    place = arm.fk([0.1, 0.5, 0.4]).translation
+    for T, how in (
+        (ik.pose(place, direction=(0.3, 0.0, 1.0)), {}),
+        (ik.pose(place, rpy=(0.3, 0.0, 0.5)), {"free_turn": "z"}),
+    ):
+        result = ik.solve(arm, T, **how)
+        assert not result.success and "the tip's z axis always stands at 0 deg to z of the base" in result.message
+    assert ik.solve(arm, ik.pose(place, direction=(0.0, 0.0, 1.0))).success
+
+
+@pytest.mark.parametrize("length", [1.0, 0.1, 0.01, 1e-3])
+def test_a_failure_is_a_closest_configuration_in_the_measure_asked_for(length):
+    """Neither a descent of SciPy's from there nor the place where the position is met is better by more than a little."""
+    optimize = pytest.importorskip("scipy.optimize")
+    arm, rng = five_joints(), np.random.default_rng(5)
+    T = skewed(arm, rng, 0.6).homogeneous
+
+    def size(q):
+        position, turned = arm.errors(q, T)
+        return (position / length) ** 2 + turned**2
+
+    result = ik.solve(arm, T, length_scale=length)
+    assert not result.success and arm.outside(result.q) == []
+    ends = list(zip(arm.lower, arm.upper, strict=True))
+    near = optimize.minimize(size, result.q, bounds=ends, method="L-BFGS-B", options={"ftol": 1e-14})
+    assert size(result.q) <= near.fun * (1.0 + 1e-5)
+    there = ik.solve(arm, T[:3, 3]).q  # where the position is met
+    assert size(result.q) <= size(there) * (1.0 + 1e-5)

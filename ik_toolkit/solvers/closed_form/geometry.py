@@ -16,7 +16,7 @@ from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
 from ...kernel.counted_error import POSITION
 from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
-from ...kernel.records import ANSWER, HEAD, WEIGHTS, Answer, Ends, Orders, read, write
+from ...kernel.records import ANSWER, HEAD, PAST, WEIGHTS, Answer, Ends, Orders, read, write
 
 FIT = 1e-9  # Axes that are off a structure by less than this [rad, or of the reach] fit it exactly.
 # Axes may be off a structure by at most 1e-4 [rad, or of the reach].
@@ -173,7 +173,8 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
         noted = 1.0
         hist[0, 0] = position
         hist[0, 1] = rotation
+        hist[0, 2] = 0.0
         for i in range(n):
-            hist[0, 2 + i] = out[ANSWER + i]
+            hist[0, PAST + i] = out[ANSWER + i]
     excess = gap if status == UNREACHABLE else 0.0
     write(out, 0, Answer(float(status), 0.0, 0.0, position, rotation, 1.0, noted, excess, 0.0, -1.0))

@@ -27,11 +27,11 @@ def found(T, chain, o, q0=None, rule="lm", n_history=0):
     n = chain.n
     parameters = list(cls()) if isinstance(cls(), tuple) else []
     pack = np.array([*o, *Task(float(POSE)), *np.ones(n), *parameters])
-    out = np.full(len(T) * (ANSWER + n) + n_history * (2 + n), np.nan)
+    out = np.full(len(T) * (ANSWER + n) + n_history * (3 + n), np.nan)
     q0 = np.zeros((1, n)) if q0 is None else q0
     search.entry(cls)(join(chain.rows, chain.ends, chain.seeds, chain.features), T, q0, out, pack)
     rows = len(T) * (ANSWER + n)
-    return out[:rows].reshape(len(T), -1), out[rows:].reshape(n_history, 2 + n)
+    return out[:rows].reshape(len(T), -1), out[rows:].reshape(n_history, 3 + n)
 
 
 @functools.cache
