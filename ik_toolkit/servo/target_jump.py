@@ -9,12 +9,13 @@ joints directly (`travel`). If the solver's attempt from the present joint value
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..motion.reference import exp
 from ..motion.time_law import time_law, times_of
+from ..validate import positive, switch
 from . import laws
 from .motion_limits import speeds
 from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
@@ -186,6 +187,22 @@ class Leap:
     def blocked(self) -> None:
         """Give up the move because of a collision ahead: the method may slide along it."""
         self.goal = None
+
+
+def ways(
+    postures: Postures | None, chosen: bool, straight: Any, reconfigure: Any, world: Any
+) -> list[Leap | Reconfiguration]:
+    """Return what leads the joints of a tracker where its method fails or is slow; nothing if postures is None.
+
+    chosen: as for `Leap`; straight, reconfigure: options of `Tracker`; world: a CollisionModel or None. Raises
+    InvalidOption.
+    """
+    elsewhere = switch(reconfigure, "reconfigure")
+    longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
+    if postures is None:
+        return []
+    other = [Reconfiguration(postures.robot, postures, world)] if elsewhere else []
+    return [Leap(postures, chosen, longest, other[0] if other else None), *other]
 
 
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:

@@ -14,7 +14,7 @@ from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.collision_free import collision_model
-from ..validate import LATE, one_of, parts_of_step, positive, rates, switch
+from ..validate import LATE, one_of, parts_of_step, positive, rates
 from . import laws, viability
 from .adapters import bind
 from .collision_guard import ROWS, Guard
@@ -26,7 +26,7 @@ from .motion_limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, spe
 from .null_space_motion import Secondary, read_secondary
 from .reconfigure import REACHED, Postures, Reconfiguration, Taken
 from .step import Judged, Step, make_outcome
-from .target_jump import STRAIGHT, Leap
+from .target_jump import STRAIGHT, Leap, ways
 from .target_stream import STAND, Stream
 from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
 
@@ -114,14 +114,10 @@ class Tracker(CopiesViews, ReadOnly):
         if self._world is not None:
             self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
         n, m = robot.n, 6 * self.stream.tips
-        self._postures: Postures | None = None
-        self._ways: list[Leap | Reconfiguration] = []  # These lead joints where the method fails or is slow.
-        elsewhere = switch(reconfigure, "reconfigure")
-        longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
-        if limits and self._mode == DIRECT:
-            self._postures = Postures(robot, self.engine.options, speeds(self._limits))
-            other = Reconfiguration(robot, self._postures, self._world) if elsewhere else None
-            self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
+        moves = bool(limits) and self._mode == DIRECT
+        self._postures = Postures(robot, self.engine.options, speeds(self._limits)) if moves else None
+        # These lead joints where the method fails or is slow.
+        self._ways = ways(self._postures, self.engine.chosen, straight, reconfigure, self._world)
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         self._settings.limits[:], self._settings.wish[:] = self._limits, self.secondary.wish
         self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # an error with slack takes two rows

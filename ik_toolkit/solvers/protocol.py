@@ -92,7 +92,7 @@ class Rule(Protocol):
         return entry(type(self))
 
     def lanes(self) -> Callable | None:
-        """Return the rule for eight targets side by side, as arguments of `kernel.lanes.lanes`, or None if it has no such form."""
+        """Return the rule for eight targets side by side, as arguments of `kernel.simd_search.lanes`, or None if it has none."""
         return None
 
 

@@ -97,3 +97,17 @@ def test_every_guide_page_is_listed():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     for page in (DOCS / "guide").glob("*.md"):
         assert f"guide/{page.stem}\n" in index, page.name
+
+
+def test_contributing_names_what_is_there():
+    """Every file that CONTRIBUTING names, and what is named after it (`a/b.py` `name`, or `name` of a class: `Name.name`)."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    known = [path for folder in ("ik_toolkit", "tests", "scripts") for path in (ROOT / folder).rglob("*.py")]
+    named = re.findall(r"`(?:python )?([\w./]+\.py)[^`]*`(?:\s+\(?`([A-Za-z_][\w.]*)`)?", text)
+    assert len(named) > 40 and sum(bool(name) for _, name in named) > 20
+    for file, name in named:
+        found = [path for path in known if path.as_posix().endswith(f"/{file.removeprefix('ik_toolkit/')}")]
+        assert found, file
+        for part in filter(None, name.split(".")):
+            made = rf"^\s*(?:def {part}\b|class {part}\b|{part} = |{part}: )"
+            assert any(re.search(made, path.read_text(encoding="utf-8"), re.MULTILINE) for path in found), (file, part)

@@ -49,7 +49,7 @@ def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
 
 # --------------------------------------------------------------------------------------------------------------- solving
 def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
-    """Return the loop that solves eight targets side by side (kernel.lanes) if the rule has one and the options allow it."""
+    """Return the loop that solves eight targets side by side (kernel.simd_search) if the rule has one and the options allow it."""
     o = plan.options
     plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
     plain = plain and not (o.closest or o.follow)

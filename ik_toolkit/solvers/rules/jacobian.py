@@ -38,7 +38,7 @@ class LM(NamedTuple):
         return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
-        """Return the rule for eight targets side by side, as arguments of `kernel.lanes.lanes`."""
+        """Return the rule for eight targets side by side, as arguments of `kernel.simd_search.lanes`."""
         from ...kernel.simd_search import lanes
 
         return lanes()
