@@ -22,7 +22,7 @@ def judges(room: str) -> tuple[str, ...]:
     """Folders of the tests of a room."""
     more = {
         "solvers": ("tests/contract/", "tests/study/test_tune.py"),
-        "robot": ("tests/cli/test_targets.py", "tests/cli/test_csv.py"),
+        "robot": ("tests/cli/test_targets.py", "tests/cli/test_csv.py", "tests/cli/test_several_tips.py"),
     }
     return (f"tests/{room}/", *more.get(room, ()))
 

@@ -196,3 +196,12 @@ def test_a_failure_is_a_closest_configuration_in_the_measure_asked_for(length):
     assert size(result.q) <= near.fun * (1.0 + 1e-5)
     there = ik.solve(arm, T[:3, 3]).q  # where the position is met
     assert size(result.q) <= size(there) * (1.0 + 1e-5)
+
+
+def test_a_position_fixes_three_directions():
+    """An arm of three joints has enough of them, whatever else keeps it from the point."""
+    joint = dict(kind="revolute", limits=(-0.4, 0.4))
+    places = (dict(axis="0 0 1"), dict(axis="0 1 0", xyz="0 0 0.3"), dict(axis="0 1 0", xyz="0.5 0 0"))
+    arm = ik.Robot.load(robots.urdf(*(joint | place for place in places), dict(kind="fixed", xyz="0.4 0 0")))
+    result = ik.solve(arm, (-0.5, 0.1, 0.4))
+    assert not result.success and "fixes" not in result.message
