@@ -13,7 +13,7 @@ from .command import argument, command, flag, option, options, same
 from .options import JsonOutput, RobotOptions, assignments
 from .output import notice, progress, show, table, write_json
 
-SHOWN = 3  # meshes that are not found and named
+SHOWN = 3  # number of missing meshes that a message names
 
 
 @options("Robot")
@@ -24,7 +24,7 @@ class FileOptions(JsonOutput):
     xacro_arg: list[str] | None = same(RobotOptions, "xacro_arg")
 
     def read(self, *more: Any) -> dict[str, Any]:
-        """Options of what reads a description; more: folders to search after those of --package-dir."""
+        """Return the options for reading a description; more: folders to search after those of --package-dir."""
         arguments = assignments(self.xacro_arg, "--xacro-arg", ":=") or None
         return {"package_dirs": [*(self.package_dir or ()), *more], "xacro_args": arguments}
 
@@ -83,7 +83,7 @@ def _print(asked: Any, text: str, payload: dict[str, Any]) -> None:
     if asked.as_json:
         write_json({**payload, "urdf": text}, True)
     elif asked.output is None:
-        print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # the same XML, for a terminal
+        print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # escaped for a terminal
 
 
 @command
@@ -190,7 +190,7 @@ def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
         held = carried(model, tip)
         try:
             robot = Robot(model, tip=tip, base=held[1] if held else None, urdf=text)
-        except IKError:  # several ends and none named: no single arm to describe
+        except IKError:  # several tips and none chosen: no single arm to describe
             continue
         if describe_fit(robot):
             found[robot.tip] = describe_fit(robot)

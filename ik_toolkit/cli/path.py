@@ -16,8 +16,8 @@ from .solve import SolverOptions
 from .streams import uninterrupted
 from .target import CountOptions, TargetOptions
 
-TURN = math.radians(1.0)  # [rad] path tolerance of the orientation where that of the position is given
-LISTED = 5  # unreached poses listed on the terminal; the file lists all
+TURN = math.radians(1.0)  # [rad] default path tolerance of the orientation if that of the position is given
+LISTED = 5  # number of unreached poses listed on the terminal; the file lists all
 
 
 @options()
@@ -92,14 +92,14 @@ class PathOptions:
 
 @options()
 class PathCounts(CountOptions):
-    """What counts of the poses."""
+    """Which components of the poses count."""
 
     relative: list[str] | None = same(TargetOptions, "relative")
 
 
 @options()
 class Seed:
-    """What is random."""
+    """The seed of the random numbers."""
 
     seed: int = same(SolverOptions, "seed")
 

@@ -25,14 +25,14 @@ class ListOptions(TableOutput):
 
 @options("Robot")
 class InfoOptions(OneTip):
-    """The robot and what is said about it."""
+    """The robot, and which facts are listed."""
 
     list_tips: bool = flag("--list-tips", "List the possible tip frames, most likely first.")
 
 
 @options()
 class FkOptions(OneTip):
-    """The robot and where its joints are."""
+    """The robot and its joint values."""
 
     q: str | None = option("Q1 Q2 ...", "Joint values, one per joint; default: home.")
 
@@ -212,7 +212,7 @@ def _srdf_dict(robot: Any) -> dict[str, Any] | None:
         return None
     groups = {}
     for name in said.groups:
-        with contextlib.suppress(InvalidOption):  # names something that this robot does not have
+        with contextlib.suppress(InvalidOption):  # a group may name links that this robot does not have
             groups[name] = dict(zip(("base", "tips"), said.ends(name, robot.model), strict=True))
     return {
         "path": said.path,

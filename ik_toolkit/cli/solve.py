@@ -28,8 +28,8 @@ from .output import facts, fixed, notice, number, show, table, unit, write_json
 from .pictures import draw
 from .target import CountOptions, TargetOptions, in_base, relations
 
-ABREAST = 4  # solutions of several tips side by side that fit into 80 columns
-ACROSS = 6  # joints whose values fit side by side into 80 columns
+ABREAST = 4  # number of solutions for several tips that fit side by side into 80 columns
+ACROSS = 6  # number of joints whose values fit side by side into 80 columns
 
 
 @options("Solver")
@@ -93,7 +93,7 @@ class WishOptions:
     )
 
     def read(self, arm: Any, deg: bool, many: bool) -> dict[str, Any]:
-        """Options of a call, among them q0, and of many targets closest as a word. Raises InvalidOption."""
+        """Return options of a call, with q0, and for many targets `closest` as a word. Raises InvalidOption."""
         read = {name: value for name, value in given(self).items() if name in ("objective", "follow")}
         read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
         if self.joint_weights is not None:
@@ -238,7 +238,7 @@ def _solve_one(
 
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
-        # At a solved start: compiles or loads, so that the time shown below is the solve's own.
+        # A solve that starts at its solution compiles or loads the kernels, so that the time shown is the solve's own.
         solve_one(arm, _at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
@@ -272,7 +272,7 @@ def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
-    relative = options.get("relative_to") or {}  # an unknown tip among them is refused by the solver
+    relative = options.get("relative_to") or {}  # an unknown tip in it is refused by the solver
     return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
 
 

@@ -12,7 +12,7 @@ from .options import joint_vector
 FORMS = (
     "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
 )
-MATRIX = (12, 16)  # numbers of a pose's matrix (3, 4) or (4, 4)
+MATRIX = (12, 16)  # how many numbers a pose's matrix has: (3, 4) or (4, 4)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -46,12 +46,12 @@ class TargetOptions:
 
     @property
     def oriented(self) -> bool:
-        """Whether any of the options is given that turn the tip of --xyz."""
+        """Return whether an option is given that adds an orientation to --xyz."""
         return any(one is not None for one in (self.rpy, self.quat_xyzw, self.quat_wxyz))
 
     @property
     def posed(self) -> bool:
-        """Whether any of the options that describe a single target is given."""
+        """Return whether an option is given that describes a single target."""
         return self.xyz is not None or self.matrix is not None or self.oriented
 
     def check(self) -> None:
@@ -130,14 +130,14 @@ class TargetOptions:
         return made
 
     def reached(self, arm: Any, deg: bool) -> Any:
-        """Target of --from-q: the pose (4, 4) of the tip there, of several tips a dict by tip."""
+        """Return the target of --from-q: the pose (4, 4) of the tip at these joint values; for several tips a dict."""
         at = arm.fk(joint_vector(arm, self.from_q, "--from-q", deg))
         return {tip: T.homogeneous for tip, T in at.items()} if isinstance(at, dict) else at.homogeneous
 
 
 @options("What counts")
 class CountOptions:
-    """Which part of a target counts, for all tips or by tip."""
+    """Options for which components of a target count, for all tips or by tip."""
 
     mask: list[str] | None = option(
         "[TIP:]X Y Z RX RY RZ",
@@ -192,7 +192,7 @@ def _axis(text: str) -> tuple[float, ...]:
 
 
 def relations(texts: Sequence[str] | None) -> dict[str, str] | None:
-    """Tips by the tip whose target is given relative to them, of TIP:OTHER. Raises InvalidOption."""
+    """Return {TIP: OTHER} from TIP:OTHER: the target of TIP is given relative to OTHER. Raises InvalidOption."""
     found: dict[str, str] = {}
     for text in texts or ():
         tip, _, other = text.rpartition(":")

@@ -16,7 +16,7 @@ from .workspace import WorkspaceOptions
 
 @options()
 class TunedRobot(WholeRobot):
-    """The robot that is tuned for."""
+    """The robot for which a solver is tuned."""
 
     srdf: None = None
     group: None = None

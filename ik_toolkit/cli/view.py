@@ -36,7 +36,7 @@ class ViewOptions:
 
 @options("Target")
 class ViewTarget(TargetOptions):
-    """What is solved for."""
+    """The target to solve for."""
 
     xyz: str | None = option("X Y Z", "Solve for this position [m] and show the iterations.")
     rpy: str | None = option("R P Y", "With --xyz: roll, pitch, yaw [rad].")
@@ -48,7 +48,7 @@ class ViewTarget(TargetOptions):
 
     @property
     def given(self) -> bool:
-        """Whether there is a target."""
+        """Return whether a target is given."""
         return self.xyz is not None or self.matrix is not None or bool(self.targets)
 
 

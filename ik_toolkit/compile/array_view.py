@@ -8,7 +8,7 @@ two-dimensional view is a row, A[i:k] are rows. Without compilation a view is th
 
 # pyright: reportOptionalCall=false
 
-# The type checker must ignore that numba itself passes the first argument of an intrinsic.
+# Pyright reports calls of intrinsics, because numba itself passes their first argument.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import math
@@ -185,7 +185,7 @@ def _used(typing, A):
 
 
 def flat(A):
-    """Return all numbers of a view in one dimension."""
+    """Return a one-dimensional view of all numbers of a view."""
     return A.reshape(-1)
 
 

@@ -32,10 +32,10 @@ if OWN_WAY:
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
 # `jit` is for functions that Python may call as well as kernels; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
-# The options that follow are for functions that only kernels call (see pipeline.py); a call from Python would crash.
-# BUILD is for functions that make arrays: they count references, and plain numba compiles them.
+# The options below are for functions that only kernels call (see pipeline.py); a call from Python would crash.
+# BUILD is for functions that make arrays, which numba must compile with reference counting.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
-# INLINE is for all others: without reference counts they must not return arrays to a function that counts references.
+# INLINE is for functions that make no arrays, compiled without reference counting.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 # BARE turns off forced inlining, which numba would otherwise pass on from the caller to every function that it calls.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
@@ -43,7 +43,7 @@ BARE: dict[str, Any] = dict(INLINE, forceinline=False)
 inner = njit(**{**BARE, **CALLED})
 inline = njit(**INLINE)  # a copy in every caller, for small code and for code that takes or returns large records
 build = njit(**BUILD)  # a copy in every caller, for code that makes arrays
-spliced = njit(inline="always", **BARE)  # for a large part with one caller, so that no second copy is optimised
+spliced = njit(inline="always", **BARE)  # for large code with one caller, so that LLVM optimises one copy only
 shared = register_jitable(**INLINE)  # inlined in kernels; Python runs it as plain Python
 
 

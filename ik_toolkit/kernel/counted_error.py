@@ -20,16 +20,16 @@ from .algebra import M3, V3, at3, put3, rotation_at
 from .kinematics import angle_ratio, rotation_angle
 from .records import WHAT
 
-POSE, POSITION, FREE, PART = range(4)  # what counts of a tip's error: all of it, its position, nothing, or a part of it
+POSE, POSITION, FREE, PART = range(4)  # kinds of target: the whole error counts, the position, nothing, or a part
 AXIS = "axis"  # a target (AXIS, axis) is a pose whose turn about an axis of the tip is free
 BASE, TIP, TARGET = range(3)  # frames in which weights and slacks may be given
 
 
 class KeptIndices(NamedTuple):
-    """Indices of what `shape` leaves in an array (KEPT,) for the derivative.
+    """Indices in the array (KEPT,) that `shape` fills for the derivative.
 
-    A column (u, v) of the tip counts as L (u + v x arm), A v. A column of the target, where it moves with another tip, counts as
-    L (u + v x arm_goal), B v.
+    A Jacobian column (u, v) of the tip becomes (L (u + v x arm), A v) in the errors that count; a column of the target,
+    if that moves with another tip, becomes (L (u + v x arm_goal), B v).
     """
 
     L: int = 0  # index of the matrix L (9), by rows

@@ -34,7 +34,7 @@ from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
-# In the next attempt a tip keeps its joints if its squared error (rad, lengths over reach) is below this.
+# A tip keeps its joints in the next attempt if its squared error [rad^2, reach^2] is below this.
 ARRIVED = 1e-4
 
 
@@ -52,11 +52,11 @@ class TreeProblem(NamedTuple):
 
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
-    ends: Array  # (F, ...) an `Ends` for each tip
+    ends: Array  # (F, ...) base, tip and limits of each tip, see `records.Ends`
     tasks: Array  # (F, TASK) what counts at each tip, see `records.Task`
-    cut: Array  # (F + 1,) the rows of chain f are rows[cut[f] : cut[f + 1]]
+    cut: Array  # (F + 1,) where the chains begin in rows: chain f is rows[cut[f] : cut[f + 1]]
     moves: Array  # (F, n) 1 where a coordinate moves an error of the tip that counts, else 0
-    choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and number of tips it moves
+    choosers: Array  # (2, n) tip that chooses the coordinate's start (-1: none), and number of tips it moves
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see relative.py
     kept: Array  # (F, KEPT) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
@@ -163,7 +163,7 @@ class TreeProblem(NamedTuple):
         return min(max(value, ends.lower(i)), ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """Return the move of coordinate i alone that makes the linearised error of all tips least."""
+        """Return the move of coordinate i alone that minimises the linearised error of all tips."""
         self.jacobian(look)
         self.stack(look)
         top, size = 0.0, 0.0
@@ -310,7 +310,7 @@ def report_tips(p, place, row):
 def tree_on(block, rows, ends, tasks, n, orders):
     """Make a Tree with its scratch cut from a block.
 
-    The `ends` of each tip close with the number of its rows, then n numbers that are 1 where a coordinate moves it.
+    The `ends` of each tip finish with its number of rows, and n numbers that are 1 if a coordinate moves the tip.
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])

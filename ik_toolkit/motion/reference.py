@@ -16,7 +16,7 @@ from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
-# a quantity at N times with its first and second derivative, e.g. poses (N, 4, 4), twists and accelerations (N, 6)
+# a quantity at N times with its first and second derivative, such as poses (N, 4, 4), twists and accelerations (N, 6)
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
 MAX_STEPS = 1e7  # largest number of samples in a run; so many already take over 1 GB of memory
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidTarget
 
-LARGEST_NANOSEC = 999_999_999  # largest valid value of nanosec; rounding must not reach a whole second
+LARGEST_NANOSEC = 999_999_999  # largest valid nanosec of a ROS time; rounding must not reach a whole second
 
 
 POINT, QUATERNION = "xyz", "xyzw"  # fields of geometry_msgs/Point, Vector3 and Quaternion

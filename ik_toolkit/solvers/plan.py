@@ -25,13 +25,13 @@ from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
 from .task import kernel_tasks, relatives, what_counts
 
-MARGIN = 1.0 - 1e-9  # The kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree.
-# A plan stays ready for 64 kinds of target, because every axis is a kind of its own, and axes have no end.
+MARGIN = 1.0 - 1e-9  # share of a tolerance that the kernel uses, so that rounding in Pinocchio cannot disagree
+# A plan caches arrays for this many kinds of target; every free axis is a kind of its own.
 KINDS_KEPT = 64
-CLOSEST = 16  # This many solutions are compared if the one nearest q0 is asked for.
-# The single attempt of `follow` gets at least 100 iterations, because no other attempt follows if it converges slowly.
+CLOSEST = 16  # number of solutions compared if the one nearest q0 is asked for
+# The single attempt of `follow` gets at least 100 iterations, because no other attempt comes after it.
 FOLLOW_ITERATIONS = 100
-WITHOUT_LIMITS = 20  # attempts that test whether limits are what blocks a target
+WITHOUT_LIMITS = 20  # number of attempts without limits that test whether limits block a target
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
@@ -61,7 +61,7 @@ class Plan:
         self.width = ANSWER + robot.n + MISS * (len(robot.tips) if len(robot.tips) > 1 else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
-        self.memo: dict[Any, Any] = {}  # This is a cache for callers that keep something with the plan.
+        self.memo: dict[Any, Any] = {}  # cache for callers that keep something with the plan
         self._ready: dict[tuple, tuple] = {}
         self._packed: dict[tuple, np.ndarray] = {}
         self._tables: dict[bool, tuple] = {}
@@ -83,7 +83,7 @@ class Plan:
 
     @functools.cached_property
     def unlimited(self) -> "Plan":
-        """The same without limits and with a few attempts, which tells whether limits are what blocks a target."""
+        """The same plan without limits and with a few attempts, to test whether limits block a target."""
         attempts = {} if self.row.closed else {"restarts": WITHOUT_LIMITS - 1}
         return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **attempts})
 
@@ -152,7 +152,7 @@ class Plan:
         return ends if wrap else without_wrap(ends, n)
 
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
-        """Return rows, ends, seeds and features for a call from `start` (1 or N, n).
+        """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, seeds and features.
 
         Held joints are in every start where the first row of `start` has them.
         """

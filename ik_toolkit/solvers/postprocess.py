@@ -25,21 +25,21 @@ Step = Callable[[Any], Any]
 class Limits(NamedTuple):
     """How long finishing an answer may take."""
 
-    improving: int = 200  # steps in the null space that improve an answer
-    descending: int = 500  # evaluations that lead from a failure to the closest configuration, of 0.3 microseconds each
+    improving: int = 200  # largest number of steps in the null space that improve an answer
+    descending: int = 500  # largest number of evaluations (0.3 us each) from a failure to the closest configuration
     # Each slice of a timed search is so many times as long as the last and repeats it, which costs at most a third more.
     growth: int = 4
-    told_apart: int = 12  # attempts, beside the winning one, that a history tells apart: as many as a picture shows
+    told_apart: int = 12  # number of attempts, besides the winning one, that a history numbers
 
 
 MOST = Limits()
 
 
 def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
-    """Return the steps of a single call, and those of them that improve an answer, as the options of a plan ask for them."""
+    """Return the finishing steps of a single call, and those that improve an answer, as a plan's options ask."""
     o = plan.options
     improving: tuple[Step, ...] = () if o.objective is None else (improve,)
-    if o.avoid_collisions is not False:  # 0.0 is a margin, so it does not mean False.
+    if o.avoid_collisions is not False:  # 0.0 is a margin [m], not False
         from .collision_free import avoiding
 
         improving = (avoiding(plan, improving),)
@@ -53,7 +53,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def finish_failure(outcome: Any) -> Any:
-    """Return what a search that has not converged comes to, with its arrays copied.
+    """Finish a search that has not converged, with its arrays copied.
 
     What a result says is worked out when it is read, when the caller may have changed the target and q0.
     """
@@ -87,7 +87,7 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, given: bool, row: np.ndarra
     steps = int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations]))
     if steps > 1:
         q, misses = row[ANSWER : ANSWER + robot.n], row[ANSWER + robot.n :].reshape(-1, MISS)
-        beyond = misses[:, 2].copy()  # How far each of several targets is proven out of reach stays as it is.
+        beyond = misses[:, 2].copy()  # the proven distances out of reach are put back below
         length = o.length_scale or robot.reach
         approach_target(*plan.chain[:2], T.reshape(-1, 4, 4), row, plan.orders(kinds, given), robot.n, length, steps)
         misses[:, 2] = beyond

@@ -19,7 +19,7 @@ from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors
 
-FAR_MOVE = 0.5  # rad, or robot sizes: a Solver's answer farther from q0 is noticed, as a loop seldom wants such a move
+FAR_MOVE = 0.5  # [rad or robot sizes] a Solver's farther move from q0 gets a notice
 
 
 class Result(ReadOnly):

@@ -12,7 +12,7 @@ from ..kernel.records import Task
 from ..robot.pose import AxisTarget, check_target, errors
 from .options import COUNTING, FRAMES, Options
 
-POSES = (POSE,)  # The kinds of a single pose.
+POSES = (POSE,)  # kinds of the target of one tip that is a pose
 WHOLE = frozenset((POSE, POSITION))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
@@ -28,7 +28,7 @@ class Counts(NamedTuple):
 
     @property
     def in_part(self) -> bool:
-        """Whether a part of the error does not count."""
+        """Whether only a part of the error counts."""
         return any(part is not None for part in self[:3])
 
 

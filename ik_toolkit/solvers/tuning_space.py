@@ -81,7 +81,7 @@ class Space:
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, at most one turn about their middle."""
     n, chain = robot.n, robot.chain
-    ends = np.atleast_2d(chain.ends)[0]  # What belongs to the coordinates is the same for all of several tips.
+    ends = np.atleast_2d(chain.ends)[0]  # the limits are the same for all tips
     low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
     turning = chain.unit == 1.0
     width = np.where(turning, np.minimum(span, TAU), span)

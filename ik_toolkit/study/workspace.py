@@ -24,7 +24,7 @@ from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
 GRID = 24  # number of cells along the longest side of the success map
-ENVELOPE = 100_000  # number of random configurations whose tips give the envelope of the reach
+ENVELOPE = 100_000  # number of random configurations whose tip positions give the envelope
 KEEP = 20_000  # number of targets kept in memory for plots; a file receives all of them
 FAILURES = 1000  # number of failures kept in memory for each solver
 

@@ -19,7 +19,7 @@ class Block(NamedTuple):
     """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None if it is free."""
 
     parts: tuple[np.ndarray | None, ...]
-    pose_shape: tuple[int, ...]  # of all tips, as the kernel takes it
+    pose_shape: tuple[int, ...]  # shape of the poses of all tips, as the kernel takes them
 
     @property
     def kinds(self) -> tuple:

@@ -75,11 +75,11 @@ def recognise(chain: Chain) -> Fit:
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
-    off = []  # Each entry says how far the chain is off the structure, and the message for it.
+    off = []  # pairs: deviation of the chain from the structure, and the message for it
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not move along the first revolute axis"))
-    # Sentences count revolute joints from the base, so that they read the same with and without a lift.
+    # Messages number revolute joints from the base, so that they are the same with and without a lift.
     for pair, a, b in (("1 and 2", z1, z3), ("2 and 3", z3, z4), ("4 and 5", z5, z6)):
         off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
     for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
@@ -166,10 +166,10 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
             elif gap > 0.0:
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                if stroke > 0.0:  # The target is in reach with more stroke: the lift's limit stops the arm.
+                if stroke > 0.0:  # the target would be in reach with more stroke
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-        slack = opt[ORDER.tol_r] * lever  # A pose turned by the tolerance moves the wrist no further than this.
+        slack = opt[ORDER.tol_r] * lever  # a turn by the tolerance moves the wrist by at most this
         nearly = p[NEARLY] > 0.0
         spent = 0
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
@@ -180,7 +180,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(found + 1):  # The best so far comes first, then every branch at its lift.
+            for k in range(found + 1):  # the best so far first, then every branch at its lift
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
@@ -189,7 +189,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     continue
                 for j in range(n):
                     trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # One evaluation is kept for the answer.
+                left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for the answer
                 position, rotation, count = polish(rows, ends, opt, T[t], trial, fixed, STEPS, left)
                 spent += count
                 distance = 0.0
@@ -200,7 +200,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     copy(trial, q)
             if nearest < np.inf:
                 copy(q, best)
-            if nearly:  # A chain that fits only nearly proves nothing.
+            if nearly:  # a nearly fitting chain proves nothing about the target
                 broken, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
@@ -210,7 +210,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 
 @closed_form
 class Inspection(NamedTuple):
-    """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
+    """All branches (8) of a spherical shoulder on a lift, for poses; the branch inside limits nearest q0 is returned.
 
     Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed: every branch, the lift as the free
     parameter, reach test, singular poses.

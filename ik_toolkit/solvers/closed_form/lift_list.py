@@ -39,9 +39,9 @@ from .reach import (
     shoulder_in_tool,
 )
 
-SPREAD_LIFTS = 9  # Number of lifts listed for each feasible interval of a free lift.
-STEPS = 8  # Number of Newton steps that finish a branch of an arm that only nearly has the structure.
-LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # Bits that say what leaves an angle free at a given lift.
+SPREAD_LIFTS = 9  # number of lifts listed in each feasible interval
+STEPS = 8  # number of Newton steps that correct a branch of an arm that only nearly fits
+LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # bits for what leaves an angle free at a given lift
 
 
 @cached
@@ -214,7 +214,7 @@ def _free_angles(
     robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, d: float, free: int, free_lift: bool, count: int
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Family]]:
     """Return members (q, broken) and families for a free theta_1, theta_6 or theta_7."""
-    # The joints of theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
+    # Indices in q of theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
     names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]
     more, families = [], []
     if free & LEVEL_ARM:

@@ -11,7 +11,7 @@ from ..explain.worked_solution import Branch, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
 from .reach import ANGLES, HEIGHT, L1, L2, ON_AXIS, list_planar
 
-BESIDE = "newton"  # Chinyai compares the closed form with this solver.
+BESIDE = "newton"  # Chinyai's paper compares the closed form with this solver
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
 LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen along the line from the first joint to the target."
 

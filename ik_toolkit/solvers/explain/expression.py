@@ -11,8 +11,8 @@ from sympy.printing.latex import LatexPrinter
 from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.str import StrPrinter
 
-BREAK = "\v"  # This marks in MathML where a line may end.
-# SLOT finds the places in a written formula where the number of a symbol goes, in parentheses or not.
+BREAK = "\v"  # marks in MathML where a line may end
+# SLOT finds where in a written formula the number of a symbol belongs, with or without parentheses.
 SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
