@@ -18,7 +18,7 @@ SHOWN = 3  # number of missing meshes that a message names
 
 @options("Robot")
 class FileOptions(JsonOutput):
-    """How a description is read."""
+    """Options for how a robot description is read."""
 
     package_dir: list[str] | None = same(RobotOptions, "package_dir")
     xacro_arg: list[str] | None = same(RobotOptions, "xacro_arg")
@@ -31,7 +31,7 @@ class FileOptions(JsonOutput):
 
 @options()
 class DhOptions(JsonOutput):
-    """The table and where the URDF goes."""
+    """Options for the D-H table and the file of the URDF."""
 
     table: str = argument("TABLE", "D-H table, a .toml or .csv file.")
     output: Path | None = option("FILE", "Write the URDF to a file instead of stdout.", "-o", "--output", writes=[])
@@ -39,7 +39,7 @@ class DhOptions(JsonOutput):
 
 @options()
 class ConvertOptions(FileOptions):
-    """The robot and where its URDF goes."""
+    """Options for the robot and the file of its URDF."""
 
     robot: str = same(RobotOptions, "robot")
     output: Path | None = same(DhOptions, "output")
@@ -47,7 +47,7 @@ class ConvertOptions(FileOptions):
 
 @options()
 class CheckOptions(FileOptions):
-    """The file and what is asked about it."""
+    """Options for the file and what is checked in it."""
 
     urdf: str = argument("URDF", "Path of a URDF, xacro or MJCF file, or a robot's name.")
     sampled: bool = flag(

@@ -133,7 +133,7 @@ def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int
 
 @contextmanager
 def only_one(folder: Path) -> Iterator[bool]:
-    """Context that tells whether no other process compiles in the background, and claims that role. Lowers the priority.
+    """Context: tell whether no other process compiles in the background, claim that role, and lower the priority.
 
     A process that ends by an error or dies leaves a file that `died` finds; one stopped by a signal does not.
     """
@@ -175,7 +175,7 @@ def _versions() -> str:
 
 
 def compiling(folder: Path) -> bool:
-    """Whether a process compiles in the background."""
+    """Return whether a process compiles in the background."""
     try:
         with open(folder / LOCK) as lock:
             return not _lock(lock)

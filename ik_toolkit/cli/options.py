@@ -20,28 +20,28 @@ OBSTACLES = {  # numbers that describe an obstacle, and how many of them are siz
 # -------------------------------------------------------------------------------------------------------------- output
 @options("Output")
 class JsonOutput:
-    """What is printed."""
+    """Options for what is printed."""
 
     as_json: bool = flag("--json", "Print one JSON object, always in metres and radians.")
 
 
 @options("Output")
 class TableOutput(JsonOutput):
-    """What is printed, and a table that is written."""
+    """Options for what is printed, and for a table."""
 
     csv_file: Path | None = option("FILE", "Write the table to a .csv.", "--csv", writes=[".csv"])
 
 
 @options("Output")
 class ObjectOutput(JsonOutput):
-    """What is printed and written."""
+    """Options for what is printed and written."""
 
     output: Path | None = option("FILE", "Also write the JSON object to a file.", "-o", "--output", writes=[])
 
 
 @options("Output")
 class SceneOutput(JsonOutput):
-    """What is printed and shown in 3-D."""
+    """Options for what is printed and shown in 3-D."""
 
     html: Path | None = option(
         "FILE", "Write the scene as one HTML file that needs no network.", "--html", writes=[".html", ".htm"]
@@ -143,7 +143,7 @@ class RobotOptions:
     def choose_tips(
         self, given: Any = None, relative: dict[str, str] | None = None, one: bool = False
     ) -> str | list[str] | None:
-        """Tip of a Robot, or the tips of a Tree: those of --tip, else the robot's own, else those with a target.
+        """Return the tip of a Robot or the tips of a Tree: of --tip, or the robot's own, or those with a target.
 
         given: targets by tip, None where there is no --target; relative: --relative; one: whether one target without a tip is
         given. With --group, whose tips `load` takes, of a Robot where None is returned and there is one. Raises InvalidOption.
@@ -189,13 +189,13 @@ class OneTip(WholeRobot):
 
 
 def slides(robot: Any, joint: str) -> bool:
-    """Whether a joint of the model (on the path or not) is prismatic."""
+    """Return whether any joint of the model (on the path to the tip or not) is prismatic."""
     model = robot.model
     return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")
 
 
 def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
-    """Joint values (n,) [rad or m] of an option, or of the configuration it names; None where it is not given.
+    """Return joint values (n,) [rad or m] of an option, or of the configuration it names; None if it is not given.
 
     Values of revolute joints are in degrees when `deg`.
     """
@@ -216,7 +216,7 @@ def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
 
 
 def solver_named(text: str) -> Any:
-    """A solver's name unchanged, or the class of FILE.py:CLASS. Raises InvalidOption."""
+    """Return a solver's name unchanged, or for FILE.py:CLASS the class. Raises InvalidOption."""
     from ..solvers.registry import is_solver_file, solver_from_file
 
     return solver_from_file(text) if is_solver_file(text) else text
@@ -241,7 +241,7 @@ def given(record: Any) -> dict[str, Any]:
 
 @options("Tolerances")
 class ToleranceOptions:
-    """Tolerances within which a target counts as reached."""
+    """Options for the tolerances within which a target counts as reached."""
 
     tolerance: float | None = option("TOL", "Position [m] and orientation [rad] tolerance; default 1e-6.")
     position_tolerance: float | None = option("M", "Position tolerance [m].")
@@ -250,7 +250,7 @@ class ToleranceOptions:
 
 @options("Files of poses")
 class FileOptions:
-    """Units and angles of the poses in a file."""
+    """Options for units and angles of the poses in a file."""
 
     length_unit: str | None = option("UNIT", "Unit of the positions in the file: m (default), cm, mm or in.")
     euler: str | None = option(

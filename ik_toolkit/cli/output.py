@@ -73,7 +73,7 @@ def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = Non
 
 
 def table(*columns: str) -> "Table":
-    """Empty table in the house style; columns named '<...' or '>...' never wrap, the latter are right-aligned."""
+    """Make an empty table in our style; columns named '<...' or '>...' never wrap, the latter are right-aligned."""
     from rich import box
     from rich.table import Table
 
@@ -126,14 +126,14 @@ def _least(thing: Any) -> int:
 
 
 def heading(text: str) -> "Text":
-    """Bold line above a table or a list."""
+    """Make a bold line above a table or a list."""
     from rich.text import Text
 
     return Text(text, style="bold")
 
 
 def facts(rows: dict[str, Any]) -> "Table":
-    """Two-column list of names and values, without lines; rows whose value is None are left out."""
+    """Make a two-column list of names and values, without lines; rows whose value is None are left out."""
     from rich.table import Table
 
     made = Table.grid(padding=(0, 2))

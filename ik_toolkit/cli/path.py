@@ -22,7 +22,7 @@ LISTED = 5  # number of unreached poses listed on the terminal; the file lists a
 
 @options()
 class PathOptions:
-    """The poses, and what the path through them may be like."""
+    """Options for the poses and for the path through them."""
 
     poses: Path = option(
         "FILE",
@@ -92,14 +92,14 @@ class PathOptions:
 
 @options()
 class PathCounts(CountOptions):
-    """Which components of the poses count."""
+    """Options for which components of the poses count."""
 
     relative: list[str] | None = same(TargetOptions, "relative")
 
 
 @options()
 class Seed:
-    """The seed of the random numbers."""
+    """The option for the seed of random numbers."""
 
     seed: int = same(SolverOptions, "seed")
 

@@ -14,7 +14,7 @@ from .streams import uninterrupted
 
 @options()
 class ReproduceOptions(JsonOutput):
-    """Which paper, and where its report goes."""
+    """Options for the paper and the folder of its report."""
 
     paper: str | None = argument("[PAPER]", "Name of a paper; omit to list them.", default=None)
     output: Path | None = option("DIR", "Folder of the report; default: ./reproduce-PAPER.", "-o", "--output")

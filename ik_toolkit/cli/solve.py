@@ -34,7 +34,7 @@ ACROSS = 6  # number of joints whose values fit side by side into 80 columns
 
 @options("Solver")
 class SolverOptions:
-    """Which solver, and for how long."""
+    """Options for the solver and how long it may take."""
 
     solver: str = option(
         "NAME", "Solver; see ik solvers. auto chooses one for the robot and target.", "-s", "--solver", default="auto"
@@ -73,7 +73,7 @@ class SolverOptions:
 
 @options("Start and preferences")
 class WishOptions:
-    """Where to start, and what is wanted of the solution."""
+    """Options for the start and for what is wanted of the solution."""
 
     q0: str | None = option("Q1 Q2 ...", "Start configuration; default: chosen by the solver, or home.")
     clamp_q0: bool = flag("--clamp-q0/--refuse-q0", "Clamp a start outside the limits, or reject it.", default=True)
@@ -106,7 +106,7 @@ class WishOptions:
 
 @options("Many targets")
 class ManyOptions:
-    """Many targets instead of one."""
+    """Options for many targets instead of one."""
 
     file: Path | None = option(
         "FILE",
@@ -121,7 +121,7 @@ class ManyOptions:
 
 @options("Output")
 class SolveOutput(ObjectOutput):
-    """What is printed, written and drawn."""
+    """Options for what is printed, written and drawn."""
 
     csv_file: Path | None = same(TableOutput, "csv_file")
     plot: Path | None = option(

@@ -18,7 +18,7 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @options("Target")
 class TargetOptions:
-    """Where the tip, or each tip, is to go."""
+    """Options for where the tip, or each tip, must go."""
 
     xyz: str | None = option("X Y Z", "Target tip position in the base frame [m].")
     rpy: str | None = option("R P Y", "Target roll, pitch, yaw [rad] (Rz Ry Rx).")
@@ -62,7 +62,7 @@ class TargetOptions:
             raise InvalidOption("--relative is for several tips, with a --target for each")
 
     def read(self, deg: bool) -> Any:
-        """Targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
+        """Return targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
         return self._several(self.targets, deg) if self.targets else self._single(deg)
 
     def _directions(self) -> tuple[Any, Any]:
@@ -214,7 +214,7 @@ def _pose_of(x: Sequence[float]) -> Any:
 
 
 def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
-    """Targets as poses or positions in the base frame, where the tips stand at `poses` (dict by tip of pin.SE3)."""
+    """Return targets as poses or positions in the base frame; poses: those of the tips (dict of pin.SE3)."""
     import numpy as np
 
     plain = getattr(target, "T_base_tip", target)

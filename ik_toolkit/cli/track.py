@@ -22,7 +22,7 @@ from .track_path import Asked, TrackOptions, advice, asked_path, doubt_metres
 
 @options()
 class TrackCounts(CountOptions):
-    """Which components of the path's poses count."""
+    """Options for which components of the path's poses count."""
 
     relative: list[str] | None = option(
         "TIP:OTHER", "Keep the pose of TIP in the frame of the tip OTHER; may be repeated.", panel="Target"
@@ -39,7 +39,7 @@ class TrackCollisions(CollisionOptions):
 
 @options("Tolerances")
 class TrackTolerances:
-    """Tolerances within which a run counts as followed."""
+    """Options for the tolerances within which a run counts as followed."""
 
     position_tolerance: float = option("M", "Position tolerance of a followed run [m].", default=1e-3)
     orientation_tolerance: float | None = option(

@@ -28,7 +28,7 @@ AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 @options()
 class PathOptions:
-    """The path, and the method with its gains."""
+    """Options for the path and the tracking method with its gains."""
 
     path: str | None = option(
         "SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: all joints swing a little."
@@ -79,7 +79,7 @@ class PathOptions:
         return {"duration": duration, "law": self.law, "turns": self.turns or 0.0}
 
     def read_axis(self) -> Any:
-        """The axis (3,), or None. Raises InvalidOption."""
+        """Return the axis (3,) of --axis, or None. Raises InvalidOption."""
         axis = None if self.axis is None else vector(self.axis, "--axis", 3)
         if axis is not None and not any(axis):
             raise InvalidOption("--axis must not be zero")
@@ -104,7 +104,7 @@ class PathOptions:
 
 @options()
 class TrackOptions(PathOptions):
-    """The path, and how it is followed."""
+    """Options for the path and how it is followed."""
 
     limits: bool = flag(
         "--limits/--no-limits", "Enforce joint position and speed limits.", default=True, panel="Solver"
@@ -151,7 +151,7 @@ def _line(reference: Any) -> str:
 
 
 def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
-    """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets, tolerance [m] that of a followed run.
+    """Return the path asked for; q (n,): --q0 or None; counts: what counts of the targets; tolerance [m]: of the run.
 
     Raises InvalidOption.
     """

@@ -11,7 +11,7 @@ import typer.core
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
 PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}  # other names
 SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")  # an argument as the subject
-# Matches limits=False or tip=, but nothing inside quotes, which a user has typed.
+# Matches limits=False or tip=, but nothing in quotes, because that is what a user has typed.
 WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)")
 WIDEST = 100  # [columns] longer lines are hard to read
 COLUMN = 30  # column at which the explanations begin

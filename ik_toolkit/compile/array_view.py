@@ -129,7 +129,7 @@ def _set(context, builder, sig, args):
 def _rows(context, builder, sig, args):
     kind, (value, index) = sig.args[0], args
     data, dims = parts_of(context, builder, kind, value)
-    # numba gives a slice without an end the largest integer as its end.
+    # A slice without an end has the largest integer as its end in numba.
     part = context.make_helper(builder, types.slice2_type, index)
     stop = builder.select(builder.icmp_signed("<", part.stop, dims[0]), part.stop, dims[0])
     pointer = builder.gep(data, [_place(builder, dims, [part.start])], inbounds=True)
@@ -258,7 +258,7 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(cut, jit_options=BUILD)  # Arrays cut from an array share its memory, so they count references to it.
+@overload(cut, jit_options=BUILD)  # arrays share memory and count references
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 

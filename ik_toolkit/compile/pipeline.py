@@ -28,7 +28,7 @@ listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
 class Passes(PassManager):
-    """numba's pass manager for a part of a kernel, without numba's events, timers and checks around each pass."""
+    """numba's pass manager for a part of a kernel, without events, timers and checks around each pass."""
 
     def run(self, state: Any) -> None:
         """Run all passes, and sort the blocks of the code after each pass that changed their order."""

@@ -19,7 +19,7 @@ from .starts import FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS, known_co
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by full turns.
 TURNING = 1e4  # A joint with a wider range [rad] counts as endless when random starts are drawn.
-LONGEST_UNIT = 1e4  # The kernel's unit of length [m] exceeds this only if the links do, not because of a slide's range.
+LONGEST_UNIT = 1e4  # largest kernel unit of length [m], unless the links are longer
 LEAST_REACH = 1e-10  # A shorter reach [m] is only rounding in the description, so 1 m is used instead.
 
 

@@ -47,7 +47,7 @@ STRAIGHT = 1e-9  # Two directions count as parallel if the sine of their angle i
 
 @inner
 def allowance(task, first, tolerance):
-    """Return the largest norm of three errors (from index `first` on) within a tolerance, before weights and slack.
+    """Return a bound on the norm of three raw errors (from index `first` on) that weights and slack bring in tolerance.
 
     It is infinite if one of the three does not count.
     """

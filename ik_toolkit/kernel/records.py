@@ -178,7 +178,7 @@ def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # A class with an array field takes all the rest.
+    return lambda cls, array, start=0: make(array[start:])  # an array field takes all numbers
 
 
 def write(array, start, record):

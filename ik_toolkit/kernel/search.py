@@ -40,7 +40,7 @@ from .serial import make_serial, serial_on
 from .starts import BEST, FEATURES, StartTable, make_table, sow
 from .tree import make_tree, tree_on
 
-# A rule's `step` returns 0, SINGULAR_STEP when no step exists, or WAITING when a step of zero does not mean that it has stalled.
+# A rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall.
 SINGULAR_STEP, WAITING = -1, -2
 # An attempt without a status yet either goes on (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
 GOING, STILL = -1, -2
@@ -90,7 +90,7 @@ def _shaped(ends, T, tips):
 
 
 def problem(rows, ends, tasks, n, orders):
-    """Make a problem (Serial or Tree) with scratch of its own, for code that works on arrays and counts references."""
+    """Make a problem (Serial or Tree) with scratch of its own, for code that works on arrays."""
     return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
 
 

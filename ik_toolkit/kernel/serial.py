@@ -42,7 +42,7 @@ class Look(NamedTuple):
 
 @compiled
 class Serial(NamedTuple):
-    """The problem of one tip."""
+    """The search problem of one tip: geometry, target, what counts, and the last evaluation."""
 
     desk: Desk
     rows: Array  # (L, 10) geometry of the chain, see kinematics.py
@@ -200,7 +200,7 @@ class Serial(NamedTuple):
 
 @spliced
 def serial_on(block, rows, ends, tasks, n, orders):
-    """Make a Serial with its scratch cut from a block."""
+    """Make the problem of one tip (Serial) with its scratch cut from a block."""
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
@@ -227,7 +227,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_serial(rows, ends, tasks, n, orders):
-    """Make a Serial that owns its scratch, for code that works on arrays (not views) and counts references."""
+    """Make the problem of one tip (Serial) with scratch of its own, for code that works on arrays."""
     block = np.empty(space(n, 6, rows.shape[0], 0))
     block[0] = 0.0
     return serial_on(block, rows, ends, tasks, n, orders)

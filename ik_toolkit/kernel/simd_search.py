@@ -98,7 +98,7 @@ def lane_errors(rows, tip, s, turning):
 
 @spliced
 def limited_step(rows, s, ends, turning, point, linear, angular, damping):
-    """Take the damped step inside the limits, holding joints by the sign of the gradient. s.joints becomes the Jacobian."""
+    """Take the damped step inside limits, where joints pushed past a limit are held. s.joints becomes the Jacobian."""
     n = rows.shape[0]
     zero, one = full(0.0), full(1.0)
     blocks = diagonal(damping)

@@ -136,7 +136,7 @@ def rnd(state):
 
 @inner
 def rank_groups(p, table):
-    """Find the best configuration for each tip in each group of the table, and order the groups by the sum of their scores.
+    """Find the best configuration for each tip in each group of the table, and sort the groups by their total distance.
 
     A target relative to another tip is assumed where that tip's own target, or else its start, places it.
     """
@@ -173,7 +173,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q to start k: each coordinate as its tip chose it, or as the search starts if its tip has no target."""
+    """Set q to known start k: each tip has chosen its joints' values; joints of tips without a target begin at q0 or home."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:

@@ -48,7 +48,7 @@ class Looks(NamedTuple):
 
 @compiled
 class TreeProblem(NamedTuple):
-    """The problem of F tips over n shared coordinates. Arrays of a tip are as in `Serial`."""
+    """The search problem of F tips over n shared coordinates. Arrays of a tip are as in `Serial`."""
 
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
@@ -308,7 +308,7 @@ def report_tips(p, place, row):
 
 @spliced
 def tree_on(block, rows, ends, tasks, n, orders):
-    """Make a Tree with its scratch cut from a block.
+    """Make the problem of several tips (Tree) with its scratch cut from a block.
 
     The `ends` of each tip finish with its number of rows, and n numbers that are 1 if a coordinate moves the tip.
     """
@@ -335,7 +335,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_tree(rows, ends, tasks, n, orders):
-    """Make a Tree that owns its scratch, for code that works on arrays (not views) and counts references."""
+    """Make the problem of several tips (Tree) with scratch of its own, for code that works on arrays."""
     block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
     block[0] = 0.0
     return tree_on(block, rows, ends, tasks, n, orders)

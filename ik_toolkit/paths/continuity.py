@@ -117,7 +117,7 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[~new] = curve  # The interpolation turned a row before a row of NaN into NaN, so all old rows are restored.
+        rows[~new] = curve  # interpolating towards a row of NaN has turned old rows into NaN
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
         # Where an inserted row is not solved, the segment between its two poses gets no rows at all.
         given_up[np.unique(places[new][~good].astype(int))] = True

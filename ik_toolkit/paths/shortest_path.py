@@ -169,7 +169,7 @@ LONG = 1e3  # cost [kernel units] of a step longer than allowed, more than the l
 LEAP = 1.0  # cost of a reconfiguration in addition to its count; its joint move is off the path and costs nothing
 SUSPECT = 50.0  # extra cost of an untested state between two in contact on one track, so that it is used last
 HITS = 4  # number of states found in contact after which the dynamic program is first run again
-SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint that sorts states for look-up
+SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint by whose value states are sorted
 COARSE = 16  # After a first contact every track is tested at every 16th pose.
 
 

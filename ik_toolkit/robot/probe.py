@@ -125,8 +125,8 @@ def limits(
     """Return the limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
     They are those of the description. The limits of a leader are narrowed so that each of its `followers` (see
-    `mimic_limits`), on the path or off it, stays inside the follower's own limits. Raises ModelError if that leaves a
-    joint no legal position.
+    `mimic_limits`), on the path or off it, stays inside the follower's own limits. Raises ModelError if no
+    position of a joint is left.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])

@@ -22,7 +22,7 @@ from .viability import approach
 
 CV, AV, CA, AA = range(4)
 CLIP = 2  # mode in which each joint is clipped on its own, beside LEAVE and DIRECT of constrained_step.py
-AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # how method aa reads dJ/dt in eq (25) of Patko and Zelei
+AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # readings 1, 2, 3 of dJ/dt in eq (25) of Patko and Zelei (method aa)
 MOVING, GIVEN, RUNNING, READY = range(4)  # a step begins at: target's rate, given rate, last command, rest
 FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # a row of J is motionless if its entry of JJ' is below this share of the largest

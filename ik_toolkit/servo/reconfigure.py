@@ -215,9 +215,9 @@ class Reconfiguration:
             held |= bits
         if not (held & POSITION or taken.singular):
             return
-        # A joint at its speed limit is on its way as fast as it can.
-        # At an acceleration limit the same holds if the target moves.
-        # Before a standing target joints also reach that limit by trembling.
+        # A joint at its speed limit is already moving as fast as it can.
+        # So is a joint at its acceleration limit while the target moves.
+        # If the target stands still, a joint at its acceleration limit may only be trembling.
         if held & FAST or (held & ACCELERATION and stood < WAIT):
             self._stood = 0.0
             return

@@ -51,7 +51,7 @@ class Weak(NamedTuple):
     flat: float = 1e-3  # [arm reaches / rad^2] a smaller curvature counts as zero
     # share of the move to the closest pose that one step takes; full steps would zigzag, as in steepest descent
     caution: float = 2.0 / 3.0
-    # an error below this share of one that cannot be closed is closed with damping
+    # errors below this share of another, unreachable error are closed with damping
     minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
 

@@ -50,7 +50,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Space:
-    """Declared parameters of a search, the rule it starts from, and a function that makes a rule of values by name."""
+    """The parameters of a tuning search, the solver rule it starts from, and a function from values to a rule."""
 
     parameters: tuple[Parameter, ...]
     initial: Any
@@ -68,13 +68,13 @@ class Space:
         return np.concatenate([parameter.to_unit() for parameter in self.parameters])
 
     def values(self, x: np.ndarray) -> dict[str, Any]:
-        """Return the values of a point in the unit box, by name."""
+        """Return the parameter values for a point in the unit box, by name."""
         ends = np.cumsum([0, *(parameter.size for parameter in self.parameters)])
         parts = zip(self.parameters, ends[:-1], ends[1:], strict=True)
         return {parameter.name: parameter.from_unit(np.asarray(x)[a:b]) for parameter, a, b in parts}
 
     def build(self, x: np.ndarray) -> Any:
-        """Return the rule of a point in the unit box."""
+        """Return the solver rule for a point in the unit box, which has a coordinate in 0..1 for each number."""
         return self.make(self.values(x))
 
 

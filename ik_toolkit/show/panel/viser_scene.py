@@ -315,7 +315,7 @@ class Stage:
 
     @np.errstate(all="ignore")  # a page may send any numbers for camera and targets
     def keep_in_view(self) -> None:
-        """Move the camera away, along the direction it looks in, until all targets are in the picture, and later back again."""
+        """Move the camera back along its viewing direction until all targets are in view, and later forward again."""
         camera = getattr(self.client, "camera", None)
         if camera is None:
             return

@@ -15,7 +15,7 @@ N = 6
 # Number of Newton steps that improve a solution of EAIK.
 # At a singular pose EAIK's solutions have errors of 1e-4, which each step halves.
 STEPS = 12
-# Slices of the parameters: the axes, the steps from one axis to the next, and the tip's orientation at q = 0.
+# Slices of the parameters: axes, vectors from one axis to the next, and the tip's orientation, at q = 0.
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
@@ -86,7 +86,7 @@ class EAIK(NamedTuple):
     recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return EAIK's solutions for T (4, 4) on turns nearest the reference box[2]; near singularities some are missing."""
+        """Return EAIK's solutions for T (4, 4), on turns nearest box[2] (reference); near singularities some lack."""
         Q = branches(p, T)
         out, broken = np.empty_like(Q), np.empty(len(Q))
         eaik_branches(Q, box, out, broken)

@@ -62,7 +62,7 @@ class Branches(NamedTuple):
     words: str  # Part of the message that says where the branches are, such as ' at lift 0.2 m'.
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
     steps: int = 0  # Number of Newton steps that finish each branch on the real chain.
-    fixed: int = -1  # Place in q of a joint that those steps do not move, or -1.
+    fixed: int = -1  # index in q of a joint that those steps do not move, or -1
     partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
 
 

@@ -36,7 +36,7 @@ PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 class HeadSlots(NamedTuple):
-    """Places in `head` of the numbers that follow the wrist pose (see `worked_out`)."""
+    """Indices in the array `head` of `worked_out` of the numbers that follow the wrist pose."""
 
     shoulder: int = 12
     room: int = 15
@@ -57,7 +57,7 @@ def worked_out(p, T, d, box, head, table):
 
     head has the wrist pose (12), the shoulder seen from it (3), the room left in the reach and how far the pose was
     moved to be reached [m], then what `forearm` returns about the elbow. A row of table has a branch's numbers of
-    elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit broken, and q.
+    elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit excess, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)

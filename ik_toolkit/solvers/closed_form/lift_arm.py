@@ -49,7 +49,7 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q with `angles` (6,) on turns in limits nearest the reference box[2], and lift d; return excess, distance."""
+    """Fill q with lift d and `angles` (6,) on turns in limits nearest the reference box[2]; return excess, distance."""
     worst, distance = 0.0, 0.0
     for k in range(6):
         i = int(p[JOINTS + 3 * k])
@@ -102,7 +102,7 @@ def lift_limits(p, box):
 def choose_lift(p, P, box, spans):
     """Return the lift [m] to try first and the number of feasible intervals, which spans (2, 2) receives.
 
-    A number of 0 means that no legal lift reaches the target, so the nearest is returned; -1 means that the lift is not
+    A number of 0 means that no lift inside limits reaches the target, so the nearest is returned; -1: the lift is not
     free or its first choice is feasible.
     """
     a4, a6 = p[A4], p[A6]
@@ -131,7 +131,7 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Return how a lift whose legal range does not reach the target is stopped: lift, gap and missing stroke [m].
+    """Return how a lift whose limits keep it from the target is stopped: lift, gap and missing stroke [m].
 
     It is the limit nearest a lift that would reach, with gap 0; if no lift would, d and gap are returned with stroke 0.
     """
@@ -224,7 +224,7 @@ def coupled(p, up, row):
 
 @inline
 def shared_range(box, i, j, shift, slope):
-    """Return the range of q_i in which it and q_j = shift + slope q_i (slope 1 or -1) are legal; it is empty if low > high."""
+    """Return the range of q_i with q_i and q_j = shift + slope q_i (slope +-1) inside limits; empty if low > high."""
     a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
     return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
 
@@ -239,10 +239,10 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, to the legal pair nearest the reference.
+    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, nearest the reference in limits.
 
-    theta_4 = constant + up theta_1, where up is 1 or -1. If no pair is legal, the one that breaks its limits least is
-    taken.
+    theta_4 = constant + up theta_1, where up is 1 or -1. If no pair is inside limits, the one that exceeds them least
+    is taken.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -262,9 +262,9 @@ def meet_limits(p, box, up, row):
 
 @inner
 def pick_level(p, P, d, free, box, near, row, q, best):
-    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) that breaks limits least, then the nearest.
+    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) of least limit excess, then the nearest.
 
-    Returns the limit it breaks, or infinity if the pose has no level arm. With `free` the lift may be chosen, otherwise
+    Returns its limit excess, or infinity if the pose has no level arm. With `free` the lift may be chosen, otherwise
     it is d.
     """
     least, nearest = np.inf, np.inf

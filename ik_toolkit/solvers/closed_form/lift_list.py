@@ -48,7 +48,7 @@ LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # bits for what leaves an angle free 
 def every_branch(p, T, box, lifts, out, broken):
     """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return their number.
 
-    broken (8 K,) receives by how much each branch breaks a limit.
+    broken (8 K,) receives by how much each branch exceeds a joint limit.
     """
     near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
     near_angles(p, box, near)
@@ -74,7 +74,7 @@ def first_lift(p, T, box):
 
 @cached
 def looks(p, T, d, Q, marks):
-    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of Q (K, n); return as bits what is free at lift d."""
+    """Fill marks (K, 3) with the signs of shoulder, elbow, wrist of Q (K, n); return bits for angles free at lift d."""
     for k in range(Q.shape[0]):
         for m in range(3):  # These are the signs of sin theta_3, sin theta_6 and cos theta_5.
             place = JOINTS + (3, 12, 9)[m]
@@ -94,7 +94,7 @@ def looks(p, T, d, Q, marks):
 
 @cached
 def level_family(p, T, box, d, free, samples, spans, out, broken):
-    """Fill spans (S, 2) with the legal ranges of theta_1's joint [rad] of the level arms of T (4, 4); return their number.
+    """Fill spans (S, 2) with the ranges [rad] in limits of theta_1's joint, for level arms at T; return their number.
 
     out (S samples, n) and broken (S samples,) receive configurations spread evenly over each range. With `free` the
     lift is what each arm needs, otherwise it is d.

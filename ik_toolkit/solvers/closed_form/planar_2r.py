@@ -63,7 +63,7 @@ def recognise_planar(chain: Chain) -> Fit:
 
 @inner
 def nearest_on_limits(p, x, y, box, q, best):
-    """Fill best (2,) with the legal configuration that comes nearest to (x, y), if no branch is legal.
+    """Fill best (2,) with the configuration inside limits that comes nearest to (x, y), if no branch is inside limits.
 
     A joint is then at a limit. With joint 1 there the tip moves on a circle about the elbow, with joint 2 there on one
     about the base; the nearest point of the arc is where the circle's angle is nearest that of the target.

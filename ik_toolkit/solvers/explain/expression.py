@@ -100,7 +100,7 @@ def written(expression: Any, form: str) -> str:
 
 
 def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
-    """Write an expression, unsimplified, with texts like '-12.5 deg' in place of its symbols, by their names."""
+    """Write an expression, unsimplified, with symbols replaced by texts such as '-12.5 deg' (by symbol name)."""
 
     def put_in(found: re.Match[str]) -> str:
         text = texts.get(found[1], "180 deg")
