@@ -79,7 +79,7 @@ class PathOptions:
                 raise InvalidOption(f"{name} must be positive, not {value:g}")
 
     def read(self, arm: Any, deg: bool) -> dict[str, Any]:
-        """Options of `solve_path`, only those given."""
+        """Return the options given, by name, for a call of `solve_path`."""
         ends = {"q0": joint_vector(arm, self.q0, "--q0", deg), "q_end": joint_vector(arm, self.q_end, "--q-end", deg)}
         words = self.reconfigurations
         return {

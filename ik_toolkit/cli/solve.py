@@ -52,7 +52,7 @@ class SolverOptions:
     limits: bool = flag("--limits/--no-limits", "Enforce joint limits.", default=True)
 
     def choose(self, robot: Any) -> Any:
-        """The solver's name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
+        """Return the solver's name, or a rule with its preset and parameters. Raises UnknownSolver, InvalidOption."""
         from ..solvers.presets import from_preset
         from ..solvers.registry import GENERAL, find_row, make_rule
         from ..solvers.solve import closed_form_with
@@ -67,7 +67,7 @@ class SolverOptions:
         return from_preset(row, self.preset, values)
 
     def read(self) -> dict[str, Any]:
-        """Options of a call, only those given."""
+        """Return the options given, by name, for a call of the library."""
         return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
 
 
@@ -132,7 +132,7 @@ class SolveOutput(ObjectOutput):
 
     @property
     def drawn(self) -> bool:
-        """Whether a picture is asked for."""
+        """Return whether a picture is asked for."""
         return self.plot is not None or self.html is not None or self.live
 
 

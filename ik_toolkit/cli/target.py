@@ -153,7 +153,7 @@ class CountOptions:
     frame: list[str] | None = option("[TIP:]base|tip|target", "Axes of --mask and --slack.")
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
-        """Options of a call, only those given; relative: --relative. Raises InvalidOption."""
+        """Return the options given, by name, for a call; relative: --relative. Raises InvalidOption."""
         turn = math.radians(1.0) if deg else 1.0
         slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
         axis = _by_tip(self.free_turn, "--free-turn", _axis)

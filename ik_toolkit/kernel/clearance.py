@@ -37,7 +37,7 @@ class Facing(NamedTuple):
 class Approach(NamedTuple):
     """Thresholds for how fast a pair of shapes may approach."""
 
-    slope: float  # [1/s] highest speed of approach over the gap
+    slope: float  # [1/s] highest speed of approach divided by the gap
     step: float  # [s] length of a control step, in which a pair may use up at most half of its gap
     # A joint takes part in the braking of a pair if its approach per unit exceeds this share of the largest one.
     share: float

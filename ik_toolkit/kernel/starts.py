@@ -173,7 +173,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q to known start k: each tip has chosen its joints' values; joints of tips without a target begin at q0 or home."""
+    """Set q to known start k: each tip has chosen the values of its joints; without a target it keeps q0 or home."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:

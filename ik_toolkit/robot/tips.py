@@ -43,7 +43,7 @@ def words(name: str) -> list[str]:
 
 
 def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
-    """Return whether a frame with these words follows a convention.
+    """Return whether a frame whose name consists of these words follows a naming convention for tips.
 
     An arm's tool frame is where its hand begins, if it has one.
     """

@@ -170,7 +170,7 @@ class Secondary(Holds):
         limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
 
     def side(self, away: np.ndarray) -> None:
-        """Write to away (n,) the side (1 or -1) to which joints leave a straight pose: that chosen by `elbow`, or 1 for all."""
+        """Write to away (n,) to which side joints leave a straight pose: 1 or -1 as `elbow` says, else 1 for all."""
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:

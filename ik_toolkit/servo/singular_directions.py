@@ -183,7 +183,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
         bring_along(V, r, away, grows, 1.0)
         back = grows
     sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
-    # A small error beside a large one that cannot be closed is closed with damping, as in `hold_back`.
+    # An error that is small against another, unreachable error is closed with damping, as in `hold_back`.
     if abs(left) < WEAK.minor * mode.rest:
         left *= sigma * sigma / (sigma * sigma + mode.rest)
         moved *= sigma * sigma / (sigma * sigma + mode.rest)

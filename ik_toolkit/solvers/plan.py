@@ -111,7 +111,7 @@ class Plan:
         self.kernel(chain, T, start, out.reshape(-1), orders)
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
-        """Return the row (width,) of one target T (1, ...)."""
+        """Return the result row (width,) of one target T (1, ...)."""
         chain, orders = self._ready.get((kinds, given)) or self.ready(kinds, start, given)
         row = np.empty(self.width)
         self.kernel(chain, T, start, row, orders)
@@ -120,7 +120,7 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row (width,) of one target T (1, ...), and its history (at most `count`, 2 + n), with arrays from `ready`."""
+        """Return the result row (width,) of one target T (1, ...) and its history (at most `count`, 2 + n)."""
         chain, orders = ready
         out = np.empty(self.width + count * (2 + self.robot.n))
         self.kernel(chain, T, start, out, orders)
