@@ -1,6 +1,6 @@
 """How kernels are compiled: the options of numba, records whose methods compile, and a cache on disk (see cache.py)."""
 
-# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import gc
@@ -16,7 +16,7 @@ from numba.extending import overload, overload_method, register_jitable
 from .cache import make_cache
 
 # Releases of numba with which pipeline.py works; scripts/try_numba.py tries one.
-# Both use private interfaces of numba, so in any other release kernels are compiled in numba's own, slower way.
+# pipeline.py uses private interfaces of numba, so other releases compile kernels in numba's own, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 PARTS: dict[str, Any] = {}

@@ -17,7 +17,7 @@ from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 from .search import problem_on
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
-# Damping of projections and corrections. It is below the square of any singular value along which a step is worthwhile.
+# Damping of projections and corrections, below the square of any singular value along which a step is useful.
 DAMPING = 1e-10
 
 

@@ -93,7 +93,7 @@ class Miss(NamedTuple):
 
 # How many numbers each of these NamedTuples takes in an array.
 HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
-WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the orders for one tip
+WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the Orders array for one tip
 # The index of each field in its array: row[AT.status], orders[ORDER.seed], task[WHAT.kind].
 AT = Answer._make(range(ANSWER))
 ORDER = Orders._make(range(HEAD))
@@ -178,7 +178,7 @@ def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # an array field takes all numbers
+    return lambda cls, array, start=0: make(array[start:])  # a class with one array field takes all
 
 
 def write(array, start, record):

@@ -50,7 +50,7 @@ class Serial(NamedTuple):
     task: Array  # (TASK,) what counts, see `records.Task`
     goal: Array  # (GOAL,) the target
     kept: Array  # (KEPT,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
-    # (12,) pose computed by the last call of `stand`: axes of the last joint by rows, then the tip's position
+    # (12,) pose that the method `stand` computed last: axes of the last joint by rows, then the tip's position
     pose: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints

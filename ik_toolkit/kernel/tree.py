@@ -60,7 +60,7 @@ class TreeProblem(NamedTuple):
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see relative.py
     kept: Array  # (F, KEPT) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
-    # (F, GOAL) pose of each tip computed by the last call of `stand`: axes of the last joint, then the tip
+    # (F, GOAL) pose of each tip that the method `stand` computed last: axes of the last joint, then the tip
     poses: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints of one chain at a time

@@ -200,7 +200,7 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
     speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
     for r in range(len(rows) - 1, -1, -1):
         # The joints from r to the tip move the tip by at most `speed` over the segment, seen from joint r.
-        # So the tip's distance from its axis is at most the mean of the values at both ends plus half of `speed`.
+        # The tip's distance from axis r is therefore at most the mean of both ends' distances plus half of `speed`.
         arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
         bend += turns[:, r] * (turns[:, r] * arm + 2.0 * speed)
         twist += turns[:, r] * turn

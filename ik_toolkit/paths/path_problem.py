@@ -17,8 +17,8 @@ from .freedom import freedom
 # Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow.
 # The search itself uses at least these steps, because a smaller max_step is met at the end by inserting rows.
 STEP = (np.radians(7.0), 0.02)
-# An arm with too few joints to follow interpolated poses is searched with these bounds, which no motion reaches.
-# They are the largest step of a joint [rad], [m] and the largest deviation of a tip [m], [rad].
+# For an arm with too few joints to follow interpolated poses, the search gets bounds that no motion reaches.
+# ANY_STEP is the largest joint step [rad], [m], and ANY_DEVIATION the largest deviation of a tip [m], [rad].
 ANY_STEP, ANY_DEVIATION = (1e3, 1e6), (1e9, 1e9)
 
 

@@ -29,7 +29,7 @@ SHARE = 40  # largest number of tracks (continued solutions) that an anchor adds
 TRIED = 3  # number of solutions tested for contact, per track that an anchor may add
 PATIENCE = 2  # the search ends after this many successive rounds of further anchors without a gain
 # The first search keeps a margin of NEAR [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
-# With such a margin the motion between poses is easily proven free of contact.
+# This margin makes it easy to prove the motion between poses free of contact.
 NEAR = 0.003
 PROBES = 9  # After this many poses without a solution, the others in a gap between tracks are given up.
 LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.

@@ -19,8 +19,8 @@ from .formats.urdf_values import reversed_advice
 from .rotation import turn_onto
 
 SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
-# For comparisons with Pinocchio a robot's size is at least this share of its distance from the model's origin.
-# The reason is that Pinocchio's rounding grows with that distance.
+# In comparisons with Pinocchio a robot's size is at least this share of its distance from the model's origin.
+# (Pinocchio's rounding error grows with the distance from the model's origin.)
 FAR = 1e-5
 # A chain may differ from Pinocchio by this [rad, or share of the robot's size], a thousandth of the default tolerance.
 AGREE = 1e-9

@@ -229,7 +229,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
-        # Method cv extrapolates from its previous command, so the same replacement is made there.
+        # method cv extrapolates from its previous command, which gets the same rates along removed directions
         if law.code == CV:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_wishes(law, s, given, ratio, h, own.memory)
@@ -246,7 +246,7 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
     leaned = False
     for i in range(s.g.shape[0]):
         leaned = leaned or s.g[i] != 0.0
-    if leaned or not task.plain():  # Otherwise the Jacobian is still the one that `take_stock` evaluated.
+    if leaned or not task.plain():  # otherwise the Jacobian of `take_stock` is still valid
         task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)

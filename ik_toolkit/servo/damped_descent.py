@@ -21,7 +21,7 @@ from .null_space_motion import weigh
 from .singular_directions import GAIN
 from .viability import POSITION, ROW, approach, box_of, narrow
 
-STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing
+STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
 SMALL = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
 STALLED = 0.1  # [s] without progress after which an arm counts as stuck
 # Progress is a fall of the weighted error by PROGRESS within STALLED, or at PACE of the rate at full joint speed.

@@ -180,7 +180,7 @@ def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], nul
             ]
         )
     # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) w / (2 g), where x is qd in method aa and w in aad.
-    # Here s = J^+ (error to the next target) and w = s / h + (1 - J^+ J) qd.
+    # s is J^+ times the error to the next target, and w = s / h + (1 - J^+ J) qd.
     # The derivative of J^+ itself is left out, as it only causes null-space motion.
     g = 0.5 if method == "aa" else gains["gamma"]
     times_w = 1.0 if method == "aa" else 2.0

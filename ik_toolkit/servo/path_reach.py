@@ -25,7 +25,7 @@ SHORTER = 0.95  # suggested size of a path, over the share of it that can be rea
 # further size factors that are tried, because a smaller closed path may be in reach as a whole
 SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
 PROBE = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
-DIGITS = ".7g"  # format of suggested joint values: with 4 digits the tip would start up to a millimetre beside its path
+DIGITS = ".7g"  # format of suggested joint values; with 4 digits the tip would start up to 1 mm off its path
 
 References = Reference | Mapping[str, Reference]
 

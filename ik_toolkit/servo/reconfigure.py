@@ -216,7 +216,7 @@ class Reconfiguration:
         if not (held & POSITION or taken.singular):
             return
         # A joint at its speed limit is already moving as fast as it can.
-        # So is a joint at its acceleration limit while the target moves.
+        # A joint at its acceleration limit is already moving as fast as it can if the target moves.
         # If the target stands still, a joint at its acceleration limit may only be trembling.
         if held & FAST or (held & ACCELERATION and stood < WAIT):
             self._stood = 0.0

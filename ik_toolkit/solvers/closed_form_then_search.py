@@ -68,7 +68,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         ended = np.array(out[failed, ANSWER:])
         kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of history; with more targets there is no history.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form always gets a start, also home
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # without a start it is home
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])

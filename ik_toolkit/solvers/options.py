@@ -17,7 +17,7 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SLICE = 256  # A timed solve makes this many evaluations before it looks at the clock, about a quarter of a millisecond.
+SLICE = 256  # number of evaluations of a timed solve between two looks at the clock, about 0.25 ms
 FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
 # The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}

@@ -23,7 +23,7 @@ Step = Callable[[Any], Any]
 
 
 class Limits(NamedTuple):
-    """How long finishing an answer may take."""
+    """Limits on the work of finishing an answer."""
 
     improving: int = 200  # largest number of steps in the null space that improve an answer
     descending: int = 500  # largest number of evaluations (0.3 us each) from a failure to the closest configuration

@@ -289,7 +289,7 @@ class _Table:
             return ""
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
-        # The header is written with the first targets, because a file of a header alone is not worth keeping.
+        # The header is written with the first targets, because a file with only a header is useless.
         if self.head:
             csv.writer(text).writerow(map(inert, self.head))
             self.head = []

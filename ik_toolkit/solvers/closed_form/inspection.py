@@ -249,7 +249,7 @@ class Inspection(NamedTuple):
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Work out the formulas with their numbers for T (4, 4); box (4, n) is as for `every`."""
+        """Work out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
         from .inspection_steps import derive
 
         return derive(robot, p, T, box)

@@ -179,7 +179,7 @@ class Planar2R(NamedTuple):
         return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Work out the formulas with their numbers for T (4, 4); box (4, n) is as for `every`."""
+        """Work out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
         from .planar_2r_steps import derive_planar
 
         return derive_planar(robot, p, T, box)

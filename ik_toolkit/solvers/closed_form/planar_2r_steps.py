@@ -17,7 +17,7 @@ LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen alo
 
 
 def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return formulas and branches of the point of T (4, 4); box is as in `geometry.copy_limits`."""
+    """Return formulas and branches of the point of T (4, 4); box: limits, reference, weights (see `copy_limits`)."""
     q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
     count, _ = list_planar(p, T, box, q, broken, marks)
     angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # The angles theta_1 and theta_2 of each branch.
