@@ -88,7 +88,8 @@ def _declared(record: Any) -> list[Any]:
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """Make a function whose arguments are classes of options a command of `ik`, called with the options given.
 
-    The help shows the options in the order of the records and their fields, then the function's docstring's examples.
+    The help shows the options in the order of the classes and their fields, then the examples of the function's
+    docstring.
     """
     records = get_type_hints(function)
     records.pop("return", None)

@@ -20,7 +20,7 @@ class Standards(NamedTuple):
     angle: float = 5e-3  # [rad] the same for the orientation error
     # share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
     at_rest: float = 1e-3
-    # share of the speed limit below which no feedback moves a joint; a gain of 0.1/s would ask for a share of 1e-4
+    # a joint slower than this share of its speed limit is not moved by feedback; a gain of 0.1/s would ask for 1e-4
     resting: float = 1e-6
     falling: float = 0.2  # the tip comes nearer if the error falls by this share of what feedback would remove
 

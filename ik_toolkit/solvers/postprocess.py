@@ -55,7 +55,8 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 def finish_failure(outcome: Any) -> Any:
     """Finish a search that has not converged, with its arrays copied.
 
-    What a result says is worked out when it is read, when the caller may have changed the target and q0.
+    They are copied because a result's message is computed when it is read, and the caller may have changed them by
+    then.
     """
     outcome = outcome._replace(T=outcome.T.copy(), start=outcome.start.copy())
     if outcome.plan.options.timeout is not None:

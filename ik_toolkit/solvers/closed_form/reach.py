@@ -358,7 +358,7 @@ def lift_intervals(P, a4, a6, low, high, out):
 
 @shared
 def nearest_lift(P, a4, a6, low, high):
-    """Return the lift in [low, high] from which the point of P, which none reaches, is missed by least, orientation kept."""
+    """Return the lift in [low, high] that comes nearest to the point of P, which no lift reaches, orientation kept."""
     side = math.hypot(P[9], P[10]) + a4 + a6  # lifts further away than this only add distance
     low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
     best, step = low, (high - low) / 64.0
