@@ -60,8 +60,8 @@ def dual(function: Callable) -> Any:
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
 }  # fmt: skip
-METHODS: dict[str, dict[type, Callable]] = {}  # compiled methods of all records, by method name and class
-FIELDS: set[str] = set()  # field names of all records
+METHODS: dict[str, dict[type, Callable]] = {}  # compiled methods by method name and class
+FIELDS: set[str] = set()  # field names of all classes marked by `compiled`
 
 
 def compiled(cls: type) -> type:

@@ -118,7 +118,7 @@ class Chain(NamedTuple):
     upper: np.ndarray  # (n,) limits [rad or m]
     turns: np.ndarray  # (n,) 1 if a coordinate may wrap by full turns, else 0
     scale: float  # kernel unit of length [m]
-    reach: float  # longest distance of the tip [m]
+    reach: float  # longest distance of the tip from the first joint [m]
     plain: bool  # whether there are no mimic joints, so that row i belongs to coordinate i
 
     @property

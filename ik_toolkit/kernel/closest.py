@@ -21,11 +21,11 @@ from .search import problem_on
 class Descent(NamedTuple):
     """Constants of the descent, a Levenberg-Marquardt method whose damping is a share of the squared error."""
 
-    first: float = 0.1  # that share at the start
-    least: float = 1e-6  # smallest share; it bounds the steps at singular poses
-    most: float = 1e9  # largest share; the descent ends if even its short step does not lower the error
-    lowered: float = 0.3  # factor of the share after a step that lowers the error
-    raised: float = 4.0  # factor of the share after a step that does not
+    first: float = 0.1  # damping over the squared error, at the start
+    least: float = 1e-6  # smallest such share, which bounds the steps at singular poses
+    most: float = 1e9  # largest such share; the descent ends if even its short step does not help
+    lowered: float = 0.3  # factor of the damping share after a step that lowers the error
+    raised: float = 4.0  # factor of the damping share after a step that does not lower the error
     smallest: float = 1e-7  # the descent ends when a step moves every joint by less [rad or kernel units]
 
 

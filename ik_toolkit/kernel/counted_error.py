@@ -103,7 +103,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != BASE:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # This is a row of G, namely axis' G.
+        if turns:  # a row of the matrix G: axis' G
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -120,7 +120,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, IN.A + 3 * i, own * w)
-        # This is a row of G', namely axis' G'.
+        # `others` is a row of the transposed matrix G': axis' G'.
         others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
         put3(kept, IN.B + 3 * i, (others - across if frame == TARGET else others) * w)
     put3(kept, IN.arm, linear if frame == TIP else none)

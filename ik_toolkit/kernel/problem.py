@@ -97,7 +97,7 @@ def take(T, ends, task, goal, orders):
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
-    # A target out of reach is moved to the edge of the reach, because the search converges fast only at such a point.
+    # A target out of reach is moved to the edge of the reach, because the search is fast only at reachable points.
     if excess > 0.0 and int(task[WHAT.kind]) < FREE:
         edge(goal, ends, excess)
     return excess

@@ -54,7 +54,7 @@ class Endings(NamedTuple):
     """
 
     patient_iterations: float = 2.0  # factor on the highest number of iterations of a later, patient attempt
-    patient_decay: float = 0.6  # factor per iteration on that bound in a patient attempt
+    patient_decay: float = 0.6  # factor of the give-up bound per iteration of a patient attempt
     unreachable_attempts: int = 3  # number of attempts at the pose nearest to a target that is proven out of reach
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged

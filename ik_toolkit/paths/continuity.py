@@ -29,7 +29,7 @@ ROUNDS = 12
 MOST_PIECES = 256
 MOST_ROWS = 200_000  # largest number of rows of a curve
 LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for rotation vectors up to half a turn
-LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, likewise
+LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, up to half a turn
 
 
 class Speeds(NamedTuple):

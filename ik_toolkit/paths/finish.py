@@ -185,7 +185,7 @@ def smooth(
 # Largest spacing of poses in the search [share of the reach], [rad], so that joints mostly move less than max_step.
 FAR = (0.015, np.radians(3.0))
 MOST = 1000  # largest number of inserted poses, to bound the search's time; longer paths get a wider spacing
-WIDER = 1.5  # factor by which that spacing is raised until there are at most MOST inserted poses
+WIDER = 1.5  # factor by which the spacing of poses is raised until at most MOST are inserted
 
 
 def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:

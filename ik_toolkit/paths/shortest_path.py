@@ -187,7 +187,7 @@ class Program:
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        # The last row holds two prices, even for a robot with one joint.
+        # `price` has at least two columns, because its last row holds two prices.
         self.price = np.zeros((3, max(Q.shape[2], 2)))
         self.price[0] = 1.0
         self.price[1] = 1.0 / most

@@ -32,10 +32,10 @@ BACK = 0.1  # share of the joints' motion that must reverse in a step to count a
 TURNS, FORGOTTEN = 2.0, 0.1  # reversals of joints that make an arm count as stuck, and [s] after which one is forgotten
 # First, least and largest share, the factor in the damping mu; below the least, joints turn back repeatedly.
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-# factors of that share when joints turn back, when the error does not fall, and when it falls
+# factors of the share (in mu) when joints turn back, when the error does not fall, and when it falls
 TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
 FLOOR = 0.25  # after joints turned back, least share over the raised one: twice the share found too small
-FADING = 0.3  # [s] time constant with which this least share fades
+FADING = 0.3  # [s] time constant with which the raised least share fades
 BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 
 

@@ -23,7 +23,7 @@ from .viability import approach
 CV, AV, CA, AA = range(4)
 CLIP = 2  # mode in which each joint is clipped on its own, beside LEAVE and DIRECT of constrained_step.py
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # readings 1, 2, 3 of dJ/dt in eq (25) of Patko and Zelei (method aa)
-MOVING, GIVEN, RUNNING, READY = range(4)  # a step begins at: target's rate, given rate, last command, rest
+MOVING, GIVEN, RUNNING, READY = range(4)  # start at the target's rate, at a given rate, after a command, without one
 FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # a row of J is motionless if its entry of JJ' is below this share of the largest
 FAR = 0.25  # damping of a blocked correction over curvature times error: its length is at most sqrt(error / curvature)
@@ -38,7 +38,7 @@ class State(NamedTuple):
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
-    near: int  # at a singular pose 1 + time [s] left of "out of reach"; -1: singular before; 0: never
+    near: int  # at a singular pose 1 + [s] the target still counts as out of reach; -1: was singular; 0: never
     share: int  # factor in the damping mu of a descent (damped_descent.py); 0: no descent
     lowest: int  # value below which `share` is not lowered for now
     nearest: int  # least weighted error so far; an arm that is not stuck improves on it

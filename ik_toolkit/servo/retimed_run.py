@@ -27,8 +27,8 @@ SPEED = 0.98  # share of the speed limits that a time law uses, because a run di
 # Shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
 TOLERANCE = 0.8  # share of the tolerances that a time law allows for the error of a step
-FASTER = 5  # how often these limits are raised after a run that kept to the reference
-JOINTS, TIP = 1.2, 1.5  # factors of such a raise: limits of redundant joints, error allowed for the tip
+FASTER = 5  # how often a time law's limits are raised after a run that kept to the reference
+JOINTS, TIP = 1.2, 1.5  # factors of one raise: limits of redundant joints, allowed tip error
 FAR_OFF = 4.0  # a larger error over tolerance is not due to the linearisation in single steps
 ENOUGH = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
 NEAR = 0.05  # [s] time before and after a missed sample in which the clock is slowed

@@ -188,7 +188,7 @@ def way_along(sigma, b, E, own, side, home, h):
             # The second form of the root avoids a difference of nearly equal numbers.
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        D -= 2.0 * WEAK.flat * abs(E)  # the largest curvature that counts as zero
+        D -= 2.0 * WEAK.flat * abs(E)  # with the largest curvature that counts as zero
         y = min(max(E / sigma, -sigma / WEAK.flat), sigma / WEAK.flat) if sigma > WEAK.zero else 0.0
         kept *= max(1.0 - h / WEAK.fade, 0.0)
     weight = D if D > 0.0 else -0.5 * D  # The weight is the second derivative of the squared error at the solution.

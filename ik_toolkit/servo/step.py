@@ -17,7 +17,7 @@ class Standards(NamedTuple):
     """Thresholds by which the status of a step is judged."""
 
     position: float = 1e-3  # [m] error above which a joint limit or the edge of the reach is reported as the reason
-    angle: float = 5e-3  # [rad] the same for the orientation error
+    angle: float = 5e-3  # [rad] orientation error above which limits or reach are reported as the reason
     # share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
     at_rest: float = 1e-3
     # a joint slower than this share of its speed limit is not moved by feedback; a gain of 0.1/s would ask for 1e-4

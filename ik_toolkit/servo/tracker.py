@@ -281,7 +281,7 @@ class Tracker(CopiesViews, ReadOnly):
             return
         self._forget(laws.READY)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._code &= viability.RECOVERING  # other limits are normal during such a move
+        self._code &= viability.RECOVERING  # other limits are normal while a move leads the joints
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:

@@ -32,9 +32,9 @@ class SearchThresholds(NamedTuple):
     # Tolerance of the search; with 1e-6, equal solutions near singular poses would differ too much to be merged.
     tight: float = 1e-9
     flat: float = 1e-4  # directions with a smaller singular value (lengths over scale) may lead along a family
-    stride: float = 0.02  # step along such a direction, too long to return to an isolated solution
+    stride: float = 0.02  # step along a direction of a family, too long to return to an isolated solution
     close: float = 1e-2  # solutions with smaller errors are improved numerically
-    steps: int = 40  # number of steps of that improvement
+    steps: int = 40  # largest number of steps that improve a solution numerically
     directions: int = 256  # number of directions tried for families, enough to find all joints that move
 
 
@@ -172,7 +172,7 @@ def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
     """Return which joints (n,) may be moved by full turns, and whether only inside limits."""
     robot = plan.robot
-    if not plan.options.limits and robot.chain.plain:  # Without limits and mimic joints every angle may be turned over.
+    if not plan.options.limits and robot.chain.plain:  # full turns may be added to every angle
         return ~robot.slides, False
     return robot.chain.turns > 0, plan.options.limits
 

@@ -13,8 +13,8 @@ from .status import SEARCHED, Status, constraints_of
 from .task import Counts, all_errors, counted_rows, what_counts
 
 ATTEMPTS = 20  # number of starts of a search for a part of the target
-FAINT = 1e-3  # weight of the orientation in such a search, so that the position comes first
-NEAR = 1e-4  # [arm reaches] position error at which such a search ends
+FAINT = 1e-3  # weight of the orientation in a search for the position, so that the position comes first
+NEAR = 1e-4  # [arm reaches] position error at which a search for the position ends
 
 ADVICE = {
     Status.CONVERGED: "",

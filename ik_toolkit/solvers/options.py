@@ -18,7 +18,7 @@ PLAIN: dict[str, Any] = {
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
 SLICE = 256  # number of evaluations of a timed solve between two looks at the clock, about 0.25 ms
-FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
+FOLLOW = 0.5  # follow=True allows each joint to move this far [rad or arm reaches]
 # The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}

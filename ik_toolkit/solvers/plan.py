@@ -129,7 +129,7 @@ class Plan:
 
     # --------------------------------------------------------------------------------------------------------- preparing
     def ready(self, kinds: tuple, start: np.ndarray, given: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the kernel takes of a plan: all arrays of the chain in one, and the orders."""
+        """Return what the kernel takes from a plan: all arrays of the chain packed in one, and the options (Orders)."""
         found = self._ready.get((kinds, given))
         if found is None:
             arrays, last = self.arrays(kinds, start), self._joined
@@ -249,7 +249,7 @@ class Plan:
 
 
 def held_joints(options: Options) -> np.ndarray:
-    """Return the places of the joints whose weight is 0."""
+    """Return the indices in q of the joints whose weight is 0."""
     return np.flatnonzero(np.array(options.joint_weights or (1.0,)) == 0.0)
 
 

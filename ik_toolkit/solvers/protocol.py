@@ -135,7 +135,7 @@ class ClosedForm(Protocol):
         return ""
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Map the places in q of joints that the parameters put at a value [rad or m] to that value."""
+        """Map the index in q of each joint that the parameters hold at a value to this value [rad or m]."""
         return {}
 
     preset, space = Rule.preset, Rule.space

@@ -312,7 +312,7 @@ def is_solver_file(text: str) -> bool:
 
 
 def solver_from_file(text: str) -> type:
-    """The class of FILE.py:CLASS, run as Python runs a script: files beside it can be imported.
+    """Return the class of FILE.py:CLASS; the file runs like a script, so files beside it can be imported.
 
     Raises InvalidOption when there is no such file or class, when it does not run, or when the class is not a solver.
     """

@@ -200,7 +200,7 @@ def _read_tip(tip: str, target: Any, base: str) -> tuple[np.ndarray, Any, str]:
 
 
 def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
-    """One target, in the frame `base` -> (4, 4), kind and notice."""
+    """Return one target, given in the frame `base`, as a pose (4, 4), with its kind and a notice."""
     if isinstance(target, AxisTarget):
         return target.T_base_tip, (AXIS, target.axis), ""
     if isinstance(target, str):

@@ -62,7 +62,7 @@ def _straighten(T: np.ndarray) -> None:
 
 
 def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
-    """Targets with AxisTargets in their lists as poses, and options with the free turn about the axis that they share.
+    """Return targets with AxisTargets replaced by poses, and options with the free turn about their common axis.
 
     Raises:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
@@ -108,7 +108,7 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 
 def known(targets: Any, base: str = "") -> Any:
-    """Targets, given in the frame `base`, as one array or a dict of arrays; None for an iterator."""
+    """Return targets, given in the frame `base`, as one array or a dict of arrays; None for an iterator."""
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")

@@ -100,7 +100,7 @@ def recognise(chain: Chain) -> Fit:
     a4, a6 = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
     if min(a4, a6) <= NEAR * chain.reach:
         return no_fit("two of its parallel revolute axes coincide")
-    # The Denavit-Hartenberg x axes at q = 0 give every angle's offset; axes 5 and 7 are turned along 4 and 6.
+    # The D-H x axes at q = 0 give the offset of every angle; axes 5 and 7 are taken to point along axes 4 and 6.
     s5, s7 = math.copysign(1.0, z4 @ z5), math.copysign(1.0, z6 @ z7)
     x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6
     x5 = np.cross(z6, z4)
@@ -244,7 +244,7 @@ class Inspection(NamedTuple):
         return np.concatenate([parameters, [choice, value, float(off > FIT)]])
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Map the place in q of a joint that has a given value to that value: the lift, if it is given as a number [m]."""
+        """Map the index in q of the lift to its value [m] if that is given as a number; else the result is empty."""
         place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
