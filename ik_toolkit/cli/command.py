@@ -71,7 +71,7 @@ def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
     """
 
     def make(cls: Any) -> Any:
-        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # eq and repr would take time
+        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # making eq and repr takes time
         for one in _declared(made):
             info = one.metadata["info"]
             info.rich_help_panel = info.rich_help_panel or panel or "Options"

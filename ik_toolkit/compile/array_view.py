@@ -315,7 +315,7 @@ def counted_part(typing, A, start, count):
 
 @intrinsic
 def put_numbers(typing, A, start, record):
-    """Write the numbers of a record to A (K,) from index `start` on."""
+    """Write the numbers of a NamedTuple to A (K,) from index `start` on."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data, _ = parts_of(context, builder, sig.args[0], args[0])

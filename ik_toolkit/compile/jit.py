@@ -41,7 +41,7 @@ INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
 # `inner` makes one copy that is called, for code that is rarely run, or large and used in several places.
 inner = njit(**{**BARE, **CALLED})
-inline = njit(**INLINE)  # a copy in every caller, for small code and for code that takes or returns large records
+inline = njit(**INLINE)  # a copy in every caller, for small code and for code with large NamedTuples
 build = njit(**BUILD)  # a copy in every caller, for code that makes arrays
 spliced = njit(inline="always", **BARE)  # for large code with one caller, so that LLVM optimises one copy only
 shared = register_jitable(**INLINE)  # inlined in kernels; Python runs it as plain Python
@@ -67,9 +67,10 @@ FIELDS: set[str] = set()  # field names of all classes marked by `compiled`
 def compiled(cls: type) -> type:
     """Class decorator: let kernels call the methods of a NamedTuple class, each inlined where it is called.
 
-    The method is chosen at compile time by the class of the record it is called on; this is how the one search loop gets its rule
-    and its problem. Without compilation (NUMBA_DISABLE_JIT=1) it is a normal method. Methods of one name must have the same names
-    of arguments in all classes. As numba looks up methods before fields, no field may have the name of any method.
+    The method is chosen at compile time by the class of the NamedTuple it is called on; this is how the one search loop
+    gets its rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) it is a normal method. Methods of one name
+    must have the same names of arguments in all classes. As numba looks up methods before fields, no field may have the
+    name of any method.
 
     Raises:
         TypeError: A field and a method share a name.

@@ -24,7 +24,7 @@ from .viability import POSITION, ROW, approach, box_of, narrow
 STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
 SMALL = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
 STALLED = 0.1  # [s] without progress after which an arm counts as stuck
-# Progress is a fall of the weighted error by PROGRESS within STALLED, or at PACE of the rate at full joint speed.
+# Progress: the weighted error falls by PROGRESS within STALLED, or at PACE times its rate at full joint speed.
 PROGRESS, PACE = 1e-3, 0.1
 # share of the commanded feedback that idle joints execute at most; moving joints usually execute 0.3 or more
 IDLE = 0.01
@@ -47,7 +47,7 @@ def feedback(law, h):
 
 @inner
 def stuck(law, s, limits, square, h, state):
-    """Return whether the arm is stuck before a standing target, so that this step is to be a damped descent.
+    """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped descent.
 
     Updates `state`.
 

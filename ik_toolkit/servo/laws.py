@@ -105,7 +105,7 @@ class JointMotion(NamedTuple):
     move: Array  # J^+ ahead, without the part of the error that is left to later steps
     null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates
     x1: Array  # the joint rates along which dJ/dt is evaluated
-    x2: Array  # the joint rates by which that dJ/dt is multiplied
+    x2: Array  # the joint rates by which dJ/dt along x1 is multiplied
     x: Array  # commanded rates at the end of the step
 
 

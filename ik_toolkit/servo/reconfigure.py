@@ -134,7 +134,7 @@ SHARE = 0.05
 ATTEMPT = 1e-5  # [s] duration of one attempt for an arm of six or seven joints (for two arms 8 times as long)
 ATTEMPTS = 96  # attempts in one search; if one attempt in ten succeeds, all fail in one of 25,000 searches
 RUSH = 0.02  # a search ends after this share of the duration of the best move found, because the arm is waiting
-PAUSE = 3.0  # [s] pause after a search that found nothing; it doubles after each further one while the target stands
+PAUSE = 3.0  # [s] pause after a search that found nothing; doubled after each further one while the target stands still
 LONGEST = 16.0  # [s] longest pause between searches, so that 99 % of the updates of a single arm do not search
 # [m, or rotation matrix entries] move of a standing target after which a new search need not wait for the pause
 ELSEWHERE = 0.02
@@ -145,7 +145,7 @@ ARRIVED = 0.05  # [s] time left at full joint speed at which a move ends and the
 # [s] time left at full joint speed at which a move to a standing target ends, as nothing can hinder it any more
 CLOSE = 1e-3
 FAR = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
-STANDING = 0.3  # with a standing target, a move is made once the error has cost this share of the move's own cost
+STANDING = 0.3  # if the target stands still, a move is made once the error has cost this share of the move's cost
 ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
 
 

@@ -373,7 +373,7 @@ class Run:
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
         """Combine the records `made` of a run, complete or not, into a Taken."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
-        whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave one record without its last sample.
+        whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave a Record without its last sample
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:

@@ -25,7 +25,7 @@ READ, CHECK, REFUSED = range(3)  # state of a target given to the kernel: fully 
 # results of `arrive`: accepted, to be read in full, or not finite (the last target stays)
 TAKEN, DOUBTFUL, HELD = range(3)
 STILL = 2e-3  # [m, or rotation matrix entries] largest change of a standing target in WAIT: 20 mm/s, or 0.014 rad/s
-WAIT = 0.1  # [s] time within which a target that stands may not move by more than STILL
+WAIT = 0.1  # [s] time within which a target that stands still may not move by more than STILL
 # [m/s, or rotation matrix entries per s] speed up to which a target is at rest; a reversing one is only briefly slower
 RESTS = 5e-4
 # [m, or rotation matrix entries] change between two targets that counts as a jump; a fast hand moves a fifth of it
@@ -33,7 +33,7 @@ JUMP = 0.05
 
 
 class Stand(NamedTuple):
-    """Layout of an array that says whether a target stands; STAND holds the indices.
+    """Layout of an array that says whether a target stands still; STAND holds the indices.
 
     Before its first motion a target counts as having jumped.
     """
@@ -42,7 +42,7 @@ class Stand(NamedTuple):
     leapt: int  # 1: the target jumped to its present place
     still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
     rest: int  # [s] for which the target has been at rest; a trembling target never is
-    known: int  # 1: the rest of the array holds the F poses where the target stands
+    known: int  # 1: the rest of the array holds the F poses at which the target stands still
 
 
 STAND = Stand._make(range(len(Stand._fields)))
@@ -103,7 +103,7 @@ def gap(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """Update whether the target stands: stand (5 + 16 F,), see `Stand`, from targets T (2, F, 4, 4), dt [s] apart."""
+    """Update whether the target stands still: stand (5 + 16 F,), see `Stand`; T (2, F, 4, 4): targets dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
     if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:

@@ -206,7 +206,7 @@ class Bench(NamedTuple):
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
     x1: Array  # (n,) joint rates along which dJ/dt is taken
-    x2: Array  # (n,) joint rates by which that dJ/dt is multiplied
+    x2: Array  # (n,) joint rates by which dJ/dt along x1 is multiplied
     x: Array  # (n,) rates: first those commanded, then those taken
     w: Array  # (n,) copy of the rates commanded
     g: Array  # (n,) secondary motion in the null space

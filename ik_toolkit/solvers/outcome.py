@@ -52,5 +52,5 @@ class SolveRecord(NamedTuple):
         return self.row[ANSWER + self.plan.robot.n :].reshape(-1, MISS)
 
 
-# Making a record with this function is 0.2 microseconds faster than with the class.
+# Making a SolveRecord with this function is 0.2 microseconds faster than with the class.
 make_outcome = partial(tuple.__new__, SolveRecord)

@@ -205,13 +205,13 @@ GENERAL = ROWS[0].name  # 'auto' takes this solver if no closed form fits.
 
 
 def list_rows() -> tuple[Row, ...]:
-    """Return our rows, then those of other packages."""
+    """Return the registry rows of our solvers, then those of other packages."""
     return (*ROWS, *registered().values())
 
 
 @functools.cache  # cached, because listing installed packages takes milliseconds
 def registered() -> dict[str, Row]:
-    """Return the rows of other packages by name; unusable ones are left out, with a warning that names the package."""
+    """Return the registry rows of other packages' solvers by name, without unusable ones, of which a warning tells."""
     import importlib.metadata
 
     found: dict[str, tuple[Row, str]] = {}
@@ -255,7 +255,7 @@ def _row(point: Any) -> Row:
 
 
 def find_row(solver: Any) -> Row:
-    """Return the row of a solver name, rule class or rule instance. Raises UnknownSolver with a near match."""
+    """Return the registry row of a solver name, rule class or instance. Raises UnknownSolver with a near match."""
     if isinstance(solver, str):
         if solver in BY_NAME:
             return BY_NAME[solver]
@@ -292,7 +292,7 @@ def solvers_with(parameter: str) -> str:
 
 
 def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
-    """Make an instance of the row's class with the given parameters. Raises InvalidOption for an unknown one or a bad value."""
+    """Make an instance of the class of a registry row with these parameters. Raises InvalidOption for a wrong one."""
     cls = row.load()
     fields = cls._fields
     for key, value in parameters.items():

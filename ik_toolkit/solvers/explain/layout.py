@@ -71,8 +71,8 @@ def digits(value: float, unit: str, places: int) -> str:
 def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
     """Yield equations that belong together, each as its sides in a form of `expression.written`, with their first step.
 
-    A formula is alone: symbol, formula, formula with numbers, value with unit. Given numbers without words join those
-    before.
+    A step with a formula is a chain of its own: symbol, formula, formula with numbers, value with unit. A given number
+    without words joins the given numbers before it.
     """
     # SymPy is imported here, because only explanations need it.
     from .expression import quantity, with_numbers, written
