@@ -137,7 +137,7 @@ def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
             raise InvalidOption(f"'{file}' is a folder, not a file")
         if not file.parent.is_dir():
             raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
-        for place in (file, Path(os.path.realpath(file)).parent):  # a temporary file there is renamed
+        for place in (file, Path(os.path.realpath(file)).parent):  # the folder gets a temporary file
             if place.exists() and not os.access(place, os.W_OK):
                 raise InvalidOption(f"cannot write '{file}': no permission")
         return file

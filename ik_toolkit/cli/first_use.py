@@ -17,7 +17,8 @@ from typing import Any
 from ..errors import clean
 from .output import notice
 
-WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # variables: compile and wait; second run
+# Environment variables: the user asks to compile and wait; this process is the second run, without compilation.
+WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable: this is the second or third run
 BUDGET = 2000  # largest number of evaluations of the uncompiled kernel, about 1 s
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
@@ -59,7 +60,7 @@ def kernel() -> str:
 
 @contextmanager
 def instead_of_compiling() -> Iterator[None]:
-    """Inside this context CompileNeeded is raised where a kernel would be compiled, in a process that `allow` allows."""
+    """Context: if `allow` has allowed it, CompileNeeded is raised instead of compiling a kernel."""
     _here["past"] = True
     if not _here["allowed"]:
         yield

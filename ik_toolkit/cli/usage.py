@@ -9,8 +9,10 @@ import typer.core
 
 # Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
-PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}  # other names
-SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")  # an argument as the subject
+# Arguments of the library, and the names that their options have here.
+PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}
+# Matches the name of an argument that is the subject of a sentence.
+SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")
 # Matches limits=False or tip=, but nothing in quotes, because that is what a user has typed.
 WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)")
 WIDEST = 100  # [columns] longer lines are hard to read

@@ -34,7 +34,7 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
             interactive = plt.isinteractive()
-    if interactive != plt.isinteractive():  # a notebook's backend, which the first figure loads, changes this
+    if interactive != plt.isinteractive():  # the first figure loads the backend, which may change this
         plt.ion() if interactive else plt.ioff()
 
 
