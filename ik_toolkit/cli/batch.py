@@ -40,7 +40,7 @@ class Writer:
     def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
         """Nothing is written yet."""
         self.file, self.names = file, names
-        self.table: Any = None  # the writer of CSV or Parquet rows, once a part was written
+        self.table: Any = None  # the csv.writer or ParquetWriter, once a part was written
 
     def close(self) -> None:
         """Finish the file; for most formats nothing is left to write."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.jit import cached
 
-# Half width [samples] of the moving average of ds/dt, which removes tip errors where d2s/dt2 jumps.
+# Half width [samples] of the moving average of s, ds/dt and d2s/dt2; the tip would err where d2s/dt2 jumps.
 ROUNDED = 2
 TINY = 1e-12  # a joint with |dq/ds| below this times (1 + |d2q/ds2|) does not limit the acceleration d2s/dt2
 

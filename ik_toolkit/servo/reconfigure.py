@@ -139,7 +139,7 @@ LONGEST = 16.0  # [s] longest pause between searches, so that 99 % of the update
 # [m, or rotation matrix entries] move of a standing target after which a new search need not wait for the pause
 ELSEWHERE = 0.02
 BARRED = 5  # number of postures remembered as blocked by a collision
-# [s] wanted distance from position limits, in time at full speed; what a posture lacks is added to its cost
+# [s] wanted distance from position limits, in time at full speed; what a posture lacks adds to its move's duration
 HEADROOM = 0.5
 ARRIVED = 0.05  # [s] time left at full joint speed at which a move ends and the tracker takes over
 # [s] time left at full joint speed at which a move to a standing target ends, as nothing can hinder it any more

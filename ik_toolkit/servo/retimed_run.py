@@ -65,7 +65,7 @@ class Way(NamedTuple):
     Q: np.ndarray
     avoid: float  # [1/s] gain of limit avoidance
     posture: np.ndarray  # (2, n) posture for the null-space motion, and its gain [1/s]
-    led: bool = False  # whether null-space motion and singular poses follow the path
+    led: bool = False  # whether the path leads null-space motion, also at singular poses
     sides: np.ndarray = NOWHERE  # (M + 1, n) if led: directions away from singular poses (`singular_sides`)
 
 

@@ -30,7 +30,7 @@ from .task import POSES, read_target
 # numpy has one dtype object for float64, so `is` compares it; other dtypes take the slow path.
 FLOAT = np.dtype(np.float64)
 BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
-EXACT = {  # options that closed forms support; 'auto' takes the search if any other is given
+EXACT = {  # closed forms honour or ignore these options; 'auto' takes the search if any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
     "seed", "length_scale", "limits", "q0_outside", "history", "check",
 }  # fmt: skip
