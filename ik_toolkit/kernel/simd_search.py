@@ -46,7 +46,7 @@ class Lanes(NamedTuple):
     trig: Array  # (3 n, 8) angles, sines and cosines of the joints
     goals: Array  # (12, 8) targets as `kinematics.aim` writes them
     ceiling: Array  # (1, 8) squared error above which the attempt is given up in this iteration
-    decay: Array  # (1, 8) factor on that squared error in every iteration
+    decay: Array  # (1, 8) factor of the give-up bound `ceiling` per iteration
     age: Array  # (1, 8) evaluations in this attempt
     spent: Array  # (1, 8) evaluations in all attempts at this target
     pp: Array  # (1, 8) squared position error of the last evaluation

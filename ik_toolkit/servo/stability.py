@@ -41,7 +41,7 @@ GAMMA = 0.6  # default of method aad; its eigenvalue is then 1 - 1/gamma = -2/3
 WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains whose default does not depend on the sample time
 BORDER = 1e-9  # gains within this relative distance of the stability border are called marginal
 
-# The best gains have the smallest spectral radius. In method cv a complex eigenvalue pair turns real at k = 2/3.
+# The best gains have the smallest spectral radius. In method cv a complex eigenvalue pair turns real at kappa h = 2/3.
 # In method ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
 BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0

@@ -84,7 +84,7 @@ def recognise(chain: Chain) -> Fit:
         off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
     for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
         off.append((np.linalg.norm(np.cross(a, b)), f"its revolute joints {pair} are not parallel"))
-    # The shoulder is the foot on axis 1 of joint 3's axis; axes 3 and 4 must pass through it.
+    # The shoulder is the origin of joint 3 projected onto axis 1; axes 3 and 4 must pass through it.
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         missed = np.linalg.norm(across(z, c - shoulder)) / chain.reach
