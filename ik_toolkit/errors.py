@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-COMPARED = 1_000  # most names that a misspelled one is compared with, as each comparison takes up to 50 us
-SHOWN = 100  # most characters of a name that are compared and shown, as the time to compare grows with their square
+COMPARED = 1_000  # largest number of names that a misspelled one is compared with (up to 50 us each)
+SHOWN = 100  # longest name [characters] that is compared or shown in full; comparing takes quadratic time
 # Characters that a terminal acts on instead of showing them: control characters but tab and newline, and bidirectional marks.
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
-FAR_AWAY = 50.0  # reaches; targets farther away are more often in millimetres
-FEW_TURNS = 4.0 * math.pi  # rad, a larger angle was more probably given in degrees than meant as turns
-DOUBTED: set[str] = set()  # angles that a warning was given for, so that it is not repeated
+FAR_AWAY = 50.0  # [arm reaches] a target farther away was probably given in millimetres
+FEW_TURNS = 4.0 * math.pi  # [rad] a larger angle was probably given in degrees
+DOUBTED: set[str] = set()  # angles and lengths already warned about, so that no warning is repeated
 # A requirement of an extra in the metadata of a package, such as: scipy>=1.10; extra == "tune".
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
@@ -156,7 +156,7 @@ def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "
 def whole(value: Any, what: str, least: int = 1) -> int:
     """Return a whole number as an int, also if it is a float such as 3.0.
 
-    Raises InvalidOption, "WHAT must be ..., not VALUE", if it is none or less than `least`.
+    Raises InvalidOption, "WHAT must be ..., not VALUE", if it is no whole number or less than `least`.
     """
     what = f"{what} must be a whole number of at least {least}"
     number = floats(value, what, InvalidOption)
@@ -186,8 +186,8 @@ def masked(value: Any) -> bool:
 def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
     """Warn that large angles may have been meant in degrees.
 
-    The warning comes once for each joint of one `what`, which may be given in a loop, and once for each value of a joint, which
-    may be passed on under several names.
+    It warns once for each `what` and joint, even in a loop, and once for each value of a joint, even if that is passed
+    on under another `what`.
 
     Args:
         what: What the angles are, for the message.
@@ -207,7 +207,7 @@ def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
 
 
 def doubt_lengths(what: str, away: float, reach: float) -> None:
-    """Warn, once for one `what`, that lengths [m] beyond FAR_AWAY reaches may have been meant in millimetres."""
+    """Warn, once for one `what`, that lengths [m] beyond FAR_AWAY arm reaches may have been meant in millimetres."""
     if away > FAR_AWAY * reach and what not in DOUBTED:
         DOUBTED.add(what)
         logging.getLogger("ik_toolkit").warning(

@@ -18,14 +18,14 @@ from typing import Any, BinaryIO
 
 from .errors import IKError, InvalidOption
 
-PARTIAL = ".partial"  # suffix for an incomplete result
-FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginnings of what a spreadsheet runs, also marked as text
-# Largest arrays of a file together [bytes]: the first, and the second for each byte of the file; poses compress to a fifth at best.
+PARTIAL = ".partial"  # suffix of the file that keeps an incomplete result
+FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginning of a cell that a spreadsheet would run, also after quotes
+# The arrays of a file may take UNPACKED bytes, plus EXPANSION times the file's size; poses compress to a fifth at best.
 UNPACKED, EXPANSION = 2**26, 20
-NAMES = 2**18  # bytes of an array of names
-NUMBERS, TEXTS = "fiu", "U"  # kinds of dtype that are read as numbers, and as names
-HEADER = 2**16  # bytes of an array's header, which numpy takes into memory before it looks at it
-JSON_BYTES = 20_000_000  # lists take up to 20 times as much, and a second for 5 MB
+NAMES = 2**18  # largest array of names [bytes]
+NUMBERS, TEXTS = "fiu", "U"  # kinds of numpy dtype that are accepted as numbers, and as names
+HEADER = 2**16  # largest header of an array [bytes], because numpy reads it before any check
+JSON_BYTES = 20_000_000  # largest JSON file [bytes]; reading takes 20 times as much memory, and 4 s
 
 
 def as_path(value: Any, what: str = "it") -> Path:
@@ -44,7 +44,7 @@ class WholeFile:
     def __init__(self, path: str | Path) -> None:
         """Open a temporary file beside `path`, or the device or pipe itself. Raises OSError."""
         self.path = Path(path)
-        place = Path(os.path.realpath(path))  # a symbolic link stays one
+        place = Path(os.path.realpath(path))  # a symbolic link is kept, and the file it points to replaced
         self._place = place if place.is_file() or not place.exists() else None
         self.part = place if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
         self._good = 0
@@ -87,7 +87,7 @@ class WholeFile:
             return None
         kept = self.path.with_name(self.path.name + suffix)
         try:
-            self.stream.close()  # on a full disk this fails again, on the part that is cut off below
+            self.stream.close()  # on a full disk this fails again; the incomplete rest is cut off below
         except OSError:
             pass
         try:
@@ -138,14 +138,14 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
 def inert(text: str) -> str:
     """Return text for a cell of a CSV file, with a quote in front if a spreadsheet would run it as a formula."""
     try:
-        float(text)  # -0.5 is a number
+        float(text)  # a number such as -0.5 is no formula
     except ValueError:
         return f"'{text}" if FORMULA.match(text) else text
     return text
 
 
 def without_mark(text: str) -> str:
-    """Return the text that `inert` made a cell of."""
+    """Return the original text of a cell that `inert` wrote."""
     return text[1:] if text.startswith("'") and FORMULA.match(text) else text
 
 
@@ -171,11 +171,11 @@ def read_json(path: Path, error: type[IKError]) -> Any:
 def check_arrays(path: Path, names: Iterable[str], texts: Iterable[str], error: type[IKError]) -> None:
     """Check the headers of an NPZ file before any array of it is read. Raises `error`, which names the file and the array.
 
-    Of the arrays called `names`, those in `texts` have names, all others real numbers (no dates, complex numbers, truth
+    Of the arrays called `names`, those in `texts` hold text, all others real numbers (no dates, complex numbers, truth
     values or objects). None may be larger than its data, and together they may take no more than a file of this size
     can hold.
     """
-    import numpy as np  # keeps `ik --help` light
+    import numpy as np  # imported here so that `ik --help` stays fast
 
     packed, together = path.stat().st_size, 0
     with zipfile.ZipFile(path) as archive:

@@ -9,12 +9,12 @@ from .errors import ReadOnlyAttribute
 class ReadOnly:
     """Base of objects whose public attributes cannot be assigned once they are sealed.
 
-    An assignment would have no effect on what was made from the attribute before. Names with an underscore stay free.
+    What was made from the attribute earlier would not change. Names with an underscore can still be assigned.
     """
 
     __slots__ = ()
-    _LOOSE: ClassVar[tuple[str, ...]] = ()  # public names that stay free, too
-    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}  # what to do instead, by name; "" is for all others
+    _LOOSE: ClassVar[tuple[str, ...]] = ()  # public names that can still be assigned
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}  # advice in the error, by name
     _sealed = False
 
     def _seal(self) -> None:

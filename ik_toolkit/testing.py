@@ -26,12 +26,12 @@ from .solvers.solve import Solver
 from .solvers.status import Status
 
 KINDS = ("pose", "position")
-# Tolerances [m] and [rad] that slow methods reach, too.
+# Tolerances [m] and [rad] wide enough for slow methods too.
 LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}
-SAMPLES = 8  # number of targets for a clause, as most faults show at the first one
-SHORT = 20  # characters, fewer than a proper sentence has
-ROUNDING = 1e-9  # m, largest difference of kernel and Pinocchio, which sum the same chain in a different order
-ANGLE_ROUNDING = 1e-7  # rad, the same of angles: that of a matrix near the identity has half the digits of its entries
+SAMPLES = 8  # number of targets that a promise is tested with; most faults show at the first one
+SHORT = 20  # a message with fewer characters is no proper sentence
+ROUNDING = 1e-9  # [m] largest difference between kernel and Pinocchio, which sum a chain in different orders
+ANGLE_ROUNDING = 1e-7  # [rad] largest difference of angles; near the identity an angle has half the digits
 
 
 def default_robots() -> list[Any]:
@@ -131,7 +131,7 @@ class Case:
         return {arm.tip: arm.fk(np.asarray(q)[place]).homogeneous for arm, place in arms}
 
     def left(self, q: np.ndarray, target: Any) -> tuple[float, float | None]:
-        """Return the largest position error [m] and rotation error [rad] of all tips at q; the latter is None for positions."""
+        """Return the largest position error [m] and rotation error [rad] at q; the latter is None for positions."""
         wanted = target if isinstance(target, dict) else {self.robot.tips[0]: target}
         errors = [_error(T, np.asarray(wanted[tip])) for tip, T in self.poses(q).items()]
         angles = [angle for _, angle in errors if angle is not None]

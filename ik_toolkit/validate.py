@@ -8,14 +8,14 @@ import numpy as np
 
 from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 
-LATE = 5.0  # longest step, over the first one, in which joint limits can be kept; a longer one is taken in parts
-MOST_PARTS = 100_000  # most parts of a step, which already take some seconds
-# Values of options that only one function takes, which an error message can name.
+LATE = 5.0  # longest step that keeps joint limits, over the first step; longer ones are taken in parts
+MOST_PARTS = 100_000  # largest number of parts of a step; so many take some seconds
+# Values of options that only one function takes; an error message elsewhere names that function.
 ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
 
 
 def number(value: Any, name: str) -> float:
-    """Return a value as a finite float. Raises InvalidOption, which names the argument, if it is none."""
+    """Return a value as a finite float. Raises InvalidOption, which names the argument, if it is not finite."""
     array = floats(value, f"{name} must be a number", InvalidOption)
     if array.ndim or not math.isfinite(array):
         raise InvalidOption(f"{name} must be a finite number, not {value!r:.60}")
@@ -23,7 +23,7 @@ def number(value: Any, name: str) -> float:
 
 
 def positive(value: Any, name: str) -> float:
-    """Return a value as a positive, finite float. Raises InvalidOption, which names the argument, if it is none."""
+    """Return a value as a positive, finite float. Raises InvalidOption, which names the argument, if it is not."""
     # A float is checked faster, once in every control step.
     found = value if type(value) is float else number(value, name)
     if not 0.0 < found < math.inf:
@@ -68,7 +68,7 @@ def rates(robot: Any, rate0: Any) -> np.ndarray:
 
 def solver_list(solvers: Any) -> list[Any]:
     """Return one solver or several (names, classes or instances) as a list. Raises InvalidOption for anything else."""
-    # An instance of a rule is a tuple, but one solver.
+    # A rule instance is a tuple (NamedTuple), but counts as one solver.
     if isinstance(solvers, str | type) or hasattr(type(solvers), "loop"):
         return [solvers]
     if not isinstance(solvers, Iterable):

@@ -33,7 +33,7 @@ MODULES = (
     "files",
     "view",
     "doctor",
-)  # a new module of commands is named here
+)  # list every module of commands here
 NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED, TERMINATED = 1, 2, 3, 70, 130, 143
 
 
@@ -67,7 +67,7 @@ def application() -> typer.Typer:
     return app
 
 
-@functools.cache  # 30 ms, which a process that calls `main` more than once spends once
+@functools.cache  # building takes 30 ms, so a process that calls `main` repeatedly builds once
 def _command() -> Any:
     """Return the command line as click runs it."""
     return typer.main.get_command(application())
@@ -97,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _stopped(came)
     except Exception as error:
-        if came:  # where a KeyboardInterrupt was dropped, what follows may fail
+        if came:  # after a dropped KeyboardInterrupt anything may fail
             return _stopped(came)
         if debug:
             raise
@@ -124,7 +124,7 @@ def _explain(error: Exception) -> tuple[str, int]:
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "ik"
         option = getattr(error, "option_name", None)
-        if context and option and not getattr(error, "possibilities", True):  # none is near by its letters
+        if context and option and not getattr(error, "possibilities", True):  # click found no similar option
             names = [name for parameter in context.command.params for name in parameter.opts]
             error.possibilities = [one for one in names if sorted(one.split("-")) == sorted(option.split("-"))]  # type: ignore[attr-defined]
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]

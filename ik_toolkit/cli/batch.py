@@ -35,15 +35,15 @@ def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 class Writer:
-    """What writes the parts of a batch to `file`; joints are called `names`."""
+    """Base of the writers of a batch's parts to `file`; `names` are the joint names."""
 
     def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
         """Nothing is written yet."""
         self.file, self.names = file, names
-        self.table: Any = None  # from the first part on, where a file has one
+        self.table: Any = None  # the csv.writer or ParquetWriter, once a part was written
 
     def close(self) -> None:
-        """Write what is still missing: nothing."""
+        """Finish the file; for most formats nothing is left to write."""
 
 
 class CsvWriter(Writer):
@@ -62,7 +62,7 @@ class CsvWriter(Writer):
 
 
 class NpzWriter(Writer):
-    """Writes the one part of a batch that is in memory, and of several tips their names in order."""
+    """Writes a batch as one part to an NPZ file, with the names of several tips in order."""
 
     def add(self, part: BatchResult) -> None:
         """Write the arrays."""
@@ -119,7 +119,7 @@ class Solutions:
 
     def add(self, part: BatchResult) -> None:
         """Append a part."""
-        with self.file.named():  # errors of numpy and pyarrow name no file
+        with self.file.named():  # errors of numpy and pyarrow do not name the file
             self.writer.add(part)
         self.count += len(part)
 
@@ -146,7 +146,7 @@ class Solutions:
     def _keep(self) -> None:
         try:
             self.writer.close()
-        except OSError:  # the disk was full before; rows written completely are kept
+        except OSError:  # the disk is full; rows written completely are kept
             pass
         kept = self.file.keep(PARTIAL)
         if kept is not None:

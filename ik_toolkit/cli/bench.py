@@ -16,7 +16,7 @@ COLUMNS = ("one attempt\n%, 95 %", "\nus", "with restarts\n%, 95 %", "\nus", "\n
 
 @options()
 class BenchOptions:
-    """Which robots, solvers and targets."""
+    """Options for robots, solvers and targets."""
 
     robots: list[str] | None = argument("ROBOT", "Names or URDF files; default hydrolek_7w.", default=None)
     solvers: list[str] | None = option(
@@ -41,7 +41,7 @@ class BenchOptions:
 
 @options("Output")
 class BenchOutput:
-    """What is printed, written and drawn."""
+    """Options for what is printed, written and drawn."""
 
     plot: Path | None = option("FILE", "Draw targets solved against time to a .png, .pdf or .svg file.", writes=PLOTS)
     csv_file: Path | None = same(TableOutput, "csv_file")

@@ -16,11 +16,11 @@ from ..errors import IKError, InvalidOption, MissingExtra
 from ..text import numbers
 from .usage import UsageError, help_text, in_flags
 
-TIP = ("--tip", "--ee")  # two names of one option
-TARGET = ("xyz", "matrix")  # options that give a whole target
+TIP = ("--tip", "--ee")  # both names of the option for a tip
+TARGET = ("xyz", "matrix")  # options that each give a whole target
 MANY = "for many targets of one tip use ik solve --targets FILE, or ik path --poses FILE for one motion through them"
 PLOTS = (".png", ".pdf", ".svg")
-REQUIRED = MISSING  # default of an option or an argument that has to be given
+REQUIRED = MISSING  # default that makes an option or argument mandatory
 Record = TypeVar("Record")
 
 
@@ -33,28 +33,28 @@ def option(
     panel: str | None = None,
     writes: Sequence[str] | None = None,
 ) -> Any:
-    """Field of a record that is an option with a value; its name is the field's where none is given.
+    """Return a dataclass field for an option with a value, which is named after the field unless `names` are given.
 
     A metavar of several words or numbers, as X Y Z, makes it take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and
-    `--q "0.1 -0.2"` mean the same. panel: the group of the help, if not its record's. writes: it names a file to write, which
-    ends in one of these suffixes (none: in anything).
+    `--q "0.1 -0.2"` mean the same. panel: the group in the help, by default the class's. writes: suffixes of the file
+    that the option names and `ik` writes; an empty list allows any.
     """
     check = None if writes is None else writable(*writes)
     return _field(default, typer.Option(*names, metavar=metavar, help=meaning, rich_help_panel=panel, callback=check))
 
 
 def flag(name: str, meaning: str, default: bool = False, panel: str | None = None, hidden: bool = False) -> Any:
-    """Field of a record that is an option without a value: --name, or --name/--no-name where it can be taken back."""
+    """Return a dataclass field for an option without a value: --name, or --name/--no-name if it can be negated."""
     return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden))
 
 
 def argument(metavar: str, meaning: str, default: Any = REQUIRED) -> Any:
-    """Field of a record that is an argument."""
+    """Return a dataclass field for a positional argument."""
     return _field(default, typer.Argument(metavar=metavar, help=meaning))
 
 
 def same(record: Any, name: str, default: Any = REQUIRED) -> Any:
-    """Field of a record that is the option of this name of another record, with its default or another one."""
+    """Return a dataclass field that repeats an option of another class, with the same default or another one."""
     (one,) = (one for one in fields(record) if one.name == name)
     return field(default=one.default if default is REQUIRED else default, metadata=one.metadata)
 
@@ -65,13 +65,13 @@ def _field(default: Any, info: Any) -> Any:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
 def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
-    """Make a class a frozen record of options, shown in this group of the help where a field does not name another.
+    """Make a class a frozen dataclass of options, shown under `panel` in the help unless a field names another group.
 
-    A record that inherits from another leaves out an option of it by a field of that name that is plain None.
+    A subclass leaves out an inherited option by setting a field of that name to plain None.
     """
 
     def make(cls: Any) -> Any:
-        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # what is not made here costs no time
+        made = dataclass(frozen=True, kw_only=True, eq=False, repr=False)(cls)  # making eq and repr takes time
         for one in _declared(made):
             info = one.metadata["info"]
             info.rich_help_panel = info.rich_help_panel or panel or "Options"
@@ -86,9 +86,10 @@ def _declared(record: Any) -> list[Any]:
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
-    """Make a function that takes records a command of `ik`: it is called with those that a command line comes to.
+    """Make a function whose arguments are classes of options a command of `ik`, called with the options given.
 
-    The help shows the options in the order of the records and their fields, then the function's docstring's examples.
+    The help shows the options in the order of the classes and their fields, then the examples of the function's
+    docstring.
     """
     records = get_type_hints(function)
     records.pop("return", None)
@@ -114,16 +115,16 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def add_commands(app: typer.Typer, module: Any) -> None:
-    """Add the commands of a module to a program."""
+    """Add the commands of a module to the command line program."""
     for one in vars(module).values():
         if getattr(one, "is_command", False) and one.__module__ == module.__name__:
-            said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")  # -OO leaves out docstrings
+            said, _, examples = (inspect.getdoc(one) or "").partition("\n\nExamples:\n")  # None under python -OO
             app.command(cls=Command, help=said, epilog=inspect.cleandoc(examples))(one)
 
 
 # --------------------------------------------------------------------------------------------------------------- files
 def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
-    """A function that returns a file to write, or None, unchanged, and reports foreseeable mistakes before the work starts."""
+    """Return a check of an output path that reports foreseeable mistakes before the work starts."""
 
     def check(file: Path | None) -> Path | None:
         if file is None:
@@ -136,7 +137,7 @@ def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
             raise InvalidOption(f"'{file}' is a folder, not a file")
         if not file.parent.is_dir():
             raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
-        for place in (file, Path(os.path.realpath(file)).parent):  # it is written next to its place and renamed
+        for place in (file, Path(os.path.realpath(file)).parent):  # the folder gets a temporary file
             if place.exists() and not os.access(place, os.W_OK):
                 raise InvalidOption(f"cannot write '{file}': no permission")
         return file
@@ -163,7 +164,7 @@ class Command(typer.core.TyperCommand):
         if "--group" in given and given.intersection(TIP):
             raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
         tips = sum(word.partition("=")[0] in TIP for word in args)
-        if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):  # the last would count
+        if tips > 1 and any(one.name == "tip" and not one.multiple for one in self.params):  # only the last would count
             raise InvalidOption(
                 f"{ctx.command_path} takes one tip and {' or '.join(TIP)} names {tips}; choose one of them"
             )
@@ -190,7 +191,7 @@ class Command(typer.core.TyperCommand):
             for word in value if isinstance(value, list | tuple) else [value]:
                 if not isinstance(word, str | Path) or any(word is output for output in written):
                     continue
-                read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # SOLVER=PRESET
+                read = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # the FILE of SOLVER=FILE
                 for output in written:
                     if os.path.isfile(read) and _same_file(output, read):
                         raise InvalidOption(
@@ -210,7 +211,7 @@ def _joined(words: Sequence[str], several: set[str]) -> list[str]:
     for position, word in enumerate(words):
         if word == "--":
             return [*joined, *words[position:]]
-        if collecting and joined[-1].endswith("="):  # the first of them, which may begin with TIP:
+        if collecting and joined[-1].endswith("="):  # the first number, which may follow "TIP:"
             joined[-1] += word
             continue
         if collecting and numbers(word):

@@ -20,13 +20,13 @@ from .output import notice, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}
-ROOM = 2**21  # bytes; the largest kernel takes less
-DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras that users do not need
+ROOM = 2**21  # [bytes] free space needed; the largest kernel takes less
+DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras for developers only
 
 
 @options()
 class DoctorOptions(JsonOutput):
-    """What is done beside checking."""
+    """Options of `ik doctor` beyond checking."""
 
     prepare: bool = flag("--prepare", "Compile what the default solvers need now; about half a minute, once.")
     background: bool = flag("--background", "", hidden=True)
@@ -141,7 +141,7 @@ def _cache() -> dict[str, Any]:
         from ..kernel.chain import forward_kinematics
 
         folder, broken = damaged(forward_kinematics)
-    except Exception as error:  # a broken installation: the rows above say which part
+    except Exception as error:  # the installation is broken; the rows above say which part
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
         why = getattr(getattr(forward_kinematics, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")

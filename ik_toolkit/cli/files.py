@@ -13,25 +13,25 @@ from .command import argument, command, flag, option, options, same
 from .options import JsonOutput, RobotOptions, assignments
 from .output import notice, progress, show, table, write_json
 
-SHOWN = 3  # meshes that are not found and named
+SHOWN = 3  # number of missing meshes that a message names
 
 
 @options("Robot")
 class FileOptions(JsonOutput):
-    """How a description is read."""
+    """Options for how a robot description is read."""
 
     package_dir: list[str] | None = same(RobotOptions, "package_dir")
     xacro_arg: list[str] | None = same(RobotOptions, "xacro_arg")
 
     def read(self, *more: Any) -> dict[str, Any]:
-        """Options of what reads a description; more: folders to search after those of --package-dir."""
+        """Return the options for reading a description; more: folders to search after those of --package-dir."""
         arguments = assignments(self.xacro_arg, "--xacro-arg", ":=") or None
         return {"package_dirs": [*(self.package_dir or ()), *more], "xacro_args": arguments}
 
 
 @options()
 class DhOptions(JsonOutput):
-    """The table and where the URDF goes."""
+    """Options for the D-H table and the file of the URDF."""
 
     table: str = argument("TABLE", "D-H table, a .toml or .csv file.")
     output: Path | None = option("FILE", "Write the URDF to a file instead of stdout.", "-o", "--output", writes=[])
@@ -39,7 +39,7 @@ class DhOptions(JsonOutput):
 
 @options()
 class ConvertOptions(FileOptions):
-    """The robot and where its URDF goes."""
+    """Options for the robot and the file of its URDF."""
 
     robot: str = same(RobotOptions, "robot")
     output: Path | None = same(DhOptions, "output")
@@ -47,7 +47,7 @@ class ConvertOptions(FileOptions):
 
 @options()
 class CheckOptions(FileOptions):
-    """The file and what is asked about it."""
+    """Options for the file and what is checked in it."""
 
     urdf: str = argument("URDF", "Path of a URDF, xacro or MJCF file, or a robot's name.")
     sampled: bool = flag(
@@ -83,7 +83,7 @@ def _print(asked: Any, text: str, payload: dict[str, Any]) -> None:
     if asked.as_json:
         write_json({**payload, "urdf": text}, True)
     elif asked.output is None:
-        print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # the same XML, for a terminal
+        print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # safe for a terminal
 
 
 @command
@@ -190,7 +190,7 @@ def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
         held = carried(model, tip)
         try:
             robot = Robot(model, tip=tip, base=held[1] if held else None, urdf=text)
-        except IKError:  # several ends and none named: no single arm to describe
+        except IKError:  # several tips and none chosen: no single arm to describe
             continue
         if describe_fit(robot):
             found[robot.tip] = describe_fit(robot)

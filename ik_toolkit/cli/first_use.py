@@ -17,17 +17,18 @@ from typing import Any
 from ..errors import clean
 from .output import notice
 
-WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # environment: compile and wait; this is the second run
-AGAIN = "IK_TOOLKIT_AGAIN"  # environment: this is the second or third run
-BUDGET = 2000  # evaluations of the uncompiled kernel, about a second's worth
+# Environment variables: the user asks to compile and wait; this process is the second run, without compilation.
+WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
+AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable: this is the second or third run
+BUDGET = 2000  # largest number of evaluations of the uncompiled kernel, about 1 s
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
-LOCK, LOG = "compiling.lock", "compiling.log"  # next to the kernels
-BEGUN = "compiling.begun"  # there while a process compiles in the background, and after it died
+LOCK, LOG = "compiling.lock", "compiling.log"  # files in the folder of compiled kernels
+BEGUN = "compiling.begun"  # exists while a process compiles in the background, and after it has died
 _here = {"allowed": False, "past": False}
 
 
 class CompileNeeded(Exception):
-    """Something is about to be compiled. folder: where it would be kept, or None."""
+    """A kernel must be compiled first. folder: where it would be kept, or None."""
 
     def __init__(self, folder: Path | None) -> None:
         """Keep the folder."""
@@ -41,17 +42,17 @@ class _Stop(logging.Handler):
 
 
 def allow() -> None:
-    """Allow this process to be run again: it is the command itself, was not asked to wait, and is not a build machine."""
+    """Allow this process to run again uncompiled, unless the environment asks to wait or names a build machine (CI)."""
     _here["allowed"] = not any(os.environ.get(name) for name in (WAIT, INTERPRETED, "CI", "NUMBA_DISABLE_JIT"))
 
 
 def budget() -> int | None:
-    """Evaluations that a run without compilation may make; None in any other."""
+    """Return how many evaluations a run without compilation may make; None in any other run."""
     return BUDGET if os.environ.get(INTERPRETED) else None
 
 
 def kernel() -> str:
-    """Which kernel answers here: "compiled" or "interpreted"."""
+    """Return which kernel this process uses: "compiled" or "interpreted"."""
     from numba import config
 
     return "interpreted" if config.DISABLE_JIT else "compiled"  # type: ignore[attr-defined]
@@ -59,7 +60,7 @@ def kernel() -> str:
 
 @contextmanager
 def instead_of_compiling() -> Iterator[None]:
-    """Inside this context CompileNeeded is raised where a kernel would be compiled, in a process that `allow` allows."""
+    """Context: if `allow` has allowed it, CompileNeeded is raised instead of compiling a kernel."""
     _here["past"] = True
     if not _here["allowed"]:
         yield
@@ -73,7 +74,7 @@ def instead_of_compiling() -> Iterator[None]:
 
 
 def said_before() -> bool:
-    """Whether this is a later run that has not yet passed the point where the first stopped, which has shown these notices."""
+    """Return whether the first run has shown these notices: it stopped at a point that this run has not reached."""
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 
@@ -82,7 +83,7 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
 
     came: signals that have raised KeyboardInterrupt.
     """
-    # The module path of this process, not the current folder in front of it as `-m` has: files there must not be run.
+    # Modules are searched as in this process; `-m` would also search the current folder, whose files must not be run.
     start = f"import sys; sys.path[:] = {sys.path!r}; from ik_toolkit.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", start]
     waiting = {**os.environ, WAIT: "1"}
@@ -90,14 +91,14 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
     code = _run([*command, *arguments], without, came)
     if code == NOT_ANSWERED:
         return _run([*command, *arguments], {**waiting, AGAIN: "1"}, came)
-    if code not in (0, 1):  # a mistake or an interruption, already explained
+    if code not in (0, 1):  # the run has already explained its failure
         return code
     if folder is None:
         notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
         return code
     from ..compile.cache import folder as common
 
-    folder = common() or folder  # the log is there, whichever function was missing: closed forms are kept elsewhere
+    folder = common() or folder  # the log's folder, also for closed forms, which are kept elsewhere
     if why := died(folder):
         notice(f"solved without compiled code: {why}")
         return code
@@ -122,20 +123,20 @@ def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int
             return process.wait()
         except KeyboardInterrupt:
             try:
-                process.wait(1.0)  # Ctrl-C in a terminal reaches it as well
+                process.wait(1.0)  # Ctrl-C in a terminal reaches the child as well
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGTERM if signal.SIGTERM in came else signal.SIGINT)
             code = process.wait()
-            if code < 0:  # ended before it could report anything
+            if code < 0:  # a signal ended it before it could report anything
                 raise
             return code
 
 
 @contextmanager
 def only_one(folder: Path) -> Iterator[bool]:
-    """Context that tells whether no other process compiles in the background, and claims that role. Lowers the priority.
+    """Context: tell whether no other process compiles in the background, claim that role, and lower the priority.
 
-    Ended by an error, or dead, it leaves behind what `died` sees; stopped by a signal it does not.
+    A process that ends by an error or dies leaves a file that `died` finds; one stopped by a signal does not.
     """
     os.nice(19)
     folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +176,7 @@ def _versions() -> str:
 
 
 def compiling(folder: Path) -> bool:
-    """Whether a process compiles in the background."""
+    """Return whether a process compiles in the background."""
     try:
         with open(folder / LOCK) as lock:
             return not _lock(lock)
@@ -184,7 +185,7 @@ def compiling(folder: Path) -> bool:
 
 
 def died(folder: Path) -> str:
-    """What became of a process that compiled in the background with these versions and died; '' when none did."""
+    """Return how a background compilation with these versions died, as text; '' if none did."""
     try:
         if compiling(folder) or (folder / BEGUN).read_text() != _versions():
             return ""
@@ -197,5 +198,5 @@ def died(folder: Path) -> str:
 
 
 def forget(folder: Path) -> None:
-    """What was to be compiled is there, or was not to be."""
+    """Remove the mark of an unfinished compilation."""
     (folder / BEGUN).unlink(missing_ok=True)

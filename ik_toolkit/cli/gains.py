@@ -16,14 +16,14 @@ GAINS = ("kappa", "kp", "kd")
 
 @options()
 class GainsOptions(PathOptions):
-    """The gains, and where they are judged."""
+    """Options for the gains and where they are judged."""
 
     path: str | None = option("SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: at rest alone.")
 
 
 @options()
 class LateOptions:
-    """Joints that are measured late, where they are fed back directly."""
+    """Options for joints that are measured late and fed back directly."""
 
     delay: float = option("N", "Age of measured joints that are fed back directly [samples].", default=0.0)
     noise: float | None = option("RAD", "RMS noise of the measured joints [rad or m].")

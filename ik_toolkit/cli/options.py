@@ -10,7 +10,7 @@ from ..text import numbers, vector
 from .command import TIP, argument, flag, option, options
 from .output import turns
 
-OBSTACLES = {  # numbers of an obstacle, and how many of them are its size
+OBSTACLES = {  # numbers that describe an obstacle, and how many of them are sizes
     "box": ("x,y,z,sx,sy,sz[,roll,pitch,yaw]", 3),
     "sphere": ("x,y,z,radius", 1),
     "cylinder": ("x,y,z,radius,length[,roll,pitch,yaw]", 2),
@@ -20,28 +20,28 @@ OBSTACLES = {  # numbers of an obstacle, and how many of them are its size
 # -------------------------------------------------------------------------------------------------------------- output
 @options("Output")
 class JsonOutput:
-    """What is printed."""
+    """Options for what is printed."""
 
     as_json: bool = flag("--json", "Print one JSON object, always in metres and radians.")
 
 
 @options("Output")
 class TableOutput(JsonOutput):
-    """What is printed, and a table that is written."""
+    """Options for what is printed, and for a table."""
 
     csv_file: Path | None = option("FILE", "Write the table to a .csv.", "--csv", writes=[".csv"])
 
 
 @options("Output")
 class ObjectOutput(JsonOutput):
-    """What is printed and written."""
+    """Options for what is printed and written."""
 
     output: Path | None = option("FILE", "Also write the JSON object to a file.", "-o", "--output", writes=[])
 
 
 @options("Output")
 class SceneOutput(JsonOutput):
-    """What is printed and shown in 3-D."""
+    """Options for what is printed and shown in 3-D."""
 
     html: Path | None = option(
         "FILE", "Write the scene as one HTML file that needs no network.", "--html", writes=[".html", ".htm"]
@@ -52,7 +52,7 @@ class SceneOutput(JsonOutput):
 # --------------------------------------------------------------------------------------------------------------- robot
 @options("Robot")
 class RobotOptions:
-    """Which robot, which tips, how it stands and how its description is read."""
+    """Options for the robot: which one, its tips, its base, and how its description is read."""
 
     robot: str = argument("ROBOT", "Robot name (see ik robots), or path of a URDF, xacro or MJCF file.")
     tip: list[str] | None = option(
@@ -76,7 +76,7 @@ class RobotOptions:
 
     @property
     def tips(self) -> str | list[str] | None:
-        """The tip of a Robot, or the tips of a Tree, where several are given."""
+        """Return the tip of a Robot, or a list of tips for a Tree if several are given."""
         return self.tip[0] if self.tip and len(self.tip) == 1 else self.tip or None
 
     def load(self, tips: str | list[str] | None, limits: bool = True) -> Any:
@@ -143,7 +143,7 @@ class RobotOptions:
     def choose_tips(
         self, given: Any = None, relative: dict[str, str] | None = None, one: bool = False
     ) -> str | list[str] | None:
-        """Tip of a Robot, or the tips of a Tree: those of --tip, else the robot's own, else those with a target.
+        """Return the tip of a Robot or the tips of a Tree: of --tip, or the robot's own, or those with a target.
 
         given: targets by tip, None where there is no --target; relative: --relative; one: whether one target without a tip is
         given. With --group, whose tips `load` takes, of a Robot where None is returned and there is one. Raises InvalidOption.
@@ -176,26 +176,26 @@ class RobotOptions:
 
 @options()
 class WholeRobot(RobotOptions):
-    """The robot with the limits that it has."""
+    """Options for a robot whose joint limits cannot be narrowed."""
 
     limit: None = None
 
 
 @options("Robot")
 class OneTip(WholeRobot):
-    """The robot up to one tip."""
+    """Options for a robot with one tip."""
 
     tip: str | None = option("FRAME", "Tip: a frame, link or joint; default: guessed from its name and reported.", *TIP)
 
 
 def slides(robot: Any, joint: str) -> bool:
-    """Whether a joint of the model (on the path or not) is prismatic."""
+    """Return whether any joint of the model (on the path to the tip or not) is prismatic."""
     model = robot.model
     return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")
 
 
 def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
-    """Joint values (n,) [rad or m] of an option, or of the configuration it names; None where it is not given.
+    """Return joint values (n,) [rad or m] of an option, or of the configuration it names; None if it is not given.
 
     Values of revolute joints are in degrees when `deg`.
     """
@@ -216,7 +216,7 @@ def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
 
 
 def solver_named(text: str) -> Any:
-    """A solver's name unchanged, or the class of FILE.py:CLASS. Raises InvalidOption."""
+    """Return a solver's name unchanged, or for FILE.py:CLASS the class. Raises InvalidOption."""
     from ..solvers.registry import is_solver_file, solver_from_file
 
     return solver_from_file(text) if is_solver_file(text) else text
@@ -227,7 +227,7 @@ def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict
     split = {}
     for pair in pairs or ():
         key, equals, value = pair.partition(mark)
-        if not (key and equals and (value or mark == ":=")):  # xacro's prefixes and suffixes are often empty
+        if not (key and equals and (value or mark == ":=")):  # xacro arguments (:=) such as prefixes are often empty
             raise InvalidOption(f"{name} takes NAME{mark}VALUE, not '{pair}'")
         split[key.strip()] = value.strip()
     return split
@@ -235,13 +235,13 @@ def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict
 
 # ------------------------------------------------------------------------------------------------ tolerances, obstacles
 def given(record: Any) -> dict[str, Any]:
-    """Options of a record by name, only those given."""
+    """Return those options of a class of options that were given, by name."""
     return {name: value for name, value in vars(record).items() if value is not None}
 
 
 @options("Tolerances")
 class ToleranceOptions:
-    """How near is near enough."""
+    """Options for the tolerances within which a target counts as reached."""
 
     tolerance: float | None = option("TOL", "Position [m] and orientation [rad] tolerance; default 1e-6.")
     position_tolerance: float | None = option("M", "Position tolerance [m].")
@@ -250,7 +250,7 @@ class ToleranceOptions:
 
 @options("Files of poses")
 class FileOptions:
-    """In what a file gives its poses."""
+    """Options for units and angles of the poses in a file."""
 
     length_unit: str | None = option("UNIT", "Unit of the positions in the file: m (default), cm, mm or in.")
     euler: str | None = option(
@@ -260,7 +260,7 @@ class FileOptions:
     )
 
     def convention(self, deg: bool) -> Any:
-        """The convention for the reader of a file."""
+        """Return the convention of the file for its reader."""
         from ..robot.pose_files import Convention
 
         return Convention(self.length_unit or "m", deg, self.euler)
@@ -268,7 +268,7 @@ class FileOptions:
 
 @options("Collisions")
 class CollisionOptions:
-    """What must not be touched."""
+    """Options for collisions to avoid."""
 
     avoid_collisions: bool = flag("--avoid-collisions", "Accept only solutions without self-collision.")
     obstacle: list[str] | None = option(
@@ -279,7 +279,7 @@ class CollisionOptions:
     margin: float | None = option("M", "Distance [m] below which parts count as touching. Implies --avoid-collisions.")
 
     def read(self, arm: Any) -> dict[str, Any]:
-        """The option `avoid_collisions` of a call, or none; obstacles [m, rad] are placed in the base frame."""
+        """Return the option `avoid_collisions`, or none; obstacles [m, rad] are placed in the base frame."""
         if not self.obstacle and self.margin is None:
             return {"avoid_collisions": True} if self.avoid_collisions else {}
         from ..robot.geometry.collision import CollisionModel

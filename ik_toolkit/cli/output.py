@@ -50,7 +50,7 @@ class LogNotices(logging.Handler):
         self.hint = hint
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print one record."""
+        """Print a log record."""
         if record.name == "ik_toolkit.compile":
             notice_once(f"compiling the solver ({record.args[1]}) ...")  # type: ignore[index]
         else:
@@ -59,7 +59,7 @@ class LogNotices(logging.Handler):
 
 
 def partial(output: Path) -> Path:
-    """Name of an incomplete result, next to the one asked for."""
+    """Return the name of an incomplete result, next to the file asked for."""
     return output.with_name(output.name + PARTIAL)
 
 
@@ -73,7 +73,7 @@ def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = Non
 
 
 def table(*columns: str) -> "Table":
-    """Empty table in the house style; columns named '<...' or '>...' never wrap, the latter are right-aligned."""
+    """Make an empty table in our style; columns named '<...' or '>...' never wrap, the latter are right-aligned."""
     from rich import box
     from rich.table import Table
 
@@ -126,14 +126,14 @@ def _least(thing: Any) -> int:
 
 
 def heading(text: str) -> "Text":
-    """Bold line above a table or a list."""
+    """Make a bold line above a table or a list."""
     from rich.text import Text
 
     return Text(text, style="bold")
 
 
 def facts(rows: dict[str, Any]) -> "Table":
-    """Two-column list of names and values, without lines; rows whose value is None are left out."""
+    """Make a two-column list of names and values, without lines; rows whose value is None are left out."""
     from rich.table import Table
 
     made = Table.grid(padding=(0, 2))
@@ -147,7 +147,7 @@ def facts(rows: dict[str, Any]) -> "Table":
 
 @contextmanager
 def progress(what: str, total: int | None, seconds: float | None = None) -> Iterator[Callable[..., None]]:
-    """Bar on stderr if that is a terminal; yields a function of the number done and, if they change, the text and the total.
+    """Show a progress bar on stderr if that is a terminal; yields a function of the number done (and text, total).
 
     seconds: time [s] after which the work stops at the latest, which is counted down in place of an estimate.
     """
@@ -168,12 +168,12 @@ def progress(what: str, total: int | None, seconds: float | None = None) -> Iter
 
 # --------------------------------------------------------------------------------------------------------------- units
 def turns(kind: str) -> bool:
-    """Whether a joint kind is measured as an angle."""
+    """Return whether the value of a joint of this kind is an angle."""
     return kind != "prismatic"
 
 
 def number(value: float, kind: str, deg: bool) -> str:
-    """Joint value (given in rad or m) for a table; its unit is `unit(kind, deg)`."""
+    """Return a joint value (given in rad or m) in the unit that a table shows, `unit(kind, deg)`."""
     if not math.isfinite(value):
         return "none"
     degrees = deg and turns(kind)
@@ -186,5 +186,5 @@ def fixed(value: float, digits: int) -> str:
 
 
 def unit(kind: str, deg: bool) -> str:
-    """Unit of a joint kind's value."""
+    """Return the unit in which values of this kind of joint are shown."""
     return "m" if not turns(kind) else "deg" if deg else "rad"

@@ -16,13 +16,13 @@ from .solve import SolverOptions
 from .streams import uninterrupted
 from .target import CountOptions, TargetOptions
 
-TURN = math.radians(1.0)  # [rad] path tolerance of the orientation where that of the position is given
-LISTED = 5  # unreached poses listed on the terminal; the file lists all
+TURN = math.radians(1.0)  # [rad] default path tolerance of the orientation if that of the position is given
+LISTED = 5  # number of unreached poses listed on the terminal; the file lists all
 
 
 @options()
 class PathOptions:
-    """The poses, and what the path through them may be like."""
+    """Options for the poses and for the path through them."""
 
     poses: Path = option(
         "FILE",
@@ -79,7 +79,7 @@ class PathOptions:
                 raise InvalidOption(f"{name} must be positive, not {value:g}")
 
     def read(self, arm: Any, deg: bool) -> dict[str, Any]:
-        """Options of `solve_path`, only those given."""
+        """Return the options given, by name, for a call of `solve_path`."""
         ends = {"q0": joint_vector(arm, self.q0, "--q0", deg), "q_end": joint_vector(arm, self.q_end, "--q-end", deg)}
         words = self.reconfigurations
         return {
@@ -92,14 +92,14 @@ class PathOptions:
 
 @options()
 class PathCounts(CountOptions):
-    """What counts of the poses."""
+    """Options for which components of the poses count."""
 
     relative: list[str] | None = same(TargetOptions, "relative")
 
 
 @options()
 class Seed:
-    """What is random."""
+    """The option for the seed of random numbers."""
 
     seed: int = same(SolverOptions, "seed")
 

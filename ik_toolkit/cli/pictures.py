@@ -10,7 +10,7 @@ from .output import notice
 
 
 def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:
-    """Requested pictures of a result with history or of several solutions: chart, page, scene in the browser."""
+    """Draw what was requested of a result with history or of several solutions: chart, page, scene in the browser."""
     if plot is not None and len(what.history["q"]) < 2:
         notice("no plot: the solve took no step")
     elif plot is not None:

@@ -14,7 +14,7 @@ from .streams import uninterrupted
 
 @options()
 class ReproduceOptions(JsonOutput):
-    """Which paper, and where its report goes."""
+    """Options for the paper and the folder of its report."""
 
     paper: str | None = argument("[PAPER]", "Name of a paper; omit to list them.", default=None)
     output: Path | None = option("DIR", "Folder of the report; default: ./reproduce-PAPER.", "-o", "--output")
@@ -55,7 +55,7 @@ def reproduce(asked: ReproduceOptions) -> None:
     from ..papers.report import ReportInterrupted
 
     try:
-        with progress("computing", None):  # a report does not tell its progress
+        with progress("computing", None):  # None: the total is unknown, as a report does not tell its progress
             report = getattr(importlib.import_module(module), function)()
     except ReportInterrupted as stop:
         with uninterrupted():

@@ -16,7 +16,7 @@ from .output import facts, fixed, heading, notice, number, show, table, turns, u
 
 @options()
 class ListOptions(TableOutput):
-    """What is listed."""
+    """Options for which robots are listed."""
 
     everything: bool = flag(
         "--all", "Also list the legs, hands and humanoids of example-robot-data, whose tips are guessed."
@@ -25,14 +25,14 @@ class ListOptions(TableOutput):
 
 @options("Robot")
 class InfoOptions(OneTip):
-    """The robot and what is said about it."""
+    """Options for the robot and the facts that are listed."""
 
     list_tips: bool = flag("--list-tips", "List the possible tip frames, most likely first.")
 
 
 @options()
 class FkOptions(OneTip):
-    """The robot and where its joints are."""
+    """Options for the robot and its joint values."""
 
     q: str | None = option("Q1 Q2 ...", "Joint values, one per joint; default: home.")
 
@@ -185,7 +185,7 @@ def _source(paper: str, source_table: str) -> str | None:
 
 
 def describe(robot: Any) -> dict[str, Any]:
-    """Robot as plain data, in metres and radians."""
+    """Return the robot as plain data for JSON, in metres and radians."""
     from ..solvers.closed_form import describe_fit as closed_form
 
     joints = zip(
@@ -212,7 +212,7 @@ def _srdf_dict(robot: Any) -> dict[str, Any] | None:
         return None
     groups = {}
     for name in said.groups:
-        with contextlib.suppress(InvalidOption):  # names something that this robot does not have
+        with contextlib.suppress(InvalidOption):  # a group may name links that this robot does not have
             groups[name] = dict(zip(("base", "tips"), said.ends(name, robot.model), strict=True))
     return {
         "path": said.path,

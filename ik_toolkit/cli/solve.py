@@ -28,13 +28,13 @@ from .output import facts, fixed, notice, number, show, table, unit, write_json
 from .pictures import draw
 from .target import CountOptions, TargetOptions, in_base, relations
 
-ABREAST = 4  # solutions of several tips side by side that fit into 80 columns
-ACROSS = 6  # joints whose values fit side by side into 80 columns
+ABREAST = 4  # number of solutions for several tips that fit side by side into 80 columns
+ACROSS = 6  # number of joints whose values fit side by side into 80 columns
 
 
 @options("Solver")
 class SolverOptions:
-    """Which solver, and for how long."""
+    """Options for the solver and how long it may take."""
 
     solver: str = option(
         "NAME", "Solver; see ik solvers. auto chooses one for the robot and target.", "-s", "--solver", default="auto"
@@ -52,7 +52,7 @@ class SolverOptions:
     limits: bool = flag("--limits/--no-limits", "Enforce joint limits.", default=True)
 
     def choose(self, robot: Any) -> Any:
-        """The solver's name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
+        """Return the solver's name, or a rule with its preset and parameters. Raises UnknownSolver, InvalidOption."""
         from ..solvers.presets import from_preset
         from ..solvers.registry import GENERAL, find_row, make_rule
         from ..solvers.solve import closed_form_with
@@ -67,13 +67,13 @@ class SolverOptions:
         return from_preset(row, self.preset, values)
 
     def read(self) -> dict[str, Any]:
-        """Options of a call, only those given."""
+        """Return the options given, by name, for a call of the library."""
         return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
 
 
 @options("Start and preferences")
 class WishOptions:
-    """Where to start, and what is wanted of the solution."""
+    """Options for the start and for what is wanted of the solution."""
 
     q0: str | None = option("Q1 Q2 ...", "Start configuration; default: chosen by the solver, or home.")
     clamp_q0: bool = flag("--clamp-q0/--refuse-q0", "Clamp a start outside the limits, or reject it.", default=True)
@@ -93,7 +93,7 @@ class WishOptions:
     )
 
     def read(self, arm: Any, deg: bool, many: bool) -> dict[str, Any]:
-        """Options of a call, among them q0, and of many targets closest as a word. Raises InvalidOption."""
+        """Return options of a call, with q0, and for many targets `closest` as a word. Raises InvalidOption."""
         read = {name: value for name, value in given(self).items() if name in ("objective", "follow")}
         read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
         if self.joint_weights is not None:
@@ -106,7 +106,7 @@ class WishOptions:
 
 @options("Many targets")
 class ManyOptions:
-    """Many targets instead of one."""
+    """Options for many targets instead of one."""
 
     file: Path | None = option(
         "FILE",
@@ -121,7 +121,7 @@ class ManyOptions:
 
 @options("Output")
 class SolveOutput(ObjectOutput):
-    """What is printed, written and drawn."""
+    """Options for what is printed, written and drawn."""
 
     csv_file: Path | None = same(TableOutput, "csv_file")
     plot: Path | None = option(
@@ -132,7 +132,7 @@ class SolveOutput(ObjectOutput):
 
     @property
     def drawn(self) -> bool:
-        """Whether a picture is asked for."""
+        """Return whether a picture is asked for."""
         return self.plot is not None or self.html is not None or self.live
 
 
@@ -238,7 +238,7 @@ def _solve_one(
 
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
-        # At a solved start: compiles or loads, so that the time shown below is the solve's own.
+        # A solve that starts at its solution compiles or loads the kernels, so that the time shown is the solve's own.
         solve_one(arm, _at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
@@ -272,7 +272,7 @@ def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
-    relative = options.get("relative_to") or {}  # an unknown tip among them is refused by the solver
+    relative = options.get("relative_to") or {}  # an unknown tip in it is refused by the solver
     return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
 
 

@@ -13,7 +13,7 @@ from .output import facts, heading, notice, show, table, write_json
 
 @options()
 class SolversOptions(TableOutput):
-    """What is listed."""
+    """Options for which solvers are listed."""
 
     name: str | None = argument("[NAME]", "Show this solver's parameters.", default=None)
 

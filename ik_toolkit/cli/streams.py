@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-RAISED_AGAIN = 0.05  # [s] after which Ctrl-C that was dropped is raised again
-IMPORTING = 20.0  # [s] for which Ctrl-C waits for the end of an import
+RAISED_AGAIN = 0.05  # [s] after which a dropped Ctrl-C is raised again
+IMPORTING = 20.0  # [s] for which Ctrl-C waits at most for the end of an import
 
 
 def open_standard_streams() -> None:
@@ -42,11 +42,11 @@ def stoppable(came: list[int]) -> Iterator[None]:
     process, show_dropped, waiting = os.getpid(), sys.unraisablehook, list[float]()
 
     def again(number: int) -> None:
-        main = threading.main_thread().ident  # which may be waiting
+        main = threading.main_thread().ident  # the main thread may be blocked, so the signal goes to it
         threading.Timer(RAISED_AGAIN, signal.pthread_kill, [main, number]).start()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if os.getpid() != process:  # a worker forked from here
+        if os.getpid() != process:  # in a forked worker
             os._exit(128 + number)
         if _importing(frame):
             waiting.append(time.monotonic())
@@ -62,7 +62,7 @@ def stoppable(came: list[int]) -> Iterator[None]:
         else:
             show_dropped(what)
 
-    # A shell lets commands in the background ignore Ctrl-C, which then is meant for others.
+    # Ctrl-C stays ignored where the shell has set that, as for commands in the background.
     heard = [
         signal.SIGTERM,
         *([signal.SIGINT] if signal.getsignal(signal.SIGINT) is signal.default_int_handler else []),

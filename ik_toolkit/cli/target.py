@@ -12,13 +12,13 @@ from .options import joint_vector
 FORMS = (
     "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
 )
-MATRIX = (12, 16)  # numbers of a pose's matrix (3, 4) or (4, 4)
+MATRIX = (12, 16)  # how many numbers a pose's matrix has: (3, 4) or (4, 4)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @options("Target")
 class TargetOptions:
-    """Where the tip, or each tip, is to go."""
+    """Options for where the tip, or each tip, must go."""
 
     xyz: str | None = option("X Y Z", "Target tip position in the base frame [m].")
     rpy: str | None = option("R P Y", "Target roll, pitch, yaw [rad] (Rz Ry Rx).")
@@ -46,12 +46,12 @@ class TargetOptions:
 
     @property
     def oriented(self) -> bool:
-        """Whether any of the options is given that turn the tip of --xyz."""
+        """Return whether an option is given that adds an orientation to --xyz."""
         return any(one is not None for one in (self.rpy, self.quat_xyzw, self.quat_wxyz))
 
     @property
     def posed(self) -> bool:
-        """Whether any of the options that describe a single target is given."""
+        """Return whether an option is given that describes a single target."""
         return self.xyz is not None or self.matrix is not None or self.oriented
 
     def check(self) -> None:
@@ -62,7 +62,7 @@ class TargetOptions:
             raise InvalidOption("--relative is for several tips, with a --target for each")
 
     def read(self, deg: bool) -> Any:
-        """Targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
+        """Return targets by tip, or one target; angles in degrees when `deg`. Raises InvalidOption, InvalidTarget."""
         return self._several(self.targets, deg) if self.targets else self._single(deg)
 
     def _directions(self) -> tuple[Any, Any]:
@@ -130,14 +130,14 @@ class TargetOptions:
         return made
 
     def reached(self, arm: Any, deg: bool) -> Any:
-        """Target of --from-q: the pose (4, 4) of the tip there, of several tips a dict by tip."""
+        """Return the target of --from-q: the pose (4, 4) of the tip at these joint values; for several tips a dict."""
         at = arm.fk(joint_vector(arm, self.from_q, "--from-q", deg))
         return {tip: T.homogeneous for tip, T in at.items()} if isinstance(at, dict) else at.homogeneous
 
 
 @options("What counts")
 class CountOptions:
-    """Which part of a target counts, for all tips or by tip."""
+    """Options for which components of a target count, for all tips or by tip."""
 
     mask: list[str] | None = option(
         "[TIP:]X Y Z RX RY RZ",
@@ -153,7 +153,7 @@ class CountOptions:
     frame: list[str] | None = option("[TIP:]base|tip|target", "Axes of --mask and --slack.")
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
-        """Options of a call, only those given; relative: --relative. Raises InvalidOption."""
+        """Return the options given, by name, for a call; relative: --relative. Raises InvalidOption."""
         turn = math.radians(1.0) if deg else 1.0
         slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
         axis = _for_tips(self.free_turn, "--free-turn", _axis)
@@ -192,7 +192,7 @@ def _axis(text: str) -> tuple[float, ...]:
 
 
 def relations(texts: Sequence[str] | None) -> dict[str, str] | None:
-    """Tips by the tip whose target is given relative to them, of TIP:OTHER. Raises InvalidOption."""
+    """Return {TIP: OTHER} from TIP:OTHER: the target of TIP is given relative to OTHER. Raises InvalidOption."""
     found: dict[str, str] = {}
     for text in texts or ():
         tip, _, other = text.rpartition(":")
@@ -214,7 +214,7 @@ def _pose_of(x: Sequence[float]) -> Any:
 
 
 def in_base(target: Any, poses: Any, relative: dict[str, str] | None) -> Any:
-    """Targets as poses or positions in the base frame, where the tips stand at `poses` (dict by tip of pin.SE3)."""
+    """Return targets as poses or positions in the base frame; poses: those of the tips (dict of pin.SE3)."""
     import numpy as np
 
     plain = getattr(target, "T_base_tip", target)

@@ -22,7 +22,7 @@ from .track_path import Asked, TrackOptions, advice, asked_path
 
 @options()
 class TrackCounts(CountOptions):
-    """What counts of the path."""
+    """Options for which components of the path's poses count."""
 
     relative: list[str] | None = option(
         "TIP:OTHER", "Keep the pose of TIP in the frame of the tip OTHER; may be repeated.", panel="Target"
@@ -31,7 +31,7 @@ class TrackCounts(CountOptions):
 
 @options("Collisions")
 class TrackCollisions(CollisionOptions):
-    """What must not be touched on the way."""
+    """Options for collisions to avoid along the path."""
 
     avoid_collisions: bool = flag("--avoid-collisions", "Slow down and slide along instead of colliding.")
     obstacle: list[str] | None = option("KIND:...", "Obstacle to avoid, as in ik solve; may be repeated.")
@@ -39,7 +39,7 @@ class TrackCollisions(CollisionOptions):
 
 @options("Tolerances")
 class TrackTolerances:
-    """What is a followed run."""
+    """Options for the tolerances within which a run counts as followed."""
 
     position_tolerance: float = option("M", "Position tolerance of a followed run [m].", default=1e-3)
     orientation_tolerance: float | None = option(
@@ -95,7 +95,7 @@ def track(
         if result.reach is not None:
             with progress("trying changes", None):
                 tried = advice(arm, asked, path, q, result.reach, run, robot.deg, limits=asked.limits, **what)
-    except KeyboardInterrupt as stop:  # the run itself is finished
+    except KeyboardInterrupt as stop:  # the run is finished; only its output was interrupted
         stopped = stop
     more = {"path_chosen": path.words} if path.words else {"works": tried} if result.reach is not None else {}
     tips = {"tips": [*arm.tips]} if arm.by_tip else {"tip": arm.tip}

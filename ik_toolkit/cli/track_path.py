@@ -11,8 +11,8 @@ from .command import PLOTS, flag, option, options
 from .output import number
 
 SHAPES = ("circle", "line", "eight")
-RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
-PLACE = {  # options that say where a path is and how large; a file says all that itself
+RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # defaults [m, m, s] of a path given in part
+PLACE = {  # options for place and size of each kind of path; a file contains both
     "circle": ("radius", "axis", "start"),
     "eight": ("radius", "axis", "start"),
     "line": ("length", "axis", "start", "end"),
@@ -20,13 +20,13 @@ PLACE = {  # options that say where a path is and how large; a file says all tha
 }
 TIMES = ("duration", "law", "turns")
 DRAWN = ("radius", "length", "axis", "start", "end", *TIMES)
-PLACED = (*DRAWN[:5], "law", "turns")  # options of a path that say more than how long a default one takes
+PLACED = (*DRAWN[:5], "law", "turns")  # options that ask for a path of their own, unlike the duration alone
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
 @options()
 class PathOptions:
-    """The path, and the method with its gains."""
+    """Options for the path and the tracking method with its gains."""
 
     path: str | None = option(
         "SHAPE|FILE", "circle, line, eight, or a .csv or .npz file; default: all joints swing a little."
@@ -62,29 +62,29 @@ class PathOptions:
 
     @property
     def shape(self) -> str | None:
-        """The path asked for; where only options of a shape are given, a circle; None where nothing is said of it."""
+        """Return the kind of path asked for; a circle if only options of a shape are given; None without any."""
         return self.path or ("circle" if any(getattr(self, name) is not None for name in PLACED) else None)
 
     @property
     def size(self) -> float:
-        """Length of the line, or radius, as asked or by default [m]."""
+        """Return the length of the line, or the radius, as given or by default [m]."""
         given, usual = (self.length, LENGTH) if self.shape == "line" else (self.radius, RADIUS)
         return usual if given is None else given
 
     def rest(self, seconds: float | None = DURATION) -> dict[str, Any]:
-        """Duration [s], this one where none is given, speed law and turns."""
+        """Return duration [s] (default: `seconds`), speed law and number of turns."""
         duration = seconds if self.duration is None else self.duration
         return {"duration": duration, "law": self.law, "turns": self.turns or 0.0}
 
     def read_axis(self) -> Any:
-        """The axis (3,), or None. Raises InvalidOption."""
+        """Return the axis (3,) of --axis, or None. Raises InvalidOption."""
         axis = None if self.axis is None else vector(self.axis, "--axis", 3)
         if axis is not None and not any(axis):
             raise InvalidOption("--axis must not be zero")
         return axis
 
     def check(self) -> None:
-        """Refuse options that the path does not have, rather than pass over them. Raises InvalidOption."""
+        """Raise InvalidOption for options that this kind of path does not have."""
         if self.shape is None:
             return
         kind = self.shape if self.shape in SHAPES else "file"
@@ -102,7 +102,7 @@ class PathOptions:
 
 @options()
 class TrackOptions(PathOptions):
-    """The path, and how it is followed."""
+    """Options for the path and how it is followed."""
 
     limits: bool = flag(
         "--limits/--no-limits", "Enforce joint position and speed limits.", default=True, panel="Solver"
@@ -129,7 +129,7 @@ class TrackOptions(PathOptions):
 
 
 class Asked(NamedTuple):
-    """A path to follow: its reference, where the joints start (None: solved for), and how it was chosen, in words or ''."""
+    """A path to follow: its reference, the initial joint values (None: solved for), and in words how it was chosen."""
 
     reference: Any
     q0: Any
@@ -137,7 +137,7 @@ class Asked(NamedTuple):
 
     @property
     def shown(self) -> str:
-        """The reference in a line, or a line per tip."""
+        """Return a line of text on the reference, or a line per tip."""
         if isinstance(self.reference, Mapping):
             return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
         return _line(self.reference)
@@ -149,7 +149,7 @@ def _line(reference: Any) -> str:
 
 
 def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
-    """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets, tolerance [m] that of a followed run.
+    """Return the path asked for; q (n,): --q0 or None; counts: what counts of the targets; tolerance [m]: of the run.
 
     Raises InvalidOption.
     """
@@ -226,9 +226,9 @@ def _from_to(T: Any, asked: PathOptions) -> Any:
 def advice(
     arm: Any, asked: TrackOptions, path: Asked, q: Any, found: Any, run: Callable[..., Any], deg: bool, **options: Any
 ) -> list[str]:
-    """Options with which the robot follows a path given in part or in a file, each found by trying it.
+    """Return options with which the robot can follow a path given in part or in a file, each found by trying it.
 
-    run(Asked, quiet): the run along a path with the other options of the command.
+    run(Asked, quiet): a function that tracks a path with the other options of the command.
     """
     from ..servo.path_reach import other_start, trace
 
@@ -243,7 +243,7 @@ def advice(
         slower = float(f"{1.1 * share * seconds:.2g}")
         fits = share > 1.0 and asked.shape in SHAPES and follows(drawn({"duration": slower}), path.q0)
         return [f"--duration {slower:g}"] if fits else []
-    one: dict[str, str] = {}  # the largest of several sizes, the first of several axes
+    one: dict[str, str] = {}  # the advice: the largest size, and the first axis, that works
     for words, more in _ways(asked, found):
         name = words.split()[0]
         if name in one:

@@ -16,7 +16,7 @@ from .workspace import WorkspaceOptions
 
 @options()
 class TunedRobot(WholeRobot):
-    """The robot that is tuned for."""
+    """Options for the robot for which a solver is tuned."""
 
     srdf: None = None
     group: None = None
@@ -24,7 +24,7 @@ class TunedRobot(WholeRobot):
 
 @options()
 class TuneOptions:
-    """What is searched, how, and what is written."""
+    """Options for what is tuned, how, and what is written."""
 
     solver: str = argument("SOLVER", "Solver with presets, a gain or a damping; see ik solvers.")
     method: str = option("cma|pso", "CMA-ES or a particle swarm.", "-m", "--method", default="cma")

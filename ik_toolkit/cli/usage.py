@@ -7,19 +7,21 @@ from typing import Any
 
 import typer.core
 
-# Typer carries its own copy of click in some versions; this is the root of its usage errors in all of them.
+# Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
-PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}  # of parameters called otherwise here
-SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")  # of a sentence
-# limits=False, tip=; not what somebody typed
+# Arguments of the library, and the names that their options have here.
+PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}
+# Matches the name of an argument that is the subject of a sentence.
+SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")
+# Matches limits=False or tip=, but nothing in quotes, because that is what a user has typed.
 WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)")
-WIDEST = 100  # columns; longer lines are hard to read
-COLUMN = 30  # where the explanations begin
-LAST = ("Robot", "Output", "Other")  # groups at the end; the others come before them, as declared
+WIDEST = 100  # [columns] longer lines are hard to read
+COLUMN = 30  # column at which the explanations begin
+LAST = ("Robot", "Output", "Other")  # groups of options that come last in the help, after the others as declared
 
 
 def help_text(command: Any, ctx: Any) -> str:
-    """Help of a command or of the whole program."""
+    """Return the help of a command or of the whole program."""
     width = min(shutil.get_terminal_size().columns, WIDEST)
     arguments = [p for p in command.get_params(ctx) if p.param_type_name == "argument"]
     options = [p for p in command.get_params(ctx) if p.param_type_name == "option" and not p.hidden]
@@ -47,7 +49,7 @@ def help_text(command: Any, ctx: Any) -> str:
 
 
 def placeholder(argument: Any) -> str:
-    """Word that stands for an argument: ROBOT, [ROBOT] where it may be left out, [ROBOT ...] where several may be given."""
+    """Return an argument as the help shows it: ROBOT, [ROBOT] if it is optional, [ROBOT ...] if there may be more."""
     name = (argument.metavar or argument.name).strip("[].").upper()
     several = name + (" ..." if argument.nargs == -1 else "")
     return several if argument.required else f"[{several}]"
@@ -81,14 +83,14 @@ def _row(left: str, right: str, column: int, width: int) -> str:
 
 
 def in_flags(text: str, command: Any) -> str:
-    """Text of an error of the library with the options of a command as they are typed: acceleration_limits as --acceleration.
+    """Return a library error's text with arguments named as the options typed: acceleration_limits as --acceleration.
 
-    Many names are words, too. They are taken for options where a sentence says something about them, or before "=".
+    Many names are ordinary words, too; only the subject of a sentence, or a name before "=", is taken for an option.
     """
     options = {one.name.rstrip("_"): one for one in command.params if one.param_type_name == "option"}
     options = {
         name: one for name, one in options.items() if f"--{name.replace('_', '-')}" in one.opts
-    }  # `targets` is no --target
+    }  # `targets` must not become --target
     options |= {name: options[own] for name, own in PYTHON_NAMES.items() if own in options}
 
     def flag(found: re.Match[str]) -> str:

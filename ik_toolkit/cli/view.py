@@ -15,7 +15,7 @@ from .target import TargetOptions, in_base, relations
 
 @options()
 class ViewOptions:
-    """What is shown."""
+    """Options for what is shown."""
 
     q: str | None = option("Q1 Q2 ...", "Joint values to show; default: home.")
     motion: Path | None = option(
@@ -36,7 +36,7 @@ class ViewOptions:
 
 @options("Target")
 class ViewTarget(TargetOptions):
-    """What is solved for."""
+    """Options for the target to solve for."""
 
     xyz: str | None = option("X Y Z", "Solve for this position [m] and show the iterations.")
     rpy: str | None = option("R P Y", "With --xyz: roll, pitch, yaw [rad].")
@@ -48,13 +48,13 @@ class ViewTarget(TargetOptions):
 
     @property
     def given(self) -> bool:
-        """Whether there is a target."""
+        """Return whether a target is given."""
         return self.xyz is not None or self.matrix is not None or bool(self.targets)
 
 
 @options("Start and preferences")
 class ViewSolve:
-    """How it is solved."""
+    """Options for how the target is solved."""
 
     solver: str = option("NAME", "Solver for --xyz; see ik solvers.", "-s", "--solver", default="auto", panel="Solver")
     every: bool = flag("--all", "Show every solution found as a ghost.")
@@ -162,7 +162,7 @@ def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options:
 
 @options()
 class PanelOptions:
-    """The robot and where the panel is served."""
+    """Options for the robot and where the panel is served."""
 
     robot: str = same(RobotOptions, "robot", default="hydrolek_7w")
     tip: list[str] | None = same(RobotOptions, "tip")

@@ -16,7 +16,7 @@ LISTED = 10
 
 @options()
 class WorkspaceOptions:
-    """Which solvers, which targets, and what is written."""
+    """Options for solvers, targets and what is written."""
 
     solver: list[str] | None = option(
         "NAME", "May be repeated; default: the search of auto.", "-s", "--solver", panel="Solver"

@@ -8,7 +8,7 @@ two-dimensional view is a row, A[i:k] are rows. Without compilation a view is th
 
 # pyright: reportOptionalCall=false
 
-# The type checker must ignore that numba itself passes the first argument of an intrinsic.
+# Pyright reports calls of intrinsics, because numba itself passes their first argument.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import math
@@ -129,7 +129,7 @@ def _set(context, builder, sig, args):
 def _rows(context, builder, sig, args):
     kind, (value, index) = sig.args[0], args
     data, dims = parts_of(context, builder, kind, value)
-    # numba gives a slice without an end the largest integer as its end.
+    # A slice without an end has the largest integer as its end in numba.
     part = context.make_helper(builder, types.slice2_type, index)
     stop = builder.select(builder.icmp_signed("<", part.stop, dims[0]), part.stop, dims[0])
     pointer = builder.gep(data, [_place(builder, dims, [part.start])], inbounds=True)
@@ -185,7 +185,7 @@ def _used(typing, A):
 
 
 def flat(A):
-    """Return all numbers of a view in one dimension."""
+    """Return a one-dimensional view of all numbers of a view."""
     return A.reshape(-1)
 
 
@@ -258,7 +258,7 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(cut, jit_options=BUILD)  # Arrays cut from an array share its memory, so they count references to it.
+@overload(cut, jit_options=BUILD)  # arrays share memory and count references
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 
@@ -315,7 +315,7 @@ def counted_part(typing, A, start, count):
 
 @intrinsic
 def put_numbers(typing, A, start, record):
-    """Write the numbers of a record to A (K,) from index `start` on."""
+    """Write the numbers of a NamedTuple to A (K,) from index `start` on."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data, _ = parts_of(context, builder, sig.args[0], args[0])

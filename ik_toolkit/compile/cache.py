@@ -28,9 +28,9 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-# Folders whose Python files every kernel depends on.
+# Every kernel depends on all Python files in these folders.
 STAMPED = Path(__file__).parent, Path(__file__).parent.parent / "kernel"
-HEAD = b"ik_toolkit kernel 1\n"  # beginning of every file, before 32 bytes of SHA-256 over the rest
+HEAD = b"ik_toolkit kernel 1\n"  # first bytes of a cache file; 32 bytes of SHA-256 over the rest follow
 PREFIX, SUFFIX = "ik-", ".nbc"
 LOG = logging.getLogger("ik_toolkit.cache")
 COMPILING = logging.getLogger("ik_toolkit.compile")

@@ -1,6 +1,6 @@
 """How kernels are compiled: the options of numba, records whose methods compile, and a cache on disk (see cache.py)."""
 
-# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import gc
@@ -16,7 +16,7 @@ from numba.extending import overload, overload_method, register_jitable
 from .cache import make_cache
 
 # Releases of numba with which pipeline.py works; scripts/try_numba.py tries one.
-# Both use private interfaces of numba, so in any other release kernels are compiled in numba's own, slower way.
+# pipeline.py uses private interfaces of numba, so other releases compile kernels in numba's own, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 PARTS: dict[str, Any] = {}
@@ -32,18 +32,18 @@ if OWN_WAY:
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
 # `jit` is for functions that Python may call as well as kernels; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
-# The options that follow are for functions that only kernels call (see pipeline.py); a call from Python would crash.
-# BUILD is for functions that make arrays: they count references, and plain numba compiles them.
+# The options below are for functions that only kernels call (see pipeline.py); a call from Python would crash.
+# BUILD is for functions that make arrays, which numba must compile with reference counting.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
-# INLINE is for all others: without reference counts they must not return arrays to a function that counts references.
+# INLINE is for functions that make no arrays, compiled without reference counting.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 # BARE turns off forced inlining, which numba would otherwise pass on from the caller to every function that it calls.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
 # `inner` makes one copy that is called, for code that is rarely run, or large and used in several places.
 inner = njit(**{**BARE, **CALLED})
-inline = njit(**INLINE)  # a copy in every caller, for small code and for code that takes or returns large records
+inline = njit(**INLINE)  # a copy in every caller, for small code and for code with large NamedTuples
 build = njit(**BUILD)  # a copy in every caller, for code that makes arrays
-spliced = njit(inline="always", **BARE)  # for a large part with one caller, so that no second copy is optimised
+spliced = njit(inline="always", **BARE)  # for large code with one caller, so that LLVM optimises one copy only
 shared = register_jitable(**INLINE)  # inlined in kernels; Python runs it as plain Python
 
 
@@ -60,16 +60,17 @@ def dual(function: Callable) -> Any:
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
 }  # fmt: skip
-METHODS: dict[str, dict[type, Callable]] = {}  # compiled methods of all records, by method name and class
-FIELDS: set[str] = set()  # field names of all records
+METHODS: dict[str, dict[type, Callable]] = {}  # compiled methods by method name and class
+FIELDS: set[str] = set()  # field names of all classes marked by `compiled`
 
 
 def compiled(cls: type) -> type:
     """Class decorator: let kernels call the methods of a NamedTuple class, each inlined where it is called.
 
-    The method is chosen at compile time by the class of the record it is called on; this is how the one search loop gets its rule
-    and its problem. Without compilation (NUMBA_DISABLE_JIT=1) it is a normal method. Methods of one name must have the same names
-    of arguments in all classes. As numba looks up methods before fields, no field may have the name of any method.
+    The method is chosen at compile time by the class of the NamedTuple it is called on; this is how the one search loop
+    gets its rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) it is a normal method. Methods of one name
+    must have the same names of arguments in all classes. As numba looks up methods before fields, no field may have the
+    name of any method.
 
     Raises:
         TypeError: A field and a method share a name.

@@ -28,7 +28,7 @@ listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
 class Passes(PassManager):
-    """numba's pass manager for a part of a kernel, without numba's events, timers and checks around each pass."""
+    """numba's pass manager for a part of a kernel, without events, timers and checks around each pass."""
 
     def run(self, state: Any) -> None:
         """Run all passes, and sort the blocks of the code after each pass that changed their order."""
@@ -60,7 +60,8 @@ def size_of(target: Any, kind: Any) -> int:
 def remembered(function: Callable) -> Callable:
     """Cache the results of a function by the identity of its arguments.
 
-    numba has one object for equal types, so it is enough to compare objects; to compare types of nested records takes long.
+    numba has one object for equal types, so it is enough to compare objects; to compare types of nested NamedTuples
+    takes long.
     """
     known: dict[tuple, tuple] = {}
 
@@ -79,7 +80,7 @@ def remembered(function: Callable) -> Callable:
 
 @contextmanager
 def remembering(typing: Any) -> Iterator[None]:
-    """Cache what numba finds out about types while a kernel is compiled: overloads, fields and methods of records.
+    """Cache what numba finds out about types while a kernel is compiled: overloads, fields and methods of NamedTuples.
 
     typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. The cache is
     emptied after the kernel, because functions may be redefined before the next one.

@@ -4,7 +4,7 @@ Operators, `abs`, `math.sqrt` and `np.rint` work as on numbers. `full`, `load` a
 masks for `choose` and `bits`.
 """
 
-# The type checker must ignore that numba itself passes the first argument of an intrinsic.
+# Pyright reports calls of intrinsics, because numba itself passes their first argument.
 # pyright: reportCallIssue=false, reportOptionalCall=false
 import math
 import operator

@@ -4,7 +4,7 @@ The formulas are written once and serve twice: a component is a float in the sea
 floats (`vector`) in the batch search. After inlining nothing of these records is left in the machine code.
 """
 
-# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import Any, NamedTuple
@@ -280,14 +280,14 @@ def sincos(x):
 
 @inline
 def rotation_left(now, goal):
-    """Return sin(angle) times the axis of the rotation that brings M3 `now` to `goal`, and 1 + cos(angle)."""
+    """Return sin(angle) times the axis, and 1 + cos(angle), of the rotation that takes the matrix `now` to `goal`."""
     sine = (now.x.cross(goal.x) + now.y.cross(goal.y) + now.z.cross(goal.z)) * 0.5
     return sine, 0.5 * (1.0 + now.x.dot(goal.x) + now.y.dot(goal.y) + now.z.dot(goal.z))
 
 
 @inline
 def chord(angle):
-    """Return |2 sin(angle/2)|^2 for the angle [rad] that a tolerance allows."""
+    """Return the squared chord |2 sin(angle/2)|^2 of the angle [rad] that a tolerance allows."""
     # A length of 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
     length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
     return length * length

@@ -19,7 +19,7 @@ from .starts import FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS, known_co
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by full turns.
 TURNING = 1e4  # A joint with a wider range [rad] counts as endless when random starts are drawn.
-LONGEST_UNIT = 1e4  # The kernel's unit of length [m] exceeds this only if the links do, not because of a slide's range.
+LONGEST_UNIT = 1e4  # largest kernel unit of length [m], unless the links are longer
 LEAST_REACH = 1e-10  # A shorter reach [m] is only rounding in the description, so 1 m is used instead.
 
 
@@ -112,13 +112,13 @@ class Chain(NamedTuple):
     rows: np.ndarray  # (L, 10) geometry, see kinematics.py
     ends: np.ndarray  # base, tip, limits and reach, see `records.Ends`
     seeds: np.ndarray  # (256, n) configurations to start from
-    features: np.ndarray  # (13, 272) numbers by which the seeds are compared with a target, see `table`
+    features: np.ndarray  # (13, 272) features of the seeds, to find those nearest a target, see `table`
     unit: np.ndarray  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
     lower: np.ndarray  # (n,) limits [rad or m]
     upper: np.ndarray  # (n,) limits [rad or m]
     turns: np.ndarray  # (n,) 1 if a coordinate may wrap by full turns, else 0
     scale: float  # kernel unit of length [m]
-    reach: float  # longest distance of the tip [m]
+    reach: float  # longest distance of the tip from the first joint [m]
     plain: bool  # whether there are no mimic joints, so that row i belongs to coordinate i
 
     @property
@@ -162,7 +162,7 @@ def start_range(
 
 
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
-    """Return features (13, N + PAD) of the configurations seeds (N, n): what `starts.nearest` compares with a target.
+    """Return features (13, N + PAD) of configurations (N, n), which `starts.nearest_seeds` compares with a target.
 
     They are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, with
     factors such that a scalar product with a target gives a squared distance. kinematics: `poses_at`, or `evaluate`, which
@@ -298,17 +298,17 @@ def joint_levers(rows, ends, Q, unit, D) -> None:
             D[t, i] = math.sqrt(arm.square()) * Ends(ends, n).scale()
 
 
-ROWS = 2048  # size of the table of starts for several tips, of which each picks its own joints
+ROWS = 2048  # number of known starts for several tips; each tip picks its own joints from them
 
 
 class TreeChain(NamedTuple):
     """The chains of F tips over n shared coordinates as the kernels need them."""
 
     rows: Array  # (L, 10) geometry of all chains, one after the other
-    ends: Array  # (F, ...) `records.Ends` of each tip; then its number of rows, and (n) 1 where a coordinate moves it
-    # (N, n) configurations to start from; each tip picks its own joints from them, the first also the shared ones.
+    ends: Array  # (F, ...) `records.Ends` of each tip, its number of rows, and 1 for each coordinate that moves it
+    # (N, n) known starts; each tip picks its own joints from them, and the first tip also the shared ones.
     seeds: Array
-    features: Array  # (F, 13, N + PAD) numbers by which the seeds are compared with a target, see `table`
+    features: Array  # (F, 13, N + PAD) features of the seeds, to find those nearest a target, see `table`
     unit: Array  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
     lower: Array  # (n,) limits [rad or m]
     upper: Array  # (n,) limits [rad or m]

@@ -13,13 +13,13 @@ CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_F
 # The target or the start is invalid: Python examines it and raises, so users never see these.
 BAD_TARGET, BAD_START = 8, 9
 TOO_FAR = 11  # Code 10 is not used here: it is COLLISION, which Python finds after the kernel.
-ORTHONORMAL = 1e-6  # largest difference of the dot products of a pose's axes from 0 and 1
-LAST_ROW = 1e-9  # largest difference of a pose's last row from 0 0 0 1
+ORTHONORMAL = 1e-6  # largest difference between the dot products of a pose's axes and 0 or 1
+LAST_ROW = 1e-9  # largest difference between a pose's last row and 0 0 0 1
 FAR = 1e100  # A pose with coordinates [m] beyond this is refused, because their squares would overflow.
 
 
 class Proofs(NamedTuple):
-    """Bounds beyond which a target counts as out of reach, or an attempt as held."""
+    """Thresholds for the status of an attempt: target out of reach, singular, or blocked by limits."""
 
     # A target must be this much out of reach [kernel units], more than any rounding, to be called unreachable.
     reach_slack: float = 1e-9
@@ -108,7 +108,7 @@ def is_rigid(T):
 def standstill(p, look, near, boxed):
     """Return why an attempt makes no progress: LIMIT_BLOCKED, SINGULAR (no joint changes the error) or STALLED.
 
-    p.desk.J must be that of the given evaluation; near: `Ends` with the limits of a step.
+    The Jacobian p.desk.J must be that of the given evaluation; near: `Ends` with the limits of a step.
     """
     q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0

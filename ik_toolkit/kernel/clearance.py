@@ -27,7 +27,7 @@ class Bodies(NamedTuple):
 
 
 class Facing(NamedTuple):
-    """Pairs whose nearest points are known, one row a pair."""
+    """Pairs of shapes whose nearest points are known, one row for each pair."""
 
     ks: np.ndarray  # (K,) indices of the pairs
     points: np.ndarray  # (K, 2, 3) nearest points [m], root axes
@@ -35,9 +35,9 @@ class Facing(NamedTuple):
 
 
 class Approach(NamedTuple):
-    """Rules for how fast a pair may approach."""
+    """Thresholds for how fast a pair of shapes may approach."""
 
-    slope: float  # [1/s] highest speed of approach over the gap
+    slope: float  # [1/s] highest speed of approach divided by the gap
     step: float  # [s] length of a control step, in which a pair may use up at most half of its gap
     # A joint takes part in the braking of a pair if its approach per unit exceeds this share of the largest one.
     share: float
@@ -72,7 +72,7 @@ class BrakingPath(NamedTuple):
 
 @dual
 def travelled(start, change, f):
-    """Return how far a joint has gone at the fraction f (0 to 1) of a piece of a motion, reversals included.
+    """Return how far a joint has travelled at the fraction f (0 to 1) of a piece of a motion, both ways if it reverses.
 
     Its speed grows evenly from `start` by `change` [per piece].
     """
@@ -115,10 +115,10 @@ def speed_at(V, e, point):
 
 @cached
 def levers(parts, way, out, spread) -> None:
-    """Bound how much closer each pair can come while each joint moves at most `way` [rad or m].
+    """Bound how much closer a pair of shapes can come per unit of each joint (lever arms), for moves of up to `way`.
 
-    The lever of a joint is the distance of its axis from the far end of a shape's sphere, and grows by as much as the joints
-    after it can move the shape.
+    A joint's lever arm is the distance from its axis to the far side of a shape's bounding sphere, plus how far later
+    joints can move the shape.
 
     Args:
         parts: `Bodies` where the motion starts.
@@ -214,7 +214,7 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
 def second_order_motion(turn, lever, moved, length):
     """Bound [m] how far a part can be from where its present velocities would take it.
 
-    It is a bound of second order in `length` (E,), the ways of the joints; `moved` (E,) says which of them move the part.
+    It is of second order in `length` (E,), how far the joints move; `moved` (E,) says which of them move the part.
     """
     total, before = 0.0, 0.0
     for e in range(length.shape[0]):
@@ -267,7 +267,7 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
             spread = moved_a * radius[a[p]] + moved_b * radius[b[p]]
             size[e] = abs(rate[e]) + spread * math.sqrt(swung.square())
         k, f0, share, done = first, start - first, 1.0, start
-        before = 0.0  # approach [m] of the pair up to the place reached so far
+        before = 0.0  # bound [m] on how much closer the pair has come so far
         while done < last and share >= FINEST:
             f = min(1.0, f0 + share)
             way, curve, closing = 0.0, 0.0, 0.0

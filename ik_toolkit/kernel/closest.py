@@ -19,13 +19,13 @@ from .search import problem_on
 
 
 class Descent(NamedTuple):
-    """Numbers of the descent, a Levenberg-Marquardt method whose damping is a share of the squared error."""
+    """Constants of the descent, a Levenberg-Marquardt method whose damping is a share of the squared error."""
 
-    first: float = 0.1  # share at the start
-    least: float = 1e-6  # smallest share, which bounds the steps at singular poses
-    most: float = 1e9  # share at which even the shortest step no longer lowers the error
-    lowered: float = 0.3  # factor of the share after a step that lowers the error
-    raised: float = 4.0  # factor after one that does not
+    first: float = 0.1  # damping over the squared error, at the start
+    least: float = 1e-6  # smallest such share, which bounds the steps at singular poses
+    most: float = 1e9  # largest such share; the descent ends if even its short step does not help
+    lowered: float = 0.3  # factor of the damping share after a step that lowers the error
+    raised: float = 4.0  # factor of the damping share after a step that does not lower the error
     smallest: float = 1e-7  # the descent ends when a step moves every joint by less [rad or kernel units]
 
 
@@ -34,7 +34,7 @@ DOWN = Descent()
 
 @inline
 def weighed(p, e, factor):
-    """Write the errors of an evaluation to p.desk.y, with positions times `factor`, and return their squared norm."""
+    """Write the errors of an evaluation, positions times `factor`, to y in p.desk; return their squared norm."""
     y, total = p.desk.y, 0.0
     p.stack(e)
     for k in range(y.shape[0]):
@@ -57,7 +57,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     p.head_for(T)
     for i in range(n):
         s.q[i] = row[ANSWER + i] / full.unit(i)
-    move(s.q, s.q, 0.0, box)  # inside the limits
+    move(s.q, s.q, 0.0, box)  # only clips the joints to their limits
     factor, share, value, made = full.scale() / length, DOWN.first, np.inf, 0
     while True:
         e = p.evaluate(s.q)
@@ -100,13 +100,13 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 
 @cached
 def approach_target(rows, ends, T, row, orders, n, length, steps):
-    """Lower the error of a failed search; q, the errors and the evaluations in its `row` are replaced.
+    """Lower the error of a failed search; q, errors and number of evaluations in its result `row` are replaced.
 
     Where the descent reaches the target, the row's status becomes CONVERGED.
 
     Args:
         rows: (L, 10) of the chain or tree.
-        ends: Of the chain or tree.
+        ends: `records.Ends` of the chain or tree.
         T: (F, 4, 4) targets [m] of F tips, base frame.
         row: The answer of a search, see `search.entry`.
         orders: See `search.entry`.

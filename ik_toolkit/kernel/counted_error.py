@@ -20,16 +20,16 @@ from .algebra import M3, V3, at3, put3, rotation_at
 from .kinematics import angle_ratio, rotation_angle
 from .records import WHAT
 
-POSE, POSITION, FREE, PART = range(4)  # what counts of a tip's error: all of it, its position, nothing, or a part of it
+POSE, POSITION, FREE, PART = range(4)  # kinds of target: the whole error counts, the position, nothing, or a part
 AXIS = "axis"  # a target (AXIS, axis) is a pose whose turn about an axis of the tip is free
 BASE, TIP, TARGET = range(3)  # frames in which weights and slacks may be given
 
 
 class KeptIndices(NamedTuple):
-    """Indices of what `shape` leaves in an array (KEPT,) for the derivative.
+    """Indices in the array (KEPT,) that `shape` fills for the derivative.
 
-    A column (u, v) of the tip counts as L (u + v x arm), A v. A column of the target, where it moves with another tip, counts as
-    L (u + v x arm_goal), B v.
+    A Jacobian column (u, v) of the tip becomes (L (u + v x arm), A v) in the errors that count; a column of the target,
+    if that moves with another tip, becomes (L (u + v x arm_goal), B v).
     """
 
     L: int = 0  # index of the matrix L (9), by rows
@@ -47,7 +47,7 @@ STRAIGHT = 1e-9  # Two directions count as parallel if the sine of their angle i
 
 @inner
 def allowance(task, first, tolerance):
-    """Return the largest norm of three errors (from index `first` on) within a tolerance, before weights and slack.
+    """Return a bound on the norm of three raw errors (from index `first` on) that weights and slack bring in tolerance.
 
     It is infinite if one of the three does not count.
     """
@@ -103,7 +103,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != BASE:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # This is a row of G, namely axis' G.
+        if turns:  # a row of the matrix G: axis' G
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -120,7 +120,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[IN.error + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, IN.A + 3 * i, own * w)
-        # This is a row of G', namely axis' G'.
+        # `others` is a row of the transposed matrix G': axis' G'.
         others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
         put3(kept, IN.B + 3 * i, (others - across if frame == TARGET else others) * w)
     put3(kept, IN.arm, linear if frame == TIP else none)

@@ -58,7 +58,7 @@ def fk(rows, q, joints, trig):
     p = V3(zero, zero, at(q, int(rows[0, 8])) * rows[0, 6] + rows[0, 7])
     put3(joints, 0, z)
     put3(joints, 3, p)
-    for i in range(1, rows.shape[0]):  # Row 0 is done above, as it has no rotation by b.
+    for i in range(1, rows.shape[0]):  # Row 0, which has no rotation by b, is handled above.
         cb, sb = rows[i, 0], rows[i, 1]
         v = y * cb + z * sb  # The axes y and z are rotated by the angle b about x.
         z = z * cb - y * sb
@@ -158,7 +158,7 @@ def jacobian_rate(rows, joints, J, first, tip, x, y, out):
     joints and the six columns of J from `first` on are as `fk` and `fill` leave them.
     """
     zero = V3(0.0, 0.0, 0.0)
-    v = zero  # velocity of the tip
+    v = zero  # linear velocity of the tip
     for i in range(J.shape[0]):
         v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
     # Angular velocity of the link before joint i, and velocity of the stored point on its axis

@@ -7,7 +7,7 @@ import numpy as np
 from ..compile.jit import inline, inner
 from .kinematics import TAU
 
-# A start with a coordinate above this is refused, because such an angle has only seven digits after the point.
+# A start with a larger coordinate [rad or m] is refused; such an angle has only seven digits after the point.
 LARGEST = 1e9
 LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division by the weight 0 of a held joint
 
@@ -22,7 +22,7 @@ def middle(lower, upper):
 
 @inner
 def legal(q0, ends, limits):
-    """Return whether a start (n,) [rad or m] is finite and, if `limits` count, inside them."""
+    """Return whether a start (n,) [rad or m] is finite and, if `limits` is true, inside the joint limits."""
     for i in range(q0.shape[0]):
         a = q0[i] / ends.unit(i)
         if not abs(a) < LARGEST or (limits and ends.turns(i) < 1.5 and not ends.lower(i) <= a <= ends.upper(i)):
@@ -32,7 +32,7 @@ def legal(q0, ends, limits):
 
 @inner
 def neighbourhood(q0, rows, follow, slide, limits, ends, near):
-    """Narrow the limits of `near` so that no joint moves further than `follow` [rad] or `slide` [m] from q0."""
+    """Narrow the limits `near` (`Ends`) so that no joint moves further than `follow` [rad] or `slide` [m] from q0."""
     for i in range(q0.shape[0]):
         turning = False
         for r in range(rows.shape[0]):

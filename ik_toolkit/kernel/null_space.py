@@ -17,7 +17,7 @@ from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 from .search import problem_on
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
-# Damping of projections and corrections. It is below the square of any singular value along which a step is worthwhile.
+# Damping of projections and corrections, below the square of any singular value along which a step is useful.
 DAMPING = 1e-10
 
 
@@ -25,9 +25,9 @@ class Steps(NamedTuple):
     """Numeric constants of the steps through the null space: tolerances, step sizes, numbers of iterations."""
 
     influence: float = 1e-18  # The joints can change an error if its row of the Jacobian has a larger squared norm.
-    volume: float = 1e-30  # smallest squared pivot, which keeps the logarithm finite at a singular pose
+    volume: float = 1e-30  # smallest squared pivot of JJ'; it keeps the logarithm finite at a singular pose
     corrections: int = 6  # highest number of steps back onto the target; two or three do, as convergence is quadratic
-    difference: float = 1e-6  # step of the one-sided derivative of the manipulability [rad or kernel units]
+    difference: float = 1e-6  # step of a difference quotient of the manipulability [rad or kernel units]
     smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad or kernel units]
     longest: float = 0.3  # largest move of a joint in a step [rad or kernel units], because the null space is curved
 
@@ -67,8 +67,8 @@ def make_bounds(places, ends, what, limits):
 def log_manipulability(p, ends):
     """Return the logarithm of Yoshikawa's manipulability sqrt(det(JJ')), up to a constant.
 
-    J has the rows that the joints can move along, of all tips. Columns of sliding joints are converted to metres; p.desk.J and
-    p.desk.A are overwritten.
+    J has the rows, of all tips, along which the joints can move. Columns of sliding joints are converted to metres. J
+    and A of the working memory p.desk are overwritten.
     """
     J, A = p.desk.J, p.desk.A
     m = 0
@@ -94,7 +94,7 @@ def log_manipulability(p, ends):
 
 @inline
 def objective_goal(what, ends, ref, i):
-    """Return the value that the objective wants for joint i [kernel units]: the middle of its range, or that of `ref`."""
+    """Return the value towards which the objective moves joint i [kernel units]: mid-range, or that of `ref`."""
     return ends.low(i) + 0.5 * ends.span(i) if what == MID_RANGE else ref[i] / ends.unit(i)
 
 
@@ -107,10 +107,10 @@ def move(q, dq, factor, box):
 
 @inline
 def onto_target(p, weights, box, enough):
-    """Move p.desk.q onto the target again by damped least squares, because a null-space step leaves it to second order.
+    """Move q (in p.desk) back onto the target, which a null-space step leaves to second order, by damped least squares.
 
-    weights (n,): joint weights; box: the limits; enough: squared error at which to stop, 0 for the tolerances. Returns
-    the last evaluation; its Jacobian is in p.desk.J.
+    weights (n,): joint weights; box: joint limits (Bounds); enough: squared error at which to stop, 0 for the
+    tolerances. Returns the last evaluation; its Jacobian is in p.desk.J.
     """
     s = p.desk
     for k in range(NULL.corrections):
@@ -129,7 +129,7 @@ def onto_target(p, weights, box, enough):
 
 @inline
 def direction(p, z, box):
-    """Write to p.desk.dq the part of z (n,) that moves no tip, while joints at a bound are held.
+    """Write to dq (in p.desk) the part of the joint step z (n,) that moves no tip, while joints at a bound are held.
 
     It is the projection in the metric 1/w of the joint weights p.desk.w; p.desk.J is needed, p.desk.w and p.desk.y are changed.
     """
@@ -264,7 +264,7 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
 
     Args:
         rows: (L, 10) of the chain or tree.
-        ends: Of the chain or tree.
+        ends: `records.Ends` of the chain or tree.
         T: (1, 4, 4) or (1, F, 4, 4) target [m], base frame.
         row: The answer of a search, see `search.entry`.
         ref: (n,) joint values [rad or m] that REFERENCE wants.

@@ -28,9 +28,9 @@ class Parts(NamedTuple):
     """The parts of a packed array, for L joints, F tips, n coordinates and N known configurations."""
 
     rows: Array  # (L, 10) geometry of the joints
-    ends: Array  # (F * K,) the K numbers of `records.Ends` of each tip
+    ends: Array  # (F * K,) base, tip and limits of each tip, K numbers (`records.Ends`)
     seeds: Array  # (N, n) configurations to start from
-    features: Array  # (F * FEATURES, N + PAD) single-precision numbers by which the seeds are compared with a target
+    features: Array  # (F * FEATURES, N + PAD) features of the seeds, float32 (see `chain.table`)
 
 
 @inline

@@ -37,9 +37,9 @@ from .counted_error import FREE, PART, POSE, POSITION, count_column, count_goal_
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
 
-# A goal is the pose that is aimed at (12) and the target's own point (3), which is beyond the pose if it is out of reach.
+# A goal is the pose aimed at (12), then the target's own position (3), which differs if it is out of reach.
 GOAL = 15
-# Indices of kept errors: those of the best attempt, those of the solution nearest q0, and those of the present evaluation.
+# Indices of stored errors: of the best attempt, of the solution nearest q0, and of the present evaluation.
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2
 
 
@@ -48,13 +48,13 @@ class Desk(NamedTuple):
     """Working memory of a search over n coordinates and m errors of F tips, in kernel units."""
 
     q: Array  # (n,) current coordinates
-    dq: Array  # (n,) step that the rule asks for
+    dq: Array  # (n,) joint step computed by the solver's rule
     start: Array  # (n,) q0, or home where no q0 is given
     w: Array  # (n,) joint weights; 0 holds a joint in this step
-    x: Array  # (4 n + 8,) memory of the rule, set to zero when an attempt starts
+    x: Array  # (4 n + 8,) state of the solver's rule, set to zero when an attempt starts
     J: Array  # (n, m) transposed Jacobian
     A: Array  # (m, m) scratch for a matrix over the errors
-    y: Array  # (m,) errors with rotations as rotation vectors
+    y: Array  # (m,) errors of the step, with rotations as rotation vectors
     # (m,) errors of several tips whose sum of squares is minimised, with rotations as 2 sin(angle/2) times axis
     e: Array
     spent: Array  # (2,) number of evaluations made, and number allowed
@@ -67,7 +67,7 @@ class Desk(NamedTuple):
 
 @spliced
 def make_desk(block, n, m):
-    """Make a Desk for n coordinates and m errors, cut from a block."""
+    """Make the working memory for n coordinates and m errors, cut from a block."""
     s = Desk(*cut(block, np.float64, (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 2, (3, m // 6, 2))))
     for i in range(n):
         for k in range(m):
@@ -97,7 +97,7 @@ def take(T, ends, task, goal, orders):
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
-    # A target out of reach is moved to the edge of the reach, because the search converges fast only at such a point.
+    # A target out of reach is moved to the edge of the reach, because the search is fast only at reachable points.
     if excess > 0.0 and int(task[WHAT.kind]) < FREE:
         edge(goal, ends, excess)
     return excess
@@ -153,7 +153,8 @@ def counted_goal(kind, kept, linear, angular):
 def fill(rows, own, task, kept, joints, tip, J, first):
     """Write the Jacobian of one chain to J[:, first : first + 6].
 
-    own: row i of the chain is coordinate i. Else several rows may belong to one coordinate, and their columns add up.
+    own: row i of the chain is coordinate i. Otherwise several rows may belong to one coordinate, and their columns are
+    added.
     """
     kind = int(task[WHAT.kind])
     if not own:
@@ -184,7 +185,7 @@ def add_column(J, i, first, ratio, u, v):
 # ------------------------------------------------------------------------------------------------------- for the tracker
 @inline
 def to_base(ends, task, y, out):
-    """Convert errors y (6,) of `stack` to base axes and metres; where a part counts, they keep its own axes."""
+    """Convert errors y (6,) that `stack` wrote to base axes and metres; if only a part counts, they keep their axes."""
     linear, angular = at3(y, 0) * ends.scale(), at3(y, 3)
     if int(task[WHAT.kind]) < FREE:
         base = rotation_at(ends.flat, 0)

@@ -5,7 +5,7 @@ the kernel makes the same records from the same arrays. Flat arrays are used bec
 record of arrays twice that).
 """
 
-# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ class Orders(NamedTuple):
     given: float  # 1 if the first attempt starts at q0, else 0
     iterations: float  # highest number of iterations of an attempt
     attempts: float  # highest number of attempts
-    c: float  # An attempt from the table of starts is given up in iteration k if its squared error exceeds c rho^k.
+    c: float  # An attempt from a start in the table is given up in iteration k if its squared error exceeds c rho^k.
     rho: float
     c_free: float  # An attempt from q0 or a random start is given up if its squared error exceeds c_free rho_free^k.
     rho_free: float
@@ -91,15 +91,15 @@ class Miss(NamedTuple):
     excess: float  # length [m] by which the target is proven out of reach
 
 
-# Lengths of the records in an array.
+# How many numbers each of these NamedTuples takes in an array.
 HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
 PAST = 3  # numbers in a row of a search's history before q: position error [m], rotation error [rad], number of the attempt
-WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the orders for one tip
+WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the Orders array for one tip
 # The index of each field in its array: row[AT.status], orders[ORDER.seed], task[WHAT.kind].
 AT = Answer._make(range(ANSWER))
 ORDER = Orders._make(range(HEAD))
 WHAT: Any = Task._make(range(TASK))
-POINTS = 24  # index in `Ends` of the first number of the coordinates, after those of the base (12) and the tip (12)
+POINTS = 24  # index in `Ends` of the coordinates' first number, after base (12) and tip (12)
 
 
 @compiled
@@ -128,11 +128,11 @@ class Ends(NamedTuple):
         return self.flat[POINTS + 3 * self.n + i]
 
     def low(self, i):
-        """Return the lower end of the range from which random starts of coordinate i are drawn."""
+        """Return the lower end of the range in which coordinate i of random starts is drawn."""
         return self.flat[POINTS + 4 * self.n + i]
 
     def span(self, i):
-        """Return the width of the range from which random starts of coordinate i are drawn."""
+        """Return the width of the range in which coordinate i of random starts is drawn."""
         return self.flat[POINTS + 5 * self.n + i]
 
     def home(self, i):
@@ -143,7 +143,7 @@ class Ends(NamedTuple):
         return self.flat[POINTS + 7 * self.n]
 
     def bound(self, k):
-        """Return one of six bounds on the reach.
+        """Return one of six bounds [kernel units] on the reach.
 
         k = 0 and 1 are the largest and least distance of the tip from the arm's foot, 2 and 3 those of the last joint, 4 and 5
         the lowest and highest place of the foot, which a vertical slide may carry.
@@ -159,7 +159,7 @@ class Ends(NamedTuple):
 
 # ---------------------------------------------------------------------------------------------------- arrays <-> records
 def read(cls: type, array: Array, start: int = 0) -> Any:
-    """Make a record of class `cls` from the numbers array[start:]."""
+    """Make a NamedTuple of class `cls` from the numbers array[start:]."""
     if list(cls.__annotations__.values()) == [Array]:
         return cls(array[start:])
     return cls(*array[start : start + len(cls._fields)])  # type: ignore[attr-defined]
@@ -179,11 +179,11 @@ def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # A record of one array takes all numbers from `start` on.
+    return lambda cls, array, start=0: make(array[start:])  # a class with one array field takes all
 
 
 def write(array, start, record):
-    """Write the numbers of a record to array[start:]."""
+    """Write the numbers of a NamedTuple to array[start:]."""
     array[start : start + len(record)] = record
 
 

@@ -6,11 +6,11 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-# A link is the array that ties a target to another tip. TURN, POINT and FRAME are indices in it.
+# Layout of an array that ties a target to another tip: TURN, POINT and FRAME are indices.
 TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
 FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
-LINK = 24  # length of a link
+LINK = 24  # number of entries of this array
 
 
 @inline
@@ -27,7 +27,7 @@ def transposed(m):
 
 @inner
 def link_to(T, ends, other, link):
-    """Write to link (LINK,) a target T (4, 4) [m] given in the frame of another tip, whose `Ends` are `other`."""
+    """Write to link (LINK,) a target T (4, 4) [m] given in another tip's frame; `ends`, `other`: both tips' `Ends`."""
     tool = rotation_at(other.flat, 12)
     turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
     put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))

@@ -8,7 +8,7 @@ Every iteration evaluates the errors, keeps the best configuration so far, tests
 asks the rule for a step, and applies it inside the joint limits. The reported q was evaluated itself, or full turns away.
 """
 
-# The type checker must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
@@ -40,7 +40,7 @@ from .serial import make_serial, serial_on
 from .starts import BEST, FEATURES, StartTable, make_table, sow
 from .tree import make_tree, tree_on
 
-# A rule's `step` returns 0, SINGULAR_STEP when no step exists, or WAITING when a step of zero does not mean that it has stalled.
+# A rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall.
 SINGULAR_STEP, WAITING = -1, -2
 # An attempt without a status yet either goes on (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
 GOING, STILL = -1, -2
@@ -49,24 +49,24 @@ GOING, STILL = -1, -2
 class Endings(NamedTuple):
     """Numbers that decide when an attempt or a whole search is given up.
 
-    Near a singular pose the first attempts are given up too early. Later ones are patient: they get more iterations and a slower
-    decay of the ceiling, so that hard targets are solved and easy ones cost no more.
+    An attempt is given up when its squared error exceeds a bound that falls in each iteration. Near a singular pose
+    that is too early, so later attempts are patient: they get more iterations and a bound that falls more slowly.
     """
 
     patient_iterations: float = 2.0  # factor on the highest number of iterations of a later, patient attempt
-    patient_decay: float = 0.6  # factor per iteration on the squared error above which a patient attempt is given up
-    unreachable_attempts: int = 3  # number of attempts at the nearest pose of a target that is proven out of reach
+    patient_decay: float = 0.6  # factor of the give-up bound per iteration of a patient attempt
+    unreachable_attempts: int = 3  # number of attempts at the pose nearest to a target that is proven out of reach
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged
     far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
-    rest: float = 1e-12  # move of a joint [rad or kernel units] that is rounding if the error does not fall with it
+    rest: float = 1e-12  # largest move of a joint [rad or kernel units] in a step that counts as none
 
 
 END = Endings()
 
 
 def problem_on(block, rows, ends, tasks, n, orders):
-    """Make a Serial (`ends` is one row) or a Tree (one row a tip), with its scratch cut from a block."""
+    """Make the problem of one tip (Serial, `ends` is one row) or of several (Tree), with scratch cut from a block."""
     return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
 
@@ -90,7 +90,7 @@ def _shaped(ends, T, tips):
 
 
 def problem(rows, ends, tasks, n, orders):
-    """Make a Serial or a Tree that owns its scratch, for code that works on arrays (not views) and counts references."""
+    """Make a problem (Serial or Tree) with scratch of its own, for code that works on arrays."""
     return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
 
 
@@ -170,7 +170,7 @@ def note(p, e, ends, history, row, attempt):
 
 @inline
 def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
-    """Iterate from p.desk.q until the attempt converges, fails or is given up.
+    """Iterate from the configuration in working memory (p.desk.q) until the attempt converges, fails or is given up.
 
     The q of the least error goes to `job.best`, and its errors are kept by p as BEST_OF_ALL. Returns the status, the last
     evaluation, the least squared error and what has been spent.
@@ -260,7 +260,7 @@ def search(rule, p, job, needs_jacobian, excess):
 
 @inner
 def conclude(p, job, made, spent, excess):
-    """Put the answer into p.desk.q, on the turn nearest the start, find out why no attempt converged, and return its Answer."""
+    """Put the answer, on the turn nearest the start, into p.desk.q; return status, counts and errors (Answer)."""
     o, q, start, status = job.orders, p.desk.q, p.desk.start, made.status
     limits, following = o.limits > 0.0, o.follow > 0.0
     affordable, judged, held = spent.evaluations < o.evaluations, False, -1
@@ -302,7 +302,7 @@ def conclude(p, job, made, spent, excess):
 
 @inline
 def start_attempt(p, job, k, excess):
-    """Put the start of attempt k into p.desk.q and return the attempt's Patience.
+    """Put the start of attempt k into p.desk.q (working memory), and return how long the attempt may go on.
 
     k < 0 is the attempt from q0; the next BEST start from the table, nearest first; all others start at random.
     """
@@ -320,7 +320,7 @@ def start_attempt(p, job, k, excess):
         if k >= o.patience:
             iterations, decay = END.patient_iterations * o.iterations, END.patient_decay
     if excess > 0.0 or k + o.given + 1.0 >= o.attempts:
-        ceiling = np.inf  # nothing is gained by giving up the last attempt
+        ceiling = np.inf  # the last attempt is never given up early
     for i in range(p.desk.x.shape[0]):
         p.desk.x[i] = 0.0
     return Patience(iterations, ceiling, decay)
@@ -328,7 +328,7 @@ def start_attempt(p, job, k, excess):
 
 @inline
 def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
-    """Search for all targets of a call with one rule: the arguments of `entry` as views, and a block of scratch."""
+    """Do the work of `entry` for one solver rule: its arguments as views, and a block of scratch."""
     rows, ends, seeds, features = part(chain)
     N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
@@ -344,7 +344,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
-    box, near = Ends(ends, n), Ends(near_ends, n)  # These read the first tip's limits, as all tips have the same.
+    box, near = Ends(ends, n), Ends(near_ends, n)  # These read the first tip's limits; all tips have the same.
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
     job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)

@@ -42,15 +42,15 @@ class Look(NamedTuple):
 
 @compiled
 class Serial(NamedTuple):
-    """The problem of one tip."""
+    """The search problem of one tip: geometry, target, what counts, and the last evaluation."""
 
     desk: Desk
     rows: Array  # (L, 10) geometry of the chain, see kinematics.py
-    ends: Ends  # base, tip and the limits of a step
+    ends: Ends  # base, tip and joint limits of a step
     task: Array  # (TASK,) what counts, see `records.Task`
     goal: Array  # (GOAL,) the target
     kept: Array  # (KEPT,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
-    # (12,) pose computed by the last call of `stand`: axes of the last joint by rows, then the tip's position
+    # (12,) pose that the method `stand` computed last: axes of the last joint by rows, then the tip's position
     pose: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints
@@ -117,7 +117,7 @@ class Serial(NamedTuple):
         return min(max(value, self.ends.lower(i)), self.ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """Return the move of coordinate i alone that makes the error least: exact for a turning joint and a position, else linear.
+        """Return the move of joint i alone that minimises the error: exact for positions and turning joints, or linear.
 
         It is 0 where the coordinate changes the error by less than `least`.
         """
@@ -145,7 +145,7 @@ class Serial(NamedTuple):
         return self.evaluate(q)
 
     def undo(self, look):
-        """Restore what `try_out` changed, after q was put back: `kept`, which later Jacobian columns need."""
+        """Restore the matrices `kept`, which `try_out` changed and Jacobian columns need; q has its old value again."""
         if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
 
@@ -183,13 +183,13 @@ class Serial(NamedTuple):
             q[i] = self.ends.low(i) + self.ends.span(i) * rnd(table.state)
 
     def keep(self, look, place):
-        """Store the errors of a look at index `place`, measured from the target itself."""
+        """Store the errors of an evaluation (Look) at index `place`, measured from the target itself."""
         errors = self.desk.errors
         errors[place, 0, 0] = from_target(self.goal, look.linear).square()
         errors[place, 0, 1] = look.angular.square()
 
     def left(self, place):
-        """Return the position error [m] and rotation error [rad] stored at index `place`."""
+        """Return the position error [m] and rotation error [rad] that were stored at index `place`."""
         errors = self.desk.errors
         position = math.sqrt(errors[place, 0, 0]) * self.ends.scale()
         return position, angle_left(int(self.task[WHAT.kind]), errors[place, 0, 1])
@@ -200,12 +200,12 @@ class Serial(NamedTuple):
 
 @spliced
 def serial_on(block, rows, ends, tasks, n, orders):
-    """Make a Serial with its scratch cut from a block."""
+    """Make the problem of one tip (Serial) with its scratch cut from a block."""
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # The padding is computed along with the angles, so it must hold valid numbers, too.
+    for i in range(angles):  # the padding of `trig` is computed, too, so it must hold valid numbers
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(
@@ -227,7 +227,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_serial(rows, ends, tasks, n, orders):
-    """Make a Serial that owns its scratch, for code that works on arrays (not views) and counts references."""
+    """Make the problem of one tip (Serial) with scratch of its own, for code that works on arrays."""
     block = np.empty(space(n, 6, rows.shape[0], 0))
     block[0] = 0.0
     return serial_on(block, rows, ends, tasks, n, orders)

@@ -6,7 +6,7 @@ redone. A lane that is done takes the next target. Lanes never exchange data, so
 that take too long or need care (unreachable, half a turn away, refused) are left to the search.
 """
 
-# The type checker must ignore that numba itself passes the first argument of an intrinsic.
+# Pyright reports calls of intrinsics, because numba itself passes their first argument.
 # pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 import functools
 import math
@@ -29,7 +29,7 @@ from .search import END
 from .serial import serial_on
 from .starts import BEST, make_table, rnd, sow
 
-LEFT = -1  # status of a target that is left to the ordinary search (search.py)
+LEFT = -1  # status: the target is left to the ordinary search (search.py)
 # An attempt is given up when 1 + cos(angle left) is below this: the axis of the rotation is then unknown.
 HALF_TURN = 5e-4
 # Number of attempts after which a target is left to the ordinary search, so that other lanes need not wait for it.
@@ -45,15 +45,15 @@ class Lanes(NamedTuple):
     joints: Array  # (6 n, 8) axis and point of each joint, overwritten by the Jacobian
     trig: Array  # (3 n, 8) angles, sines and cosines of the joints
     goals: Array  # (12, 8) targets as `kinematics.aim` writes them
-    ceiling: Array  # (1, 8) squared error above which the attempt is given up
-    decay: Array  # (1, 8) factor on the ceiling in every iteration
+    ceiling: Array  # (1, 8) squared error above which the attempt is given up in this iteration
+    decay: Array  # (1, 8) factor of the give-up bound `ceiling` per iteration
     age: Array  # (1, 8) evaluations in this attempt
     spent: Array  # (1, 8) evaluations in all attempts at this target
     pp: Array  # (1, 8) squared position error of the last evaluation
     rr: Array  # (1, 8) squared rotation error of the last evaluation
     which: Array  # (8,) index of the target, -1 for a lane without one
     tries: Array  # (8,) attempts made at the target
-    starts: Array  # (8, BEST) rows of the table to start from
+    starts: Array  # (8, BEST) indices of the known configurations to start from
     state: Array  # (8, 1) states of the random sequences
 
 
@@ -98,7 +98,7 @@ def lane_errors(rows, tip, s, turning):
 
 @spliced
 def limited_step(rows, s, ends, turning, point, linear, angular, damping):
-    """Take the damped step inside the limits, holding joints by the sign of the gradient. s.joints becomes the Jacobian."""
+    """Take the damped step inside limits, where joints pushed past a limit are held. s.joints becomes the Jacobian."""
     n = rows.shape[0]
     zero, one = full(0.0), full(1.0)
     blocks = diagonal(damping)
@@ -264,7 +264,7 @@ def lanes() -> Callable:
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders):
         L, N = rows.shape[0], seeds.shape[0]
-        lanes_take = WIDTH * (10 * L + 64)  # numbers that make_lanes cuts from the block
+        lanes_take = WIDTH * (10 * L + 64)  # how many numbers make_lanes takes from the block
         block = np.empty(space(seeds.shape[1], 6, L, N) + lanes_take)
         run_lanes(
             view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)

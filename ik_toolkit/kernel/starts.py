@@ -14,18 +14,18 @@ from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
 SEEDS = 256  # number of configurations in the table of starts; scanning more costs more than it saves in iterations
-BEST = 8  # number of attempts that start from the table before the random ones
-FEATURES = 13  # numbers by which a configuration is compared with a target, see `chain.table`
+BEST = 8  # number of attempts that start from known configurations before random ones
+FEATURES = 13  # number of features that compare a configuration with a target, see `chain.table`
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
-# A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm), and for one tip
-# HOME_WEIGHT |q - home|^2 more, so that of configurations that fit about equally the one nearest home is taken.
+# A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm).
+# For one tip HOME_WEIGHT |q - home|^2 is added, so that of almost equal ones the one nearest home is taken.
 ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
 
 
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
     """Return random configurations (count, n) [kernel units], half of each group from half the range around home.
 
-    That is where the answers lie that people expect. The seed is uncommon, so that no target that a user draws with
+    People expect answers near home. The seed is uncommon, so that no target that a user draws with
     default_rng(1) is in the table by accident.
     """
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
@@ -40,10 +40,10 @@ class StartTable(NamedTuple):
 
     seeds: Array  # (N, n) the configurations
     # The rows of the table are divided into BEST groups, and the nearest of each group is a start.
-    features: Array  # (FEATURES * tips, N + PAD) numbers that are compared with a target, see `chain.table`
+    features: Array  # (FEATURES * tips, N + PAD) features of the seeds, see `chain.table`
     score: Array  # (N,) squared distance of each configuration from the target
     val: Array  # (BEST,) the least score of each group
-    best: Array  # (BEST,) for one tip the rows to start from, nearest first; for several tips the groups in that order
+    best: Array  # (BEST,) for one tip indices of the starts, for several tips of the groups, nearest first
     choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
     state: Array  # (1,) state of the random sequence that gives the later starts
@@ -136,7 +136,7 @@ def rnd(state):
 
 @inner
 def rank_groups(p, table):
-    """Find the best configuration for each tip in each group of the table, and order the groups by the sum of their scores.
+    """Find the best configuration for each tip in each group of the table, and sort the groups by their total distance.
 
     A target relative to another tip is assumed where that tip's own target, or else its start, places it.
     """
@@ -173,7 +173,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q to start k: each coordinate as its tip chose it, or as the search starts if its tip has no target."""
+    """Set q to known start k: each tip has chosen the values of its joints; without a target it keeps q0 or home."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
@@ -191,7 +191,7 @@ def draw_some(p, table, k, q):
     some = False
     for f in range(p.tasks.shape[0]):
         some = some or p.arrived(f)
-    some = some and k % 4 > 0  # In every fourth start all joints are drawn anew.
+    some = some and k % 4 > 0  # Every fourth start draws all joints anew.
     ends = Ends(p.ends[0], p.desk.q.shape[0])
     for i in range(q.shape[0]):
         a = ends.low(i) + ends.span(i) * rnd(table.state)

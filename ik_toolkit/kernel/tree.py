@@ -34,7 +34,7 @@ from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
-# In the next attempt a tip keeps its joints if its squared error (rad, lengths over reach) is below this.
+# A tip keeps its joints in the next attempt if its squared error [rad^2, reach^2] is below this.
 ARRIVED = 1e-4
 
 
@@ -48,19 +48,19 @@ class Looks(NamedTuple):
 
 @compiled
 class TreeProblem(NamedTuple):
-    """The problem of F tips over n shared coordinates. Arrays of a tip are as in `Serial`."""
+    """The search problem of F tips over n shared coordinates. Arrays of a tip are as in `Serial`."""
 
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
-    ends: Array  # (F, ...) an `Ends` for each tip
+    ends: Array  # (F, ...) base, tip and limits of each tip, see `records.Ends`
     tasks: Array  # (F, TASK) what counts at each tip, see `records.Task`
-    cut: Array  # (F + 1,) the rows of chain f are rows[cut[f] : cut[f + 1]]
+    cut: Array  # (F + 1,) where the chains begin in rows: chain f is rows[cut[f] : cut[f + 1]]
     moves: Array  # (F, n) 1 where a coordinate moves an error of the tip that counts, else 0
-    choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and number of tips it moves
+    choosers: Array  # (2, n) tip that chooses the coordinate's start (-1: none), and number of tips it moves
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see relative.py
     kept: Array  # (F, KEPT) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
-    # (F, GOAL) pose of each tip computed by the last call of `stand`: axes of the last joint, then the tip
+    # (F, GOAL) pose of each tip that the method `stand` computed last: axes of the last joint, then the tip
     poses: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints of one chain at a time
@@ -163,7 +163,7 @@ class TreeProblem(NamedTuple):
         return min(max(value, ends.lower(i)), ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """Return the move of coordinate i alone that makes the linearised error of all tips least."""
+        """Return the move of coordinate i alone that minimises the linearised error of all tips."""
         self.jacobian(look)
         self.stack(look)
         top, size = 0.0, 0.0
@@ -308,9 +308,9 @@ def report_tips(p, place, row):
 
 @spliced
 def tree_on(block, rows, ends, tasks, n, orders):
-    """Make a Tree with its scratch cut from a block.
+    """Make the problem of several tips (Tree) with its scratch cut from a block.
 
-    The `ends` of each tip close with the number of its rows, then n numbers that are 1 where a coordinate moves it.
+    The `ends` of each tip finish with its number of rows, and n numbers that are 1 if a coordinate moves the tip.
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
@@ -323,7 +323,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # The padding is computed along with the angles, so it must hold valid numbers, too.
+    for i in range(angles):  # the padding of `trig` is computed, too, so it must hold valid numbers
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
@@ -335,7 +335,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_tree(rows, ends, tasks, n, orders):
-    """Make a Tree that owns its scratch, for code that works on arrays (not views) and counts references."""
+    """Make the problem of several tips (Tree) with scratch of its own, for code that works on arrays."""
     block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
     block[0] = 0.0
     return tree_on(block, rows, ends, tasks, n, orders)

@@ -16,7 +16,7 @@ from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
-# a quantity at N times with its first and second derivative, e.g. poses (N, 4, 4), twists and accelerations (N, 6)
+# a quantity at N times with its first and second derivative, such as poses (N, 4, 4), twists and accelerations (N, 6)
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
 MAX_STEPS = 1e7  # largest number of samples in a run; so many already take over 1 GB of memory
 
@@ -127,7 +127,7 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
         R = T[:, :3, :3]
         bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
         # If a singular value of R is off 1 by PROJECT_WITHIN, some entry of R^T R - I is above a third of that.
-        # This cheap test spares most samples the singular value decomposition.
+        # Testing R^T R - I first spares most samples the singular value decomposition.
         doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
         bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
         bad |= np.linalg.det(R) < 0.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.jit import cached
 
-# samples on each side in the moving average of a clock: without it the tip errs where the clock's acceleration jumps
+# Half width [samples] of the moving average of s, ds/dt and d2s/dt2; the tip would err where d2s/dt2 jumps.
 ROUNDED = 2
 TINY = 1e-12  # a joint with |dq/ds| below this times (1 + |d2q/ds2|) does not limit the acceleration d2s/dt2
 
@@ -80,7 +80,7 @@ def coordinate_at(
     """
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     steps = np.diff(times)
-    # An interval of no duration has no gain; 0 avoids a division by zero.
+    # In an interval without duration d2s/dt2 is set to 0, to avoid a division by zero.
     gain = np.divide(np.diff(rate), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]
     past = t - times[k]
     return np.clip(s[k] + (rate[k] + 0.5 * gain * past) * past, s[0], s[-1]), rate[k] + gain * past, gain

@@ -14,9 +14,9 @@ from ..robot.pose_files import read_poses
 from ..validate import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-# [s] least time between two points of a spline: scipy needs its third power and the inverse of that to be finite.
+# [s] Least time between two points of a spline: scipy needs its third power and the inverse of that to be finite.
 SHORTEST = 1e-100
-RADIAN_AS_METRES = 0.25  # [m/rad] weight of a rotation against a distance when a duration is shared out among waypoints
+RADIAN_AS_METRES = 0.25  # [m/rad] weight of rotations when a duration is shared out among waypoints
 
 
 def waypoints(

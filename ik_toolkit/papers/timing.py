@@ -12,7 +12,7 @@ Work = tuple[Callable[[], Any], int]  # a function to time, and the number of so
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:
     """Time several works in turn, for a number of rounds.
 
-    It is processor time, because other processes on the same core are no cost of a method.
+    Processor time is measured, because other processes on the same core should not count.
 
     Args:
         works: What to time, by name.

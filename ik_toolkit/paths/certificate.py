@@ -7,7 +7,7 @@ import numpy as np
 
 
 class Contact(NamedTuple):
-    """A contact: its place among the poses (3.5: halfway from pose 3 to pose 4) and the names of both shapes."""
+    """A contact of two shapes: its place among the poses (3.5: halfway from pose 3 to pose 4) and the shapes' names."""
 
     place: float
     pair: tuple[str, str]

@@ -20,10 +20,10 @@ from ..robot.geometry.distance import Clearance
 from ..robot.joints import Joints
 from .certificate import Contact
 
-# LARGEST is the first margin factor tested [rad], 1.5 cm for a lever arm of a metre.
+# LARGEST is the first margin factor tested [rad]; it gives 1.5 cm for a lever arm of one metre.
 # Each further margin factor is FINER times smaller than the one before.
 LARGEST, FINER = 0.015, 4.0
-FLOOR = 1e-4  # smallest margin [m] of the pair with the longest arm; nearer shapes cannot be proven free of contact
+FLOOR = 1e-4  # smallest margin [m] of the pair with the longest lever arm; nearer shapes count as not proven
 # Largest number of collision tests per row of a curve, and for a short curve; the rest then counts as not proven.
 EACH, AT_LEAST = 30, 20_000
 
@@ -31,8 +31,8 @@ EACH, AT_LEAST = 30, 20_000
 class Margins:
     """Collision tests of a CollisionModel whose pairs count as touching below a margin.
 
-    arms (n, pairs): by how much a pair's distance changes at most per unit of each joint [m per rad, or m per m]
-    size (pairs,): longest arm of each pair [m]; a pair's margin is a margin factor [rad] times its size
+    arms (n, pairs): lever arms, by how much a pair's distance changes at most per unit of each joint [m/rad or m/m]
+    size (pairs,): longest lever arm of each pair [m]; a pair's margin is a margin factor [rad] times its size
     levels: the margin factors that are tested, largest first
     spent: number of tests made so far
     """
@@ -99,7 +99,7 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
         if leader.nv == 1 and leader.idx_q in place:
             screw = np.asarray(data.joints[j].S).reshape(6)
             moved[j] = (place[leader.idx_q], float(np.linalg.norm(screw[3:])), float(np.linalg.norm(screw[:3])))
-    # Arms are kept for each joint of the model apart, so that joints which carry both shapes of a pair can be left out.
+    # Lever arms are stored per joint of the model, so that joints which carry both shapes of a pair can be left out.
     own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))
     for k, shape in enumerate(geometry.geometryObjects):
         shape.geometry.computeLocalAABB()
@@ -291,7 +291,7 @@ class _Branches:
         self.points, self.parents = [root], [-1]
 
     def extend(self, margins: Margins, robot: Joints, target: np.ndarray) -> int | None:
-        """Grow one step from the nearest point towards a target (n,); return the new point's index, None if blocked."""
+        """Grow the tree one step from its nearest point towards a target (n,); return the new index (None: blocked)."""
         points = np.array(self.points)
         near = int(np.argmin((((points - target) / robot.chain.unit) ** 2).sum(axis=1)))
         way = target - points[near]
@@ -304,7 +304,7 @@ class _Branches:
         return len(self.points) - 1
 
     def reach_for(self, margins: Margins, robot: Joints, target: np.ndarray) -> int | None:
-        """Grow towards a target (n,) until it is reached; return the index of the point there, None if blocked."""
+        """Grow the tree until it reaches a target (n,); return the index of the point there, None if blocked."""
         while True:
             new = self.extend(margins, robot, target)
             if new is None:
@@ -313,7 +313,7 @@ class _Branches:
                 return new
 
     def way(self, k: int) -> np.ndarray:
-        """Return the configurations (K, n) from the point of index k back to the root."""
+        """Return the configurations (K, n) from point k of the search tree back to its root."""
         found = []
         while k >= 0:
             found.append(self.points[k])

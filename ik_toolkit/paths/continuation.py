@@ -64,10 +64,11 @@ def within(q, old, most):
 
 @spliced
 def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
-    """Continue p.desk.q (n,), a solution of pose a, to a solution of pose b, in steps that are halved where they fail.
+    """Continue q (in p.desk), a solution of pose a, to a solution of pose b, in steps that are halved where they fail.
 
-    weights (n,), box: joint weights and Bounds; flat (N, F, 16): all poses; most, deviation: as in `carry_along`. pose
-    and its view sheet (F, 16), old (n,) and new (n,) are scratch. Returns False if no continuous motion was found.
+    weights (n,), box: joint weights and joint limits (Bounds); flat (N, F, 16): all poses; most, deviation: as in
+    `carry_along`. pose and its view sheet (F, 16), old (n,) and new (n,) are scratch. Returns False if no continuous
+    motion was found.
     """
     q = p.desk.q
     copy(q, old)
@@ -142,13 +143,13 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
             Q[start, k, i] = seeds[m, i]
 
 
-MOST = 300  # largest number of tracks for a redundant robot, which bounds time and memory
+MOST = 300  # largest number of tracks (continued solutions) for a redundant robot, to bound time and memory
 ISOLATED = 4096  # largest number of tracks for a robot with finitely many solutions: enough for all of them
 STARTS = 1000  # number of random starts from which a pose is solved
 POOL = 400  # number of solutions of a redundant robot from which well-spaced ones are chosen
 SAME = 1e-3  # two solutions whose joints all differ by less than this count as the same [rad or kernel units]
-THIN = 0.25  # a redundant robot gets no new track nearer to another than this share of the largest joint step
-CHUNK = 8  # number of tracks that a thread extends in one task
+THIN = 0.25  # least distance of a new track from others of a redundant robot, as a share of the largest joint step
+CHUNK = 8  # number of tracks that a thread continues in one task
 
 
 def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.ndarray:

@@ -29,11 +29,11 @@ ROUNDS = 12
 MOST_PIECES = 256
 MOST_ROWS = 200_000  # largest number of rows of a curve
 LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for rotation vectors up to half a turn
-LOG_GAIN = 0.5 * math.pi  # bound on the norm of that Jacobian itself
+LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, up to half a turn
 
 
 class Speeds(NamedTuple):
-    """Upper bounds (M-1,) on a tip's motion over each segment between two rows; its parameter runs from 0 to 1.
+    """Upper bounds (M-1,) on a tip's motion over each segment between two rows, whose parameter runs from 0 to 1.
 
     speed, bend: of the tip's first and second derivative [m]; turn, twist: of its angular speed and the derivative of
     that [rad]; off [m], off_turn [rad]: of the tip's deviation that is due to joints leaving the straight line (`sag`
@@ -112,12 +112,12 @@ def densify(
         wanted = np.where(crowded[owner], 1.0, wanted).astype(int)
         if not (wanted > 1).any():
             break
-        first = np.repeat(np.arange(len(wanted)), wanted)  # This is the index of the segment that each piece divides.
+        first = np.repeat(np.arange(len(wanted)), wanted)  # index of the segment that each piece is part of
         share = (np.arange(len(first)) - np.repeat(np.cumsum(wanted) - wanted, wanted)) / wanted[first]
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[~new] = curve  # The interpolation turned a row before a row of NaN into NaN, so all old rows are restored.
+        rows[~new] = curve  # interpolating towards a row of NaN has turned old rows into NaN
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
         # Where an inserted row is not solved, the segment between its two poses gets no rows at all.
         given_up[np.unique(places[new][~good].astype(int))] = True
@@ -141,7 +141,7 @@ def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> 
 
 
 def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Do the same as `settle_on_targets`, but accept the nearest pose of an arm with too few joints."""
+    """Move rows onto targets like `settle_on_targets`, but accept the nearest pose of an arm with too few joints."""
     q, good = settle_on_targets(plan, kinds, q, T)
     return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
 
@@ -199,8 +199,8 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
     sag = (sag / chain.unit)[:, owner]
     speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
     for r in range(len(rows) - 1, -1, -1):
-        # Over the segment the joints beyond joint r move the tip by at most `speed`, seen from joint r.
-        # So the tip's distance from its axis is at most the mean of the values at both ends plus half of `speed`.
+        # The joints from r to the tip move the tip by at most `speed` over the segment, seen from joint r.
+        # The tip's distance from axis r is therefore at most the mean of both ends' distances plus half of `speed`.
         arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
         bend += turns[:, r] * (turns[:, r] * arm + 2.0 * speed)
         twist += turns[:, r] * turn
@@ -254,7 +254,7 @@ class Between:
             return 0.125 * self.bend + self.off  # The norm of the whole error does not depend on the axes.
         spin, change = self.axes
         second = self.bend + 2.0 * spin * self.drift + (change + spin * spin) * self.away
-        # A deviation of the joints also rotates the axes in which the error is given; 8 undoes the factor 0.125 below.
+        # A deviation of the joints also rotates the axes of the error; the factor 8 cancels the factor 0.125 below.
         second += 8.0 * (self.off + self.off_turn * (self.away + self.off))
         return max((counts.mask or (1.0,))[:3]) * 0.125 * second
 
@@ -266,10 +266,10 @@ class Between:
         if any(counts.mask or ()) or any((counts.slack or (0.0,))[3:]):
             weight = max((counts.mask or (1.0,))[-3:])
             return tolerance + weight * (0.125 * self._vector() + (LOG_GAIN + math.pi) * self.off_turn)
-        if axis:  # The axis and its target move on the unit sphere, and each leaves its chord by at most its p'' / 8.
+        if axis:  # axis and target move on the unit sphere; each leaves its chord by at most p'' / 8
             chord = 2.0 * np.sin(0.5 * np.minimum(tolerance, math.pi)) + 0.125 * (self.rate**2 + self.swing**2)
             return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) + self.off_turn
-        # The rotation group has the curvature 1/4, so half the rotation over a segment is multiplied by its root, 1/2.
+        # The rotation group has curvature 1/4, so half the rotation over a segment is multiplied by sqrt(1/4).
         bent = 0.25 * np.maximum(self.rate, self.swing)
         secant = np.where(bent < 0.5 * math.pi, 1.0 / np.cos(np.minimum(bent, 1.57)), np.inf)
         grown = np.where(bent > 1e-4, 2.0 * (secant - 1.0) / np.maximum(bent, 1e-4) ** 2, 1.0)

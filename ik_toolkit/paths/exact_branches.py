@@ -17,10 +17,10 @@ import numpy as np
 from ..kernel.kinematics import TAU
 from ..solvers.closed_form.geometry import Screws, read_screws
 
-PARALLEL = 1e-6  # largest sine of the angle of parallel axes, and largest distance of meeting axes over the reach
-# Two solutions merge, or infinitely many exist, if a cosine is this near 1 or a length this near 0.
+PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
+# Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
 DOUBTFUL = 1e-7
-EXACT = 1e-5  # largest difference of a solution's pose from the target [m, or in a rotation matrix]; models are rounded
+EXACT = 1e-5  # largest pose error of a solution [m, or in rotation matrix entries]; descriptions are rounded
 
 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -19,14 +19,14 @@ from .path_search import Found, Search
 from .result import pieces
 from .smoothing import smooth_rows
 
-TRIES = 12  # largest number of paths verified; each leaves out the steps that failed in those before
+TRIES = 12  # largest number of paths verified; each excludes the steps that failed in earlier ones
 HELD = 2  # number of poses kept unchanged on either side of a place where the shortened motion fails
-ROUNDING = 1e-9  # share by which a step may exceed max_step, because of rounding
-SHORTENED = 3  # largest number of attempts to shorten a path; each keeps more poses unchanged
+ROUNDING = 1e-9  # share of max_step by which rounding may let a step exceed it
+SHORTENED = 3  # largest number of attempts to shorten a path; each attempt keeps more poses unchanged
 
 
 class ProvenMotion(NamedTuple):
-    """A path and what is proven about it.
+    """A path, its motion between the poses, and what is proven about that motion.
 
     found: the path as the search found it; q (N, n) [rad or m]: a solution of each pose, NaN where there is none; curve
     (M, n): q and the rows inserted between; at (M,): places of the curve's rows among the poses; continuity: what is
@@ -134,10 +134,10 @@ def finished(
 STEPS = 40  # largest number of Gauss-Newton steps; ten usually suffice
 # The cost of a joint step is quadratic below this share of the mean step, so that joints do not stop and start again.
 QUADRATIC_BELOW = 0.5
-# Weight of squared second differences against steps; corners are rounded over its square root, some three poses.
+# Weight of squared second differences against joint steps; its square root, about three poses, is the corners' width.
 SMOOTHNESS = 10.0
-ROUNDS = 6  # largest number of rounds of smoothing; each holds more poses, where the last one touched
-WINDOW = 4  # number of poses held on either side of one that touches, doubled in each further round
+ROUNDS = 6  # largest number of rounds of smoothing; each holds more poses, where the previous round touched
+WINDOW = 4  # number of poses held on either side of a pose in contact, doubled in each further round
 
 
 def smooth(
@@ -182,10 +182,10 @@ def smooth(
     return q
 
 
-# Spacing of poses for the search [share of the reach], [rad]; joints then mostly move less than max_step per pose.
+# Largest spacing of poses in the search [share of the reach], [rad], so that joints mostly move less than max_step.
 FAR = (0.015, np.radians(3.0))
 MOST = 1000  # largest number of inserted poses, to bound the search's time; longer paths get a wider spacing
-WIDER = 1.5  # factor by which the spacing grows until there are at most MOST inserted poses
+WIDER = 1.5  # factor by which the spacing of poses is raised until at most MOST are inserted
 
 
 def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
@@ -216,7 +216,8 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
     """Return the requested poses after which a path breaks.
 
-    breaks: the same as indices of all M poses, inserted ones included; at (M,): their places among the requested poses.
+    breaks: the same breaks as indices of all M poses, inserted ones included; at (M,): places of these poses among the
+    requested ones.
     """
     return sorted({int(at[k]) for k in breaks})
 

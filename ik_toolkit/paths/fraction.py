@@ -13,7 +13,7 @@ from .path_search import Search
 from .result import pieces
 
 PARTS = 400  # The path is followed in steps of 1/400 of its length (0.25 %).
-HALVINGS = 5  # number of step lengths tried, each half the one before, so that the end is found to 1/16 of a step
+HALVINGS = 5  # number of step lengths tried, each half the previous one: the end is found to 1/16 of a step
 STARTS = 16  # largest number of configurations at the first pose from which the path is followed
 
 

@@ -19,7 +19,7 @@ FLAT = 1e-5
 
 
 class Freedom(NamedTuple):
-    """What the joints can do about the targets of a path.
+    """Which components of the targets of a path the joints can change.
 
     rank: number of independent components of the targets that the joints can move (generic rank of the task Jacobian).
     lacks: whether that is too few to follow the interpolated poses between two poses.
@@ -56,8 +56,8 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 
     own = max((rank(one.reshape(-1, len(moving))) for one in J), default=0)
     everywhere = np.moveaxis(J, 0, 2).reshape(len(blocks), 3, -1)
-    # Planar arms, gantries and SCARA arms have the same directions everywhere, uncoupled translations and rotations.
-    # So the interpolation between two poses that such an arm reaches uses only directions that it has.
+    # Planar arms, gantries and SCARA arms can move in the same directions everywhere, with uncoupled rotations.
+    # Interpolating between two poses of such an arm therefore takes no direction in which it cannot move.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows
     plain = all(kind in (POSE, POSITION, FREE) for kind in kinds) and not counts_in_part(kinds, plan.options)
@@ -66,7 +66,7 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
 
 
 def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return by how much [m], [rad] (2, M-1) the rows of a curve exceed the tolerances for lack of joints.
+    """Return by how much [m], [rad] (2, M-1) a curve's rows exceed the tolerances because the arm has too few joints.
 
     The result is 0 for an arm with enough joints. Of each segment between two rows of the curve (M, n), the larger
     value of both ends is taken. at (M,): places of the rows among the poses T (N, F, 4, 4).
@@ -77,7 +77,7 @@ def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.nda
 def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Return by how much [m], [rad] (2, M-1) the rows of a curve exceed the tolerances at the interpolated poses.
 
-    As in `missed`, of each segment the larger value of both ends, but for every arm.
+    For each segment it is the larger value of both ends, as in `missed`, but it is computed for every arm.
     """
     left, goals, o = np.zeros((2, len(curve))), interpolate_poses(T, at, kinds), plan.options
     for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):

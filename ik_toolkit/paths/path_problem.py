@@ -17,8 +17,8 @@ from .freedom import freedom
 # Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow.
 # The search itself uses at least these steps, because a smaller max_step is met at the end by inserting rows.
 STEP = (np.radians(7.0), 0.02)
-# An arm with too few joints to follow interpolated poses is searched without bounds, by values that never occur:
-# These are the largest step of a joint [rad], [m] and the largest deviation of a tip [m], [rad].
+# For an arm with too few joints to follow interpolated poses, the search gets bounds that no motion reaches.
+# ANY_STEP is the largest joint step [rad], [m], and ANY_DEVIATION the largest deviation of a tip [m], [rad].
 ANY_STEP, ANY_DEVIATION = (1e3, 1e6), (1e9, 1e9)
 
 
@@ -31,13 +31,13 @@ class Problem:
     deviation (2,): how far [m], [rad] a tip may leave the interpolated pose between two poses
     poses (N, F, 4, 4): T with one axis for the tips
     at (N,): place of each pose among the requested ones (3.5 is halfway from pose 3 to pose 4)
-    stand (n,): values at which joints of weight 0 are held, from q0 or else home [kernel units]
+    stand (n,): values [kernel units] at which joints of weight 0 are held, from q0 or otherwise home
     plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
     rows, ends, orders: the arrays of `single` that compiled functions take
     limits (3, n): lower limit, upper limit [kernel units], and 1 where both are finite
     endless (n,), turning: revolute joints without limits; indices of limited ones whose range exceeds a full turn
     redundant: whether there are more joints than the targets need, so that solutions are not isolated
-    room (3, n): limits in the search, which has none for `turning` joints if not redundant: their turns come later
+    room (3, n): limits in the search; without redundancy `turning` joints have none, as turns are chosen later
     """
 
     def __init__(

@@ -21,15 +21,15 @@ from .path_problem import Problem
 from .result import Unreachable
 from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_first
 
-# For a robot with finitely many solutions every 20th pose is an anchor, because no solution may be missed.
+# Anchors are poses solved from many starts: every 20th pose if solutions are finitely many, so that none is missed.
 EVERY = 20
-# Number of first anchors for a redundant robot. Few suffice, because its tracks reach far.
+# Number of first anchors for a redundant robot. Few suffice, because its solutions can be continued far.
 ANCHORS = 13
-SHARE = 40  # largest number of tracks that an anchor of a redundant robot adds
-TRIED = 3  # number of solutions tested for contact for each track that an anchor may add
-PATIENCE = 2  # number of successive rounds of further anchors without a gain after which the search ends
-# The first search keeps a margin of this angle [rad] times a pair's longest lever arm: 3 mm for an arm of a metre.
-# With such a margin the motion between poses is easily proven free of contact.
+SHARE = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
+TRIED = 3  # number of solutions tested for contact, per track that an anchor may add
+PATIENCE = 2  # the search ends after this many successive rounds of further anchors without a gain
+# The first search keeps a margin of NEAR [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
+# This margin makes it easy to prove the motion between poses free of contact.
 NEAR = 0.003
 PROBES = 9  # After this many poses without a solution, the others in a gap between tracks are given up.
 LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.
@@ -70,9 +70,9 @@ class Found(NamedTuple):
 class Search:
     """A path search: the tracks of a Problem and the dynamic program over them, refined round by round.
 
-    A track is one solution continued along the path. `found` is the best path so far, `lower_bound` the proven least
-    number of reconfigurations (None: not proven), and `fixed` says whether the path starts exactly at q0, and ends
-    exactly at q_end.
+    A track is one solution continued along the path. `found` is the best path found so far, `lower_bound` the proven
+    least number of reconfigurations (None: not proven), and `fixed` says whether the path starts exactly at q0, and
+    ends exactly at q_end.
     """
 
     def __init__(
@@ -97,18 +97,18 @@ class Search:
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
-        self.anchored: dict[int, float] = {}  # for each anchor, the distance [m] it is proven out of reach, else 0
+        self.anchored: dict[int, float] = {}  # by anchor, how far [m] it is proven out of reach, else 0
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        self.sure: np.ndarray | None = None  # (N,) poses whose solutions are proven to be all known
+        self.sure: np.ndarray | None = None  # (N,) whether all solutions of a pose are proven to be known
         self.legal = np.empty((0, 0), dtype=bool)  # (N, K) which of the K solutions of a pose keep the joint limits
-        self.copied: set[int] = set()  # joints with a range of over a full turn whose tracks are copied to every turn
+        self.copied: set[int] = set()  # joints of more than a full turn, whose tracks are copied to every turn
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
 
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
-        """Test contact by the function collides(q), q (n,) [rad or m], from now on, and forget earlier results."""
+        """Test contact with the function collides(q), q (n,) [rad or m], from now on; forget earlier results."""
         self.collides = collides
         self.tester = Tester(collides, self.problem.unit, max(BUDGET * len(self.problem.T), LEAST))
 
@@ -231,7 +231,7 @@ class Search:
             self.build()
 
     def made(self, allowed: float | None) -> tuple[Found, set[int]]:
-        """Return the best path through the current program, and the joints whose winding does not fit their limits.
+        """Return the best path in the current dynamic program, and the joints whose winding does not fit their limits.
 
         allowed: None, or the largest number of reconfigurations; the path then ends at the farthest pose they lead to.
         """
@@ -253,7 +253,7 @@ class Search:
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
         breaks = []
-        # A jump across poses that are not reached is no reconfiguration, unless all of these are inserted poses.
+        # A jump across unreached poses is a reconfiguration only if all of these are inserted poses.
         for t in np.flatnonzero(jumps).tolist():
             before = int(on[np.searchsorted(on, t) - 1])
             if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():

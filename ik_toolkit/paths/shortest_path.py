@@ -16,22 +16,22 @@ import numpy as np
 from ..compile.jit import cached, inline, inner
 from ..kernel.kinematics import TAU
 
-# A state does not exist or violates a limit (DEAD), or it is not tested for contact yet, or free, or in contact.
+# A state is a track at a pose. DEAD: it does not exist or violates a limit; otherwise what is known of contact.
 DEAD, UNTESTED, FREE, TOUCHING = range(4)
-# A state's parent is the track k of the state before it, -2 - k if it is reached by a reconfiguration, or NONE.
+# A state's parent is the track k of the preceding state, -2 - k if a reconfiguration leads from it, or NONE.
 NONE = -1
-CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, which is more than any path has.
+CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, more than any path has.
 
 
 @inline
 def shortest_difference(d, endless):
-    """Return d [rad] less its full turns if endless > 0, else d itself; d is a joint value or a difference of two."""
+    """Return a joint value or difference d, less its full turns [rad] if endless > 0."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 
 @inner
 def step(Q, t, a, u, b, most, endless, price, near, enough):
-    """Return the cost of the joint move from track a at pose t to track b at pose u; infinite from `enough` on.
+    """Return the cost of the joint move from track a at pose t to track b at pose u; infinite if `enough` or more.
 
     A joint that moves further than `most` (n,) makes the cost infinite if near > 0, and adds price[2, 0] if near is 0.
     Other arguments are those of `link_layers`.
@@ -73,15 +73,15 @@ def window(keys, size, low):
 
 @cached
 def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis, first, counts, costs, parents, prior):
-    """Run the dynamic program over K tracks and N poses (layers) from layer `first` on, with the results before it.
+    """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results before it are kept.
 
     Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING
     most (n,): largest step of each joint; endless (n,): 1 if full turns of a joint do not count
-    price (3, n): per unit of a joint's move; per unit of its square; [2, :2]: of a too long step, of a reconfiguration
-    begin (2, K): number of reconfigurations and cost of starting on each track; toll (N, K): extra cost of a state
+    price (3, n): cost per unit of a joint's move; per unit of its square; [2, :2]: of a too long step, of a new branch
+    begin (2, K): reconfigurations and cost counted for starting on each track; toll (N, K): extra cost of a state
     blocked (B, 3): excluded steps, as pose they lead to, track before, track after; sorted
-    axis: index of the joint by whose value near states are looked up
+    axis: index of the joint whose value sorts the states, to look up near ones
 
     Written are counts (N, K) and costs (N, K), the reconfigurations (contacts as CONTACT each) and the cost of the best
     path to each state; parents (N, K), see NONE; prior (N,), the last layer before with states, -1 if there is none.
@@ -145,7 +145,7 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
                     at = shortest_difference(float(Q[t, b, axis]), round)
                     low = window(keys, size, shortest_difference(at - reach, round))
                     for j in range(low, size if round == 0.0 else low + size):
-                        j -= size if j >= size else 0  # The values of an endless joint form a ring.
+                        j -= size if j >= size else 0  # the values of an endless joint form a ring
                         if shortest_difference(keys[j] - at, round) > reach:
                             break
                         a = order[j]
@@ -165,11 +165,11 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
         bar = stop
 
 
-LONG = 1e3  # cost of a step longer than allowed, above the length of any path [kernel units]
-LEAP = 1.0  # cost of a reconfiguration in addition to its count; its joint move costs nothing, as it is not on the path
-SUSPECT = 50.0  # extra cost of an untested state between two in contact on the same track, so that it is tried last
-HITS = 4  # number of states found in contact after which the program is run again, for the first time
-SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint by which near states are looked up
+LONG = 1e3  # cost [kernel units] of a step longer than allowed, more than the length of any path
+LEAP = 1.0  # cost of a reconfiguration in addition to its count; its joint move is off the path and costs nothing
+SUSPECT = 50.0  # extra cost of an untested state between two in contact on one track, so that it is used last
+HITS = 4  # number of states found in contact after which the dynamic program is first run again
+SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint by whose value states are sorted
 COARSE = 16  # After a first contact every track is tested at every 16th pose.
 
 
@@ -187,7 +187,7 @@ class Program:
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        # The last row holds two prices, even for a robot with one joint.
+        # `price` has at least two columns, because its last row holds two prices.
         self.price = np.zeros((3, max(Q.shape[2], 2)))
         self.price[0] = 1.0
         self.price[1] = 1.0 / most
@@ -197,7 +197,7 @@ class Program:
         self.blocked: set[tuple[int, int, int]] = set()
         self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
         self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
-        self.changed = 0  # index of the first layer whose results are out of date
+        self.changed = 0  # index of the first layer (pose) whose results are out of date
         self.axis = self._telling()
 
     def _telling(self) -> int:
@@ -210,7 +210,7 @@ class Program:
         return int(np.argmin((np.abs(d) <= self.most).mean(axis=(0, 1, 2))))
 
     def run(self) -> None:
-        """Run the dynamic program over the layers whose results are out of date."""
+        """Run the dynamic program over the layers (poses) whose results are out of date."""
         if self.changed >= len(self.Q):
             return
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
@@ -274,17 +274,17 @@ def middle_first(size: int) -> np.ndarray:
 
 
 class Tester:
-    """Collision tests of the states of a Program, each at most once; `left` is the number of tests that remain."""
+    """Tests states of a Program (a track at a pose) for collision, each at most once; `left` tests remain."""
 
     def __init__(self, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
         """Test with the function collides(q), q (n,) [rad or m], at most `budget` times; unit (n,): kernel units."""
         self.collides, self.unit, self.left = collides, unit, budget
         self.program: Any = None
-        self.looked = False  # whether a contact was found and all tracks were then tested at every 16th pose
+        self.looked = False  # whether all tracks were tested at every 16th pose, after a first contact
 
     def of(self, program: Program) -> "Tester":
-        """Use the tester for another program, and return it; results are kept if its first tracks are the same."""
-        # Only programs that share the memory of their tracks have the same track in the same column.
+        """Test another dynamic program, and return self; results are copied if its first tracks are the same."""
+        # Dynamic programs have the same track in the same column only if they share the tracks' memory.
         if self.program is not None and np.shares_memory(self.program.Q, program.Q):
             K = self.program.state.shape[1]
             known = self.program.state >= FREE
@@ -295,7 +295,7 @@ class Tester:
         return self
 
     def touches(self, t: int, k: int) -> bool:
-        """Return whether track k is in contact at pose t; False if that is unknown and no test is left."""
+        """Return whether track k is in contact at pose t; False if that is unknown and no collision test is left."""
         p = self.program
         if p.state[t, k] == UNTESTED and self.left > 0:
             self.left -= 1
@@ -346,11 +346,11 @@ class Tester:
 def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
     """Return the best path whose states are all tested for contact, as `Program.path` does.
 
-    When the tester's budget runs out, the best path so far is returned.
+    When the budget of collision tests runs out, the best path so far is returned.
     """
     N = len(program.Q)
     order = middle_first(N)
-    # Each round accepts one contact more, because running the program again takes time.
+    # Each round finds one contact more before the dynamic program is run again, because that takes time.
     for most in itertools.count(HITS):
         program.run()
         tracks, jumps = program.path(N - 1)

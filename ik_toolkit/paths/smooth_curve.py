@@ -27,10 +27,10 @@ from .interpolate import interpolate_poses
 ROUNDS = 12  # largest number of rounds of inserting rows; each halves the distance between the rows
 LEAST = 1e-9  # rows of a curve nearer than this are merged [rad or m]
 FINE = 0.0125  # largest move of a joint between two points at which a spline is examined [rad or kernel units]
-FEWEST, MOST = 4, 64  # least and largest number of these points from one row to the next
-# A pose at which the path turns by more than this angle is a corner, and not a sample of a smooth curve.
+FEWEST, MOST = 4, 64  # least and largest number of examined points between two rows
+# A pose at which the path turns by more than this angle [rad] is a corner, not a sample of a smooth curve.
 CORNER = math.radians(60.0)
-ARC = 1.25  # factor on the sagitta of an arc, because a spline leaves the chords further than an arc
+ARC = 1.25  # factor on an arc's sagitta (height over its chord), because a spline leaves the chords further
 
 
 class Curve(NamedTuple):

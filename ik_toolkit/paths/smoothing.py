@@ -18,7 +18,7 @@ from ..kernel.null_space import REFERENCE, make_bounds, onto_target
 from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
 from ..kernel.search import problem
 
-# Weight of squared task errors against squared differences: a step leaves 1e-9 rad of 1e-2 rad, corrected afterwards.
+# Weight of squared task errors against squared joint differences; a step leaves 1e-9 rad of an error of 1e-2 rad.
 TASK_WEIGHT = 1e7
 RIDGE = 1e-9  # added to the diagonal, so that the system is positive definite even if no difference involves a pose
 ARRIVED = 1e-24  # A correction onto a target ends below this squared error (lengths over the reach), which is rounding.

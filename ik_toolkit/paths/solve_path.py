@@ -33,7 +33,7 @@ from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
 TOLERANCE = (1e-3, math.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
-# Largest number of further searches, in which rotations of 180 degrees go the other way round where the path breaks.
+# Largest number of further searches, which turn half turns (180 degrees) the other way round where the path breaks.
 OTHER_WAYS = 4
 DT = 0.01  # sampling interval of a Reference [s]
 EXACT = 1e-13  # Columns of an exact rotation matrix deviate less than this from orthonormal ones; rounding is 1e-15.
@@ -143,7 +143,7 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # Directions of half turns that were not tried may need fewer.
+            search.lower_bound = None  # half turns the other way may need fewer
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
         return replace(made, tolerance_given=path_tolerance is not None)
@@ -275,8 +275,8 @@ def _result(
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
 
 
-DOUBT = 0.1  # A rotation nearer half a turn than this share of the orientation tolerance may go either way.
-SHORT = 1e-10  # angle [rad] by which the chosen rotation is shorter than half a turn, well above rounding (1e-16)
+DOUBT = 0.1  # A rotation that is within this share of the orientation tolerance of half a turn may go either way.
+SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than half a turn, well above rounding (1e-16)
 
 
 class HalfTurns:

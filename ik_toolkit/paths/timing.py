@@ -18,14 +18,14 @@ from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 GRID = 200  # least number of grid points of the time law of a smooth piece
-FINER = 3  # largest number of times the grid is doubled, while limits are exceeded between its points
+FINER = 3  # largest number of times that the grid is doubled while limits are exceeded between points
 TOO_FAST = 1.02  # The grid is doubled if a limit is exceeded by more than this factor between two grid points.
-ROUNDED = 1e-9  # share by which the time law is slowed down to allow for rounding
+ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
 MOST_SAMPLES = 1e7  # largest number of samples of a trajectory, so that a far too high rate is an error
 NOWHERE = np.full(2, np.nan)  # NaN as the place of both ends of a free motion, which is nowhere among the poses
-KEPT = 0.99  # The tip speed asked for counts as kept from this share of it.
+KEPT = 0.99  # A tip speed counts as the one asked for from this share of it on.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
-TOLD = 3  # number of places that a message lists
+TOLD = 3  # largest number of places that a message lists
 
 
 def retime(
@@ -82,10 +82,10 @@ def retime(
 def through(
     robot: Joints, Q: Any, velocity: Any = None, acceleration: Any = None, *, collision: Any = None, rate: float = 100.0
 ) -> Trajectory:
-    """Motion through configurations Q (N, n) [rad or m], straight in the joints and at rest at each, which `place` counts.
+    """Return the motion through configurations Q (N, n) [rad or m], straight in the joints, at rest at each one.
 
-    Limits, rate and errors are as in `PathResult.retime`. With a CollisionModel as `collision` it goes around what is in the way,
-    or ends where no way was found.
+    `place` of the result counts configurations. Limits, rate and errors are as in `PathResult.retime`. With a
+    CollisionModel as `collision` it goes around what is in the way, or ends where no way was found.
     """
     limits, rate = _limits(robot, velocity, acceleration), positive(rate, "rate [1/s]")
     rows = np.array([robot.check_q(q) for q in Q])

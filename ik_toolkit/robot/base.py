@@ -272,7 +272,7 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Move shapes that were placed on the original model to the links of another one."""
+    """Move collision shapes that were placed on one model to the links of another model."""
     for shape in geometry.geometryObjects:
         old = original.frames[shape.parentFrame]
         k = model.getFrameId(old.name, old.type)

@@ -32,7 +32,7 @@ class End(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Two frames that must coincide, for a weld in rotation too."""
+    """A loop constraint: two frames that must coincide in position, and for a weld in rotation too."""
 
     name: str
     ends: tuple[End, End]
@@ -139,7 +139,7 @@ class Closure:
         path = JointPath([], 0, joints, len(joints), owner, idx_q, circle)
         try:
             lower, upper, _ = limits(model, path, mimic_limits(self.robot.urdf) if self.robot.urdf else {})
-        except ModelError:  # A joint that has no legal position cannot help to close a loop.
+        except ModelError:  # a joint without a position inside its limits cannot help to close a loop
             lower = upper = np.array([0.0 if c else self.robot.rest[i] for i, c in zip(idx_q, circle, strict=True)])
         return CoupledConstraints(constraints, joints, lower, upper)
 

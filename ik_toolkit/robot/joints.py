@@ -97,7 +97,7 @@ class Joints(ReadOnly):
     _path: JointPath
     _given: Given | None
     _original: pin.Model | None
-    _wide: Any = None  # For a variant with narrower limits, this is the robot it was made from.
+    _wide: Any = None  # for a variant with narrower limits: the robot it was made from
 
     def _note(self, notes: Iterable[str]) -> None:
         """Store notes on the description, and log those that are new."""
@@ -149,7 +149,7 @@ class Joints(ReadOnly):
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
-        """Return targets or poses as a dict by tip: a Robot's become {tip: given}, a Tree's are a dict already."""
+        """Return targets or poses as a dict by tip: {tip: given} for a Robot; for a Tree they already are one."""
         return given if self.by_tip else {self.tips[0]: given}
 
     def for_tips(self, each: Mapping[str, Any]) -> Any:

@@ -44,7 +44,7 @@ def urdf_of(
 ) -> Urdf:
     """Return the URDF text of a URDF, xacro or MJCF source. Raises what `Robot.load` raises.
 
-    elsewhere: whether another file (the SRDF) may use the xacro arguments, so that a plain URDF need not refuse them.
+    elsewhere: whether another file (the SRDF) may use the xacro arguments, so that they are no error for a plain URDF.
     """
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
@@ -96,7 +96,7 @@ def read_source(
 def read_both(
     source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None, srdf: Any
 ) -> tuple[RobotEntry, dict[str, Any], Any]:
-    """Read a source as `read` does, and the SRDF: as text if it is named as a xacro file, which may use the arguments too."""
+    """Read a source as `read_source` does, and return the SRDF too: as text if it is named as a xacro file."""
     entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
     return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
 
@@ -107,7 +107,7 @@ def default_base(
     """Return the base frame to use: the one given, or the robot's known one, or the link that a free joint carries.
 
     The last is for a tip below a floating or planar joint without base_limits: the joint is held, and a note on that is
-    added to `made`, the result of `read`.
+    added to `made`, which `read_source` returns.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)

@@ -46,7 +46,7 @@ def _places(
     """Yield candidate folders, best first, and whether each counts as a package without a manifest."""
     given = [Path(folder).expanduser() for folder in package_dirs]
     for folder in given:
-        # A symbolic link that leads out of the folder is no package by its place alone.
+        # A symbolic link that leads out of the folder counts as a package only if it has a manifest.
         yield folder / name, (folder / name).resolve().is_relative_to(folder.resolve())
         if folder.name == name:
             yield folder, True

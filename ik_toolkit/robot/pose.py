@@ -30,7 +30,7 @@ class AxisTarget:
         axis: Vector (3,) in the tip frame, which is normalised.
 
     Raises:
-        InvalidTarget: The pose is none, or the axis is zero.
+        InvalidTarget: T_base_tip is no pose, or the axis is zero.
     """
 
     T_base_tip: np.ndarray

@@ -30,7 +30,7 @@ POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch
 # Column names of angles: for rotations about the axes x, y and z, or for the first, second and third rotation.
 ABOUT, IN_ORDER = ("rx", "ry", "rz"), ("a", "b", "c")
 ORIENTATIONS = (QUAT, RPY, ABOUT, IN_ORDER)
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m] of a unit
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # length of each unit [m]
 MARKS = (",", ";", "\t")  # characters that may separate columns
 ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w
 LONGEST_LINE = 2**20  # largest number of characters in a line

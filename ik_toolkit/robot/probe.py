@@ -19,18 +19,18 @@ from .formats.urdf_values import reversed_advice
 from .rotation import turn_onto
 
 SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
-# For comparisons with Pinocchio a robot's size is at least this share of its distance from the model's origin.
-# The reason is that Pinocchio's rounding grows with that distance.
+# In comparisons with Pinocchio a robot's size is at least this share of its distance from the model's origin.
+# (Pinocchio's rounding error grows with the distance from the model's origin.)
 FAR = 1e-5
 # A chain may differ from Pinocchio by this [rad, or share of the robot's size], a thousandth of the default tolerance.
 AGREE = 1e-9
-# Relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed.
+# Relative rounding error of a large angle: half an ulp (last digit), and as much again when full turns are removed.
 HELD = 2.5e-16
 # A limit of 1e15 or more [m, rad or per s] counts as none, because files write 1e16 or 1e308 for "no limit".
 NO_LIMIT = 1e15
 # A limit beyond 1e6 [rad or m] is read as 1e6, which the notes say.
-# Near 1e7 rad one ulp of an angle reaches AGREE.
-# Near 1e9 m one ulp of a length reaches a tenth of the default tolerance.
+# Near 1e7 rad one ulp (last digit) of an angle reaches AGREE.
+# Near 1e9 m one ulp (last digit) of a length reaches a tenth of the default tolerance.
 LARGEST_ANGLE, LARGEST_STROKE = 1e6, 1e6
 # Two axes are parallel, up to the rounding of a few matrix products, if the sine between them is below PARALLEL.
 PARALLEL = 1e-14
@@ -125,8 +125,8 @@ def limits(
     """Return the limits (n,) [rad or m] of the coordinates, infinite where there are none, and notes on what was changed.
 
     They are those of the description. The limits of a leader are narrowed so that each of its `followers` (see
-    `mimic_limits`), on the path or off it, stays inside the follower's own limits. Raises ModelError if that leaves a
-    joint no legal position.
+    `mimic_limits`), on the path or off it, stays inside the follower's own limits. Raises ModelError if no
+    position of a joint is left.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -140,7 +140,7 @@ def limits(
         narrowed.setdefault(i, []).append(f"'{joint}' ({low:g} to {high:g}) from {first:g} to {last:g}")
         lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
-        if 0.0 < lower[i] - upper[i] <= rounding:  # The two are equal up to rounding.
+        if 0.0 < lower[i] - upper[i] <= rounding:  # both limits are equal up to rounding
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
     turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
     for i in np.flatnonzero(~(lower <= upper)).tolist():

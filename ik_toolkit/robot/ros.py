@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidTarget
 
-LARGEST_NANOSEC = 999_999_999  # largest valid value of nanosec; rounding must not reach a whole second
+LARGEST_NANOSEC = 999_999_999  # largest valid nanosec of a ROS time; rounding must not reach a whole second
 
 
 POINT, QUATERNION = "xyz", "xyzw"  # fields of geometry_msgs/Point, Vector3 and Quaternion
@@ -19,7 +19,7 @@ def has_fields(message: Any, names: Sequence[str]) -> bool:
 
 
 def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | None] | None:
-    """Position (3,) [m] and quaternion x, y, z, w (4,) of a ROS message; None where it is none.
+    """Return position (3,) [m] and quaternion x, y, z, w (4,) of a ROS message; None if it is no such message.
 
     Args:
         message: a geometry_msgs Pose, PoseStamped, Transform, TransformStamped, Point, PointStamped or Vector3, or an object with
@@ -59,7 +59,7 @@ def _numbers(message: Any, names: str) -> np.ndarray:
 
 
 def read_joint_state(message: Any, name: str) -> dict[str, float] | None:
-    """Joint values by name of a sensor_msgs/JointState, or an object with its fields; None where it is none.
+    """Return joint values by name of a sensor_msgs/JointState or an object with its fields; None for anything else.
 
     Args:
         message: what may be a JointState: parallel lists `name` and `position`.

@@ -76,7 +76,7 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
     degrees.
     """
     cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    # With a smaller cosine the yaw is only rounding error.
+    # with a smaller cosine of the pitch, the yaw is only rounding error
     yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
@@ -109,5 +109,5 @@ def matrix_quat(R: np.ndarray) -> np.ndarray:
             [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
         ]
     )
-    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle
+    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads only the lower triangle of K
     return q if q[3] >= 0 else -q

@@ -11,14 +11,14 @@ from ..errors import FrameNotFound, InvalidOption, ModelError
 
 LOG = logging.getLogger("ik_toolkit")
 
-# Each convention lists words that the name of a tip frame has together; the strongest convention comes first.
+# A convention is a set of words that together mark the name of a tip frame; the strongest convention comes first.
 # The tool centre point precedes the end frames of ROS, MoveIt and manufacturers, and these precede the hand.
 CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# SCENE has words for sensors and objects of a scene, which are taken as a tip only if there is no arm.
-# OTHERS has these words and those for parts of a hand, legs and the like, on which no tool is mounted.
+# SCENE has words for sensors and objects, which are taken as a tip only if there is no arm.
+# OTHERS has the words of SCENE and those for fingers, legs and the like, on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
     "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()
@@ -43,7 +43,7 @@ def words(name: str) -> list[str]:
 
 
 def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
-    """Return whether a frame with these words follows a convention.
+    """Return whether a frame whose name consists of these words follows a naming convention for tips.
 
     An arm's tool frame is where its hand begins, if it has one.
     """
@@ -130,7 +130,7 @@ def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
 
 
 def one_word(tip: str | None, ee_link: str | None) -> str | None:
-    """Return the tip's name, which the caller gives as `tip` or as `ee_link`. Raises InvalidOption if they differ."""
+    """Return the tip's name, given as `tip` or `ee_link`. Raises InvalidOption if both are given and differ."""
     if tip is not None and ee_link is not None and tip != ee_link:
         raise InvalidOption(
             f"tip and ee_link are two names for one frame, not {tip!r} and {ee_link!r}; give one of them"

@@ -259,7 +259,7 @@ class Tree(Joints):
 
         Raises:
             FrameNotFound: A tip does not exist.
-            InvalidTarget, InvalidOption: A pose or shape is none.
+            InvalidTarget, InvalidOption: A pose or a shape is invalid.
         """
         given = [x if isinstance(x, Mapping) else dict.fromkeys(self.tips, x) for x in (T_tip_tool, shape, T_tip_shape)]
         for one in given:

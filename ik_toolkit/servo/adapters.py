@@ -22,10 +22,10 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
-RELATIVE = 10.0  # weight of the errors of a tip relative to another: a grasp is kept before the place where it is held
+RELATIVE = 10.0  # weight of the errors of a tip relative to another tip: the grasp matters more than where it is held
 LEVER = 0.2  # [m] lever arm by which an angle is compared with a length: about the length of a hand
-ALIKE = 0.6  # similarity (difflib's ratio) above which an unknown option is taken for a misspelt one of another method
-WORDS = (*COUNTING, "relative_to")  # options that say which errors count
+ALIKE = 0.6  # similarity (difflib) above which an unknown option is taken for a misspelt one of another method
+WORDS = (*COUNTING, "relative_to")  # options that select which errors count
 
 
 def even(scale: float) -> np.ndarray:
@@ -40,7 +40,7 @@ def even(scale: float) -> np.ndarray:
 class Published:
     """Adapter of a published tracking method (servo/methods.py) on a robot."""
 
-    waits = True  # a run of `track` slows the reference's clock when the error is above its tolerance
+    waits = True  # `track` slows the reference's clock when the error exceeds its tolerance
 
     def __init__(self, robot: Robot | Tree, method: Method, counting: Mapping[str, Any]) -> None:
         """Bind the method to the robot, without compiling. counting: the options that say which errors count."""
@@ -66,7 +66,7 @@ class Published:
         vars(self).update(state, loop=servo())
 
     def settings(self, h: float) -> dict[str, float]:
-        """Return the gains and options in use at sample time h [s], by name."""
+        """Return the method's gains and options in use at sample time h [s], by name."""
         return {**self.method.gains(h), **({"reading": self.method.reading} if self.name == "aa" else {})}
 
     def check(self, h: float) -> GainCheck | None:
@@ -74,11 +74,11 @@ class Published:
         return check_gains(self.name, h, **self.method.gains(h))
 
     def law(self, h: float) -> np.ndarray:
-        """Return a `laws.Law` as an array, for sample time h [s]."""
+        """Return the method and its gains at sample time h [s] as an array, in the layout of `laws.Law`."""
         return self.method.pack(h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the compiled loop needs to know of the errors, for one kind of target (POSE, POSITION) per tip.
+        """Return what the compiled loop must know about the errors, for one kind of target (POSE, POSITION) per tip.
 
         Returns:
             The packed task parameters `orders` (see servo/loop.py), and an array (3, m) with a column for each error:
@@ -105,7 +105,7 @@ class RuleSteps:
 
     gamma = 1.0
     chosen = False
-    # A rule always lags behind a moving target, so its error says nothing about whether limits were the reason.
+    # A solver's rule always lags behind a moving target, so its error does not show whether limits held it back.
     waits = False
 
     def __init__(self, robot: Robot | Tree, rule: Any, limits: bool, options: dict[str, Any]) -> None:
@@ -136,7 +136,7 @@ class RuleSteps:
         return None
 
     def law(self, h: float) -> np.ndarray:
-        """Return a `laws.Law` as an array: all zeros but for gamma = 1 and the damping of the pseudo-inverse."""
+        """Return an array in the layout of `laws.Law`: zeros except gamma = 1 and the damping of the pseudo-inverse."""
         law = np.zeros(len(laws.Law._fields))
         law[laws.PLACE.gamma], law[laws.PLACE.damping] = 1.0, DAMPING
         return law
@@ -144,7 +144,7 @@ class RuleSteps:
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Return the packed task parameters (see servo/loop.py) and an array (3, m), as `Published.orders` does.
 
-        Only its first row is used, the error weights for null-space motion; the rule itself handles slack.
+        Of the array only the first row is used, the error weights for null-space motion; the rule itself handles slack.
         """
         scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))

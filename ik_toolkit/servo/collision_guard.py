@@ -14,23 +14,23 @@ from ..kernel.clearance import along
 from ..robot.geometry.distance import Clearance
 from .viability import bending
 
-ROWS = 12  # inequalities per step: more than meet at an edge of a polyhedron, and few enough for a fast QP
-KEEP = 0.005  # [m] distance to obstacles that the inequalities keep; a controller's lag in a slow motion is less
+ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's corner, few enough for a fast QP
+KEEP = 0.005  # [m] distance to obstacles that the inequalities keep, more than the lag of a controller in a slow motion
 INFLUENCE = 0.1  # [m] distance between two bodies below which their inequality applies
 # [m/s] approach speed allowed at the distance INFLUENCE; it falls linearly to 0 at KEEP, with a time constant of 0.1 s
 SPEED = 1.0
-FLAT = 1e-9  # [m per rad or m] an inequality whose entries are all below this is dropped: no joint changes the distance
-SHARE = 0.1  # an inequality counts on the braking of joints whose entry is above this share of its largest entry
+FLAT = 1e-9  # [m per rad or m] an inequality with only smaller entries is dropped: no joint changes the distance
+SHARE = 0.1  # an inequality relies on the braking of joints whose entry is above this share of its largest one
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
 NEAREST = 1e-4  # [m] a motion that comes nearer than this is rejected without checking whether it touches
-# Most configurations at which distances are measured (0.05 ms each) to prove a step free; else it is not taken.
+# Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
 LOOKS = 12
-# parts of a step that are tried if the arm is at rest and the whole step is not allowed
+# shares of a step that are tried if the arm is at rest and the whole step is not allowed
 PARTS = (1 / 4, 1 / 16, 1 / 64)
 
 
 class Path(NamedTuple):
-    """A step and the brake after it: joint values, rates and lengths covered (K + 1, n) at the ends of K pieces.
+    """A step and the full brake after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
 
     The first piece lasts h [s]. even: share [1/s] of its initial rate that the brake takes off all joints alike, see
     `Guard._follow`; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of
@@ -60,7 +60,7 @@ def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: f
 
 
 class Guard:
-    """Makes collision inequalities and proofs for one tracker.
+    """Limits the joint rates of one tracker near contacts, and proves its steps free of contact.
 
     Args:
         robot: The robot.
@@ -79,7 +79,7 @@ class Guard:
         self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
-        self.late = 0.0  # [s] longest step that may follow, for which the brake must be proven
+        self.late = 0.0  # [s] longest later step, for which the brake must be proven
         self._bind()
         self._get_ready()
 
@@ -131,13 +131,13 @@ class Guard:
         self._space.place(q)
         # (P,) lower bounds of the distances of all pairs at q, less their margins [m]
         self._low = self._space.distances() - self._space.margins
-        # (P,) which of these distances were measured at q and are not only bounds
+        # (P,) whether each of these distances was measured at q and is not only a bound
         self._fresh = np.ones(len(self._low), dtype=bool)
         self._known = False  # whether the joint Jacobians of all bodies at q are known
         # (P,) bounds [m] on how much closer each pair can come in a step and brake like the last one
         self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
-        self._left = 1.0  # present rates of the proven brake, as a share of those that it began with
+        self._left = 1.0  # present rates of the proven brake over the rates that it began with
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
@@ -292,7 +292,7 @@ class Guard:
             move = np.where(alone, 0.0, rate * time)
         all_q, rates, length = np.zeros((3, len(Q) + 1, len(q)))
         all_q[:-1], all_q[-1] = Q, q + move
-        # The last piece gets the rate at which it is straight, whatever gamma is.
+        # The last piece gets a constant rate, whatever gamma is.
         rates[:-2], rates[-2], rates[-1] = R[:-1], move / h, rate
         length[-1] = np.abs(move)
         if len(Q) > 1:

@@ -1,6 +1,6 @@
 """The joint rates that a method commands, before limits: those of a published law or of a solver's rule."""
 
-# The type checker does not know that numba calls the overloads below, nor that it takes their options from a dict.
+# Pyright does not know that numba calls the overloads below and takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import NamedTuple
@@ -37,13 +37,13 @@ from .null_space_motion import away_from_limits, clip_wish, into_null_space, wei
 from .singular_directions import bend, judge_modes, remember
 from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back, mode_part, modes, take_out
 
-# Share s of a velocity that `ca` may remove in one step; its characteristic polynomial is z^2 - (1 - 3/2 s) z - s/2.
-# Both roots are inside the unit circle for s < 1, and the larger one is smallest (0.58) at s = 2/3.
-# (The same polynomial belongs to kappa h of `cv`: Patko and Zelei, 2019.)
+# Share s of a velocity that method ca (classical, acceleration level) may remove in one step, for stability.
+# The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
+# Method cv (velocity level) has the same polynomial in s = kappa h (Patko and Zelei, 2019).
 SHARE = 2.0 / 3.0
-# [1/s] least rate at which the null-space velocity becomes the desired one; if slower, joints run into limits
+# [1/s] least rate at which the null-space velocity converges to the desired one; if slower, joints run into limits
 TAKEN_UP = 20.0
-# [rad/s or arm reaches/s] desired null-space speed at which that rate is halved, so the motion fades smoothly
+# [rad/s or arm reaches/s] desired null-space speed at which the rate TAKEN_UP is halved, so that the motion fades
 LITTLE = 0.004
 # Shares of the speed and acceleration limits used to close an error; following the path may need the rest.
 FAST, BRISK = 1.0, 0.5
@@ -57,7 +57,7 @@ class Moment(NamedTuple):
 
 
 class Published(NamedTuple):
-    """Marker in place of a solver's rule: the published laws of laws.py, all compiled into one loop."""
+    """Marker in place of a solver's rule: the published control laws of laws.py, all compiled into one loop."""
 
     unused: float
 
@@ -76,7 +76,7 @@ def inverse_of(s):
 
 @inline
 def find_wishes(law, s, limits, wish, base):
-    """Write to s.g (n,) the desired null-space velocity; return False, with no use for s.g, if there is none.
+    """Write to s.g (n,) the desired null-space velocity; return False, with s.g undefined, if there is none.
 
     It is the sum of the motions away from limits, towards a posture and down the caller's cost, projected into the null
     space of the task and scaled to half of the margin that the rates base (n,) leave to the rate bounds.
@@ -102,7 +102,7 @@ def find_wishes(law, s, limits, wish, base):
 
 @inline
 def lean_not(law, rule, s, limits, wish, rate, h):
-    """Return False: the published laws use no shifted joint values, unlike the rules in `lean_over`."""
+    """Return False: published control laws use no shifted joint values, unlike solver rules (`lean_over`)."""
     return False
 
 
@@ -125,11 +125,11 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 @inline
 def add_wishes(law, s, given, ratio, h, memory):
-    """Add the secondary motion to the commanded rates s.x, and for `cv` and `ca` to the memory they extrapolate.
+    """Add the secondary motion to the rates s.x, and for methods cv and ca to the previous command they extrapolate.
 
-    If it were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level (`ca`
-    and later) the present null-space velocity converges to the desired one, at a rate that fades to 0 with the desired
-    speed. ratio: this h over the last one.
+    If it were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level
+    (methods ca, aa, aad) the present null-space velocity converges to the desired one, at a rate that fades to 0 with
+    the desired speed. ratio: this h over the last one.
     """
     if find_wishes(law, s, given.limits, given.wish, s.x):
         kept, share = 0.0, 1.0
@@ -137,7 +137,7 @@ def add_wishes(law, s, given, ratio, h, memory):
             size = 0.0
             for i in range(s.g.shape[0]):
                 size += s.g[i] * s.g[i]
-            # The law itself already damps the null-space velocity at the rate law.null.
+            # The method itself already damps the null-space velocity at the rate law.null.
             rate = max(min(TAKEN_UP, (SHARE if law.code == CA else 1.0) / h), law.null)
             share = min(h * rate, 1.0) * math.sqrt(size) / (math.sqrt(size) + LITTLE)
             for i in range(s.g.shape[0]):
@@ -165,7 +165,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
         limited = limited or limits[3, i] < np.inf
     if not limited:
         return False
-    # The error along directions removed from the task is left out, as no other direction can close it.
+    # The error along directions removed from the task is left out, because no other direction can close it.
     size, gone = 0.0, 0.0
     for k in range(m):
         size += s.e[k] * s.e[k]
@@ -179,7 +179,7 @@ def feed_back(law, s, limits, now, heavy, beyond):
 
 @inline
 def by_law(law, rule, task, look, weights, s, given, own, now):
-    """Write to s.x (n,) the joint rates that a published law commands.
+    """Write to s.x (n,) the joint rates that a published tracking method commands.
 
     Returns the number of singular directions removed from the task, or the squared damping of the pseudo-inverse in
     mode CLIP.
@@ -229,7 +229,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
-        # The next step of `cv` extrapolates from its memory, which therefore needs the same replacement.
+        # method cv extrapolates from its previous command, which gets the same rates along removed directions
         if law.code == CV:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_wishes(law, s, given, ratio, h, own.memory)
@@ -238,7 +238,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
 
 @inline
 def by_rule(law, rule, task, look, weights, s, given, own, now):
-    """Write to s.x (n,) the joint rates of a solver's rule: its step towards where the target will be, over the time h.
+    """Write to s.x (n,) the joint rates of a solver's rule: its step towards the target's next pose, over the time h.
 
     Returns 0, the number of directions removed from the task.
     """
@@ -246,7 +246,7 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
     leaned = False
     for i in range(s.g.shape[0]):
         leaned = leaned or s.g[i] != 0.0
-    if leaned or not task.plain():  # Otherwise the Jacobian is still the one that `take_stock` evaluated.
+    if leaned or not task.plain():  # otherwise the Jacobian of `take_stock` is still valid
         task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)
@@ -281,7 +281,7 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def lean(law, rule, s, limits, wish, rate, h):
-    """Prepare the command of a step, by `lean_not` or `lean_over`; numba compiles the overload below instead."""
+    """Shift joint values for the command, by `lean_not` or `lean_over`; numba compiles the overload below."""
     how = lean_not if isinstance(rule, Published) else lean_over
     return how(law, rule, s, limits, wish, rate, h)
 

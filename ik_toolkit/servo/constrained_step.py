@@ -21,30 +21,30 @@ from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
 LEAVE, DIRECT = range(2)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-LOOSE = 1e-9  # inequalities are loosened by this beyond the least slack, so that rounding does not close the gap
+LOOSE = 1e-9  # inequalities are loosened by this more than needed, so that rounding leaves a solution
 CAUTIOUS = 1.5  # safety factor on the bound of the neglected curvature, see `damping`
-# weight of error across the direction asked for, against falling behind along it, if nothing is blocked
+# weight of error across the direction asked for, over that of falling behind along it, if nothing is blocked
 STRAIGHT = 100.0
 
 
 @compiled
 class TaskRate(NamedTuple):
-    """A task of m rows for n joints: the rates asked for at the tip, and the desired joint rates."""
+    """A task of m rows for n joints: the tip rates asked for, and the desired joint rates."""
 
-    J: Array  # (n, m) transposed Jacobian: one joint a row
+    J: Array  # (n, m) transposed Jacobian, one row for each joint
     weight: Array  # (m,) weights of the task's rows; 0: the row does not count
     ask: Array  # (m,) rate asked for in each row
     want: Array  # (n,) desired joint rates
-    aside: Array  # (n,) the part of these rates along singular directions, which are not in the task
+    aside: Array  # (n,) part of the desired rates along singular directions, which are not in the task
     size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
     mode: int  # LEAVE or DIRECT
     h: float  # [s] length of the step, which sets the damping of a task that is not met; 0: no such damping
-    mu: float  # above 0: damping of the task from the first attempt on, instead of only when the task is not met
+    mu: float  # damping of the task from the first attempt on; 0: only if the task is not met
 
 
 @compiled
 class Allowed(NamedTuple):
-    """The admissible joint rates x (n,): floor <= x <= roof, and planes x <= edges for the first `rows` constraints."""
+    """The admissible joint rates x (n,): floor <= x <= roof, and planes x <= edges in the first `rows` rows."""
 
     floor: Array
     roof: Array
@@ -102,7 +102,7 @@ def fitting(asked, allowed):
 
 @inline
 def lay_out(asked, allowed, loose, fastest, room):
-    """Write the problem to `room`; each unknown is a share of its joint's speed, or of `fastest` if that is above 0.
+    """Write the quadratic program to `room`; unknowns are joint rates over joint speeds, or over `fastest` if > 0.
 
     loose: amount by which inequalities are loosened. Returns the number of task rows; rows that no joint can move are
     left out.
@@ -123,7 +123,7 @@ def lay_out(asked, allowed, loose, fastest, room):
         for i in range(n):
             r.P[k, i] = asked.weight[c] * J[i, c] * (fastest if fastest > 0.0 else asked.size[i])
         r.rhs[k] = asked.weight[c] * asked.ask[c]
-        if square(r.P, k, n) > 0.0:  # A row that no joint moves cannot be met, so it is not asked for.
+        if square(r.P, k, n) > 0.0:  # a row that no joint moves cannot be met
             k += 1
     return k - count
 
@@ -209,7 +209,7 @@ def least_slack(p):
 
 @inline
 def as_wanted(asked, taken):
-    """Write the desired rates to `taken`, bit for bit, with no constraint active."""
+    """Write the desired rates to `taken` (StepTaken), bit for bit, with no constraint active."""
     copy(asked.want, taken.x)
     for i in range(taken.x.shape[0]):
         taken.active[i] = 0
@@ -219,7 +219,7 @@ def as_wanted(asked, taken):
 
 @inline
 def recall(room, rows, taken):
-    """Set the solver's initial active set in `room` to that of the last step, in `taken`."""
+    """Start the solver from the active set of the last step: copy it from `taken` to `room`."""
     for i in range(taken.active.shape[0]):
         room.u.held[i] = taken.active[i] if taken.active[i] < 2 else 0
     for k in range(rows):
@@ -228,7 +228,7 @@ def recall(room, rows, taken):
 
 @inline
 def answer(p, asked, allowed, fastest, taken):
-    """Write the joint rates found and the active set to `taken`, in the caller's units."""
+    """Write the joint rates found and the active set to `taken` (StepTaken), in the caller's units."""
     u, r = p.u, p.r
     for i in range(taken.x.shape[0]):
         size = fastest if fastest > 0.0 else asked.size[i]

@@ -21,33 +21,33 @@ from .null_space_motion import weigh
 from .singular_directions import GAIN
 from .viability import POSITION, ROW, approach, box_of, narrow
 
-STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing
-SMALL = 1e-4  # weighted error [arm reaches, rad] below which the method goes on by itself
+STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
+SMALL = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
 STALLED = 0.1  # [s] without progress after which an arm counts as stuck
-# Progress: the weighted error falls by PROGRESS within STALLED, or by PACE of what slow joints do at full speed.
+# Progress: the weighted error falls by PROGRESS within STALLED, or at PACE times its rate at full joint speed.
 PROGRESS, PACE = 1e-3, 0.1
-# share of the commanded feedback below which the joints count as idle; moving joints usually have 0.3 or more
+# share of the commanded feedback that idle joints execute at most; moving joints usually execute 0.3 or more
 IDLE = 0.01
-BACK = 0.1  # share of the joints' motion that reverses in a step, above which they count as turning back
+BACK = 0.1  # share of the joints' motion that must reverse in a step to count as turning back
 TURNS, FORGOTTEN = 2.0, 0.1  # reversals of joints that make an arm count as stuck, and [s] after which one is forgotten
-# First, least and largest share in mu; below the least, joints turn back again and again.
+# First, least and largest share, the factor in the damping mu; below the least, joints turn back repeatedly.
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-# factors of the share in mu when joints turn back, when the error does not fall, when it falls
+# factors of the share (in mu) when joints turn back, when the error does not fall, and when it falls
 TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
-FLOOR = 0.25  # floor of the share in mu after joints turned back, over the raised share: twice the one found too small
-FADING = 0.3  # [s] time constant with which the floor of the share in mu fades
+FLOOR = 0.25  # after joints turned back, least share over the raised one: twice the share found too small
+FADING = 0.3  # [s] time constant with which the raised least share fades
 BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 
 
 @inner
 def feedback(law, h):
-    """Return the feedback gain K [1/s] of the descent, which is at most the method's own."""
+    """Return the feedback gain [1/s] of the descent, which is at most the method's own."""
     return min(natural(law, h), GAIN / h)
 
 
 @inner
 def stuck(law, s, limits, square, h, state):
-    """Return whether the arm is stuck before a standing target, so that this step is to be a damped descent.
+    """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped descent.
 
     Updates `state`.
 
@@ -71,7 +71,7 @@ def stuck(law, s, limits, square, h, state):
 
 @inner
 def fastest(s, limits, error):
-    """Return how fast [1/s] the weighted error could fall if all joints that are not at limits moved at full speed."""
+    """Return the rate [1/s] at which the weighted error would fall if all joints not at limits moved at full speed."""
     total = 0.0
     for i in range(s.J.shape[0]):
         slope = 0.0
@@ -110,7 +110,7 @@ def notice(law, before, x, size, swings, code, square, h, state):
 
 @inner
 def adapt(turned, error, h, state):
-    """Adapt the share in mu, the damping of a descent, after a step.
+    """Adapt the share, the factor in the damping mu of a descent, after a step.
 
     It is raised if joints turned back or the weighted error has stalled, and lowered while that error falls.
     """

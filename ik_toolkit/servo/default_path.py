@@ -19,8 +19,8 @@ DURATION = 10.0  # [s] default time for a path
 SWING = 0.15  # [rad or arm reaches] largest move of a joint in `joint_motion`
 ROOM = 0.5  # largest share of the distance to its farther limit that a joint moves in `joint_motion`
 SPEED = 0.5  # share of a joint's speed limit that `joint_motion` uses at most
-STRAIGHT = 0.4  # share of the tolerances by which a step at constant twist (the first one of `cv`) may leave the path
-SEEN = 1000  # number of samples of a path that are compared with steps at constant twist
+STRAIGHT = 0.4  # share of the tolerances by which a step at constant twist (first step of method cv) may leave the path
+SEEN = 1000  # number of samples at which a path is compared with steps at constant twist
 
 
 def eight(

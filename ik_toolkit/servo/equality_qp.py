@@ -14,17 +14,17 @@ from ..compile.jit import compiled, inline, spliced
 from ..kernel.records import Array
 
 NONE = -1
-SAME = 1e-10  # a row depends on the others if less than this share of its length remains after their part is removed
-# a row needs no second pass of Gram-Schmidt if this share of its squared length remains (Daniel et al., 1976)
+SAME = 1e-10  # a row is linearly dependent if projection on the others leaves less than this share of its length
+# Gram-Schmidt needs no second pass for a row of which this share of the squared length remains (Daniel et al., 1976)
 CLEAR = 0.5
-# below this share of a row's squared length, what is left is computed anew: subtraction has lost its digits
+# a remainder below this share of a row's squared length is computed anew, as subtraction has lost its digits
 DOUBTFUL = 1e-6
 ROUNDING = 1e-13  # a sum below this share of the sum of its terms' magnitudes is rounding
 
 
 @compiled
 class Pair(NamedTuple):
-    """Lagrange multipliers first / eps + second in the limit eps -> 0: a part for each of the two objectives."""
+    """Lagrange multipliers, one part for each of the two objectives: first / eps + second in the limit eps -> 0."""
 
     first: Array
     second: Array
@@ -32,15 +32,15 @@ class Pair(NamedTuple):
 
 @compiled
 class Unknowns(NamedTuple):
-    """Arrays (N,) with an entry for each of N unknowns."""
+    """Arrays (N,) with an entry for each of the N unknowns y of a quadratic program."""
 
-    y: Array  # (N,) solution of the last equality problem
+    y: Array  # (N,) solution y of the last equality-constrained problem
     want: Array  # (N,) values desired by the second objective
     floor: Array  # (N,) lower bounds
     roof: Array  # (N,) upper bounds
     held: Array  # (N,) int8: -1 held at the lower bound, 1 at the upper bound, 0 free
-    now: Pair  # present multipliers of the bounds, positive at upper ones
-    new: Pair  # multipliers of the bounds from the last equality problem
+    now: Pair  # present multipliers of the bounds, positive at upper bounds
+    new: Pair  # multipliers of the bounds from the last equality-constrained problem
 
 
 @compiled
@@ -52,7 +52,7 @@ class Rows(NamedTuple):
     length: Array  # (K,) norms of the rows of P
     holds: Array  # (K,) int8: 1 if the inequality is active
     now: Pair  # (K,) present multipliers of the inequalities
-    new: Pair  # (K,) multipliers from the last equality problem; for a task row, `first` is its residual P y - rhs
+    new: Pair  # (K,) multipliers from the last equality-constrained problem; task rows: `first` is P y - rhs
 
 
 @compiled
@@ -61,7 +61,7 @@ class Basis(NamedTuple):
 
     W: Array  # (K, N) the rows after orthonormalisation
     L: Array  # (K, K) coefficients: row k is the sum over j of L[k, j] times basis vector j
-    U: Array  # (2 K, K) for a rank-deficient task: orthonormalised columns of L, and below them their coefficients
+    U: Array  # (2 K, K) if task rows are dependent: QR factors of the task's part of L, Q' above R
     order: Array  # (K,) int64: the row that each basis vector came from
     rest: Array  # (K,) right sides less the contribution of the held unknowns
     remain: Array  # (K,) squared length of each task row outside the basis so far; -1: the row is in the basis
@@ -72,7 +72,7 @@ class Basis(NamedTuple):
 
 @compiled
 class TwoLevels(NamedTuple):
-    """A problem with two objectives, in the first `size` unknowns.
+    """A quadratic program with two objectives (task residual, then closeness), in the first `size` unknowns.
 
     Its rows are `planes` inequalities, followed by `task` rows of the task.
     """
@@ -233,7 +233,7 @@ def back(p, first, end, out, sign, lower):
 
 @inline
 def equality(p, last):
-    """Solve the two objectives with all active constraints as equalities: write y and the new multipliers.
+    """Solve both objectives for y with all active constraints as equalities; write y and the new multipliers.
 
     Returns NONE, or an active inequality that depends linearly on the others (`last` if that is one); then nothing is
     solved.
@@ -302,10 +302,10 @@ def price_bounds(p, noise):
 
 @inline
 def least_squares(p, planes, rank):
-    """Write the components of y along the task's basis vectors (b.along) if the task rows are linearly dependent.
+    """Solve linearly dependent task rows for y by least squares; write y in basis coordinates to b.along.
 
-    planes: basis vectors from inequalities, which come first; rank: those of the task. Uses the scratch U as described
-    in `Basis`.
+    planes: number of basis vectors from active inequalities, which come first; rank: number from task rows. The scratch
+    U (see `Basis`) receives the QR factors.
     """
     b = p.b
     U, K, m = b.U, p.planes + p.task, p.task
@@ -363,7 +363,7 @@ def closeness_of_task(p, planes, rank):
 
 @inline
 def residual(p):
-    """Write the residuals P y - rhs of the task rows, all 0 if they are rounding; return their rounding error."""
+    """Write the residuals P y - rhs of the task rows (all 0 if they are rounding); return their rounding error."""
     u, r = p.u, p.r
     size, terms, noise = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):

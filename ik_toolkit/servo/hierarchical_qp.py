@@ -20,16 +20,16 @@ from ..compile.jit import inline, inner
 from .equality_qp import NONE, SAME, dot, equality, square
 
 DONE, STUCK, CONTRADICTION = range(3)
-# tolerance of bounds and inequalities for unknowns of order 1 (shares of a joint's speed); callers clip to the bounds
+# tolerance of bounds and inequalities; unknowns are joint rates over joint speeds, and callers clip them to bounds
 OUT = 1e-12
-WRONG = 1e-11  # tolerance of a multiplier of the second objective with the wrong sign
-SAME_TASK = 1e-9  # share of the task by which it may be missed and still count as met
-PER = 10  # iterations allowed for each unknown and inequality
+WRONG = 1e-11  # a second-objective multiplier has the wrong sign only beyond this
+SAME_TASK = 1e-9  # the task counts as met if its residual is at most this share of its right side (norms)
+PER = 10  # largest number of iterations per unknown and inequality
 
 
 @inline
 def wrong(one, two, side):
-    """Return how much a multiplier (one / eps + two) has the wrong sign, 0 if it is right.
+    """Return by how much a multiplier (one / eps + two) is on the wrong side of zero; 0 if its sign is right.
 
     side: the right sign, 1 or -1.
 
@@ -83,7 +83,7 @@ def wrong_most(p):
 
 @inline
 def unmet(p):
-    """Return whether the last solution misses the task by more than the share SAME_TASK."""
+    """Return whether the last solution misses the task: its residual is above SAME_TASK times the task's right side."""
     miss, size = 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):
         miss += p.r.new.first[k] * p.r.new.first[k]
@@ -141,7 +141,7 @@ def solve_levels(p):
     for attempt in range(2):  # The second attempt, if the first is stuck, starts from an empty active set.
         begin(p, attempt > 0)
         new = NONE
-        adding = False  # First, members of the initial active set whose multipliers have the wrong sign are dropped.
+        adding = False  # first, initial constraints whose multipliers have the wrong sign are dropped
         for _ in range(PER * (n + p.planes)):
             last = new - n  # below 0: the constraint added last is a bound, no inequality
             dependent = equality(p, last)
@@ -168,7 +168,7 @@ def solve_levels(p):
 
 @inline
 def accept(p):
-    """Make the multipliers of the last equality problem the present ones."""
+    """Make the multipliers of the last equality-constrained problem the present ones."""
     u, r = p.u, p.r
     for i in range(p.size):
         u.now.first[i], u.now.second[i] = u.new.first[i], u.new.second[i]
@@ -252,7 +252,7 @@ def parts(p, dependent):
 
 @inline
 def pay(now, parts, count, one, two):
-    """Subtract (one / eps + two) times the coefficients `parts` (see there) from the first `count` multipliers."""
+    """Subtract (one / eps + two) times the coefficients that `parts` computes from the first `count` multipliers."""
     for k in range(count):
         now.first[k] -= one * parts[k]
         now.second[k] -= two * parts[k]

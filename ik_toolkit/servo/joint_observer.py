@@ -16,13 +16,13 @@ from ..errors import InvalidOption, floats, whole
 
 
 class Filter(NamedTuple):
-    """What is assumed of measured joints, and how slowly they then correct the commands."""
+    """Assumptions on measured joint values, which set how fast they correct the estimate."""
 
     delay: int = 2  # age of measured joints [samples]
-    noise: float = 1e-4  # standard deviation of their noise [rad or arm reaches]
+    noise: float = 1e-4  # standard deviation of the measurement noise [rad or arm reaches]
     acceleration: float = 0.1  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
-    # Bandwidth of the filter times the age of the newest command that it can judge. The loop stays stable where the true delay
-    # is four times the assumed one (tests/servo/test_measured.py).
+    # Bandwidth of the filter [rad/s] times the age [s] of the newest command that a measurement shows.
+    # The loop stays stable even if the true delay is four times the assumed one (tests/servo/test_measured.py).
     steady: float = 0.3
 
 
@@ -55,13 +55,14 @@ class JointObserver:
     def bandwidth(self, h: float) -> float:
         """Return the bandwidth [rad/s] of the filter at sample time h [s].
 
-        An innovation e accelerates the estimate by bandwidth^2 e, so noise bounds the bandwidth, and so does the delay.
+        A difference e between measurement and estimate accelerates the estimate by bandwidth^2 e, so noise and delay
+        limit it.
         """
         steady = FILTER.steady / ((self.delay + 1) * h)
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
 
     def take(self, measured: np.ndarray, command: np.ndarray, h: float) -> float:
-        """Take the joints measured now (n,), and their present command (n,) [kernel units], a sample of h [s] later.
+        """Update the estimate by the joints measured (n,) and commanded (n,) now [kernel units], h [s] after the last.
 
         Returns the largest difference between the measured joints and the command they answer to.
         """

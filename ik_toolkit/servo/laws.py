@@ -21,29 +21,29 @@ from ..kernel.records import Array
 from .viability import approach
 
 CV, AV, CA, AA = range(4)
-CLIP = 2  # third mode beside those of constrained_step.py: each joint clipped on its own
-AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where `aa` evaluates dJ/dt: readings 1, 2, 3 of eq (25)
-MOVING, GIVEN, RUNNING, READY = range(4)  # how a step begins: target's rate, given rate, method going on, no command
+CLIP = 2  # mode in which each joint is clipped on its own, beside LEAVE and DIRECT of constrained_step.py
+AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # readings 1, 2, 3 of dJ/dt in eq (25) of Patko and Zelei (method aa)
+MOVING, GIVEN, RUNNING, READY = range(4)  # start at the target's rate, at a given rate, after a command, without one
 FINE, NOT_FINITE, RUNAWAY = range(3)
-SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row has no motion
-FAR = 0.25  # damping of a blocked correction over curvature * error; it then is at most sqrt(error / curvature) long
-SLUGGISH = 0.1  # share of the fastest joint's speed limit below which a joint counts as slow
+SINGLE = 1e-24  # a row of J is motionless if its entry of JJ' is below this share of the largest
+FAR = 0.25  # damping of a blocked correction over curvature times error: its length is at most sqrt(error / curvature)
+SLUGGISH = 0.1  # a joint is slow if its speed limit is below this share of the fastest joint's
 AT = 1e-9  # [rad or arm reaches] distance within which a joint counts as at its limit
-REGION = 2.0  # damping grows from 0 where the smallest singular value is below REGION * damping
+REGION = 2.0  # the pseudo-inverse is damped where the smallest singular value is below REGION * damping
 
 
 class State(NamedTuple):
     """Layout of the array of numbers that a tracker's loop keeps between steps; STATE holds the indices."""
 
-    start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY, see there
+    start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
-    near: int  # near a singular pose 1 + time [s] for which the target counts as out of reach; -1: earlier; 0: never
-    share: int  # share in the damping mu of a descent (damped_descent.py); 0: no descent
-    lowest: int  # value below which the share in mu is not lowered for now
-    nearest: int  # least weighted error so far, that an arm which is not stuck improves upon
+    near: int  # at a singular pose 1 + [s] the target still counts as out of reach; -1: was singular; 0: never
+    share: int  # factor in the damping mu of a descent (damped_descent.py); 0: no descent
+    lowest: int  # value below which `share` is not lowered for now
+    nearest: int  # least weighted error so far; an arm that is not stuck improves on it
     stalled: int  # [s] without fall of the weighted error; before a descent only while joints are hindered
-    turned: int  # reversals of joints before a descent, which fade with time
+    turned: int  # joint reversals counted before a descent, which fade with time
     free: int  # [s] since limits, inequalities or a singular pose last hindered the joints
     pressed: int  # [s] for which errors beyond their slack are closed like others
 
@@ -56,12 +56,12 @@ class Law(NamedTuple):
     """A tracking method and its gains (0 for those it does not have); Python passes it to the loop as an array."""
 
     code: float  # CV, AV, CA or AA
-    kappa: float  # [1/s] gain of cv
-    kp: float  # [1/s^2] gain of ca
-    kd: float  # [1/s] gain of ca
-    gamma: float  # weight of the new rate in a step
+    kappa: float  # [1/s] gain of method cv (classical, velocity level)
+    kp: float  # [1/s^2] gain of method ca (classical, acceleration level) on the error
+    kd: float  # [1/s] gain of method ca on the error's rate
+    gamma: float  # weight of the new rate in a step, see `Method.rate_weight`
     null: float  # damping of null-space motion [1/s]
-    damping: float  # [arm reaches per rad] of the pseudo-inverse near singular poses
+    damping: float  # [arm reaches per rad] damping of the pseudo-inverse near singular poses
     reading: float  # where dJ/dt is evaluated: AT_RATE, AT_RATE_AND_STEP or AT_STEP
     runaway: float  # [rad or arm reaches] largest mean move of a joint in a step; inf: hold instead of ending
     brake: float  # 1: brake to rest, whatever the target
@@ -70,7 +70,7 @@ class Law(NamedTuple):
     avoid: float  # [1/s] gain of the motion away from joint limits
     rows: float  # number of inequality constraints in use
     measured: float  # 1: error and Jacobian are evaluated at the measured joints
-    omit: float  # share of the error that av, aa and aad leave to later steps
+    omit: float  # share of the error that methods av, aa and aad leave to later steps
 
 
 PLACE = Law._make(range(len(Law._fields)))  # indices in the array that Python passes to the loop
@@ -84,7 +84,7 @@ class TargetMotion(NamedTuple):
     ahead: Array  # target at the end of the step minus tip now
     v: Array  # velocity of the target now
     a: Array  # acceleration of the target now
-    bias: Array  # the product (dJ/dt along x1) x2 that `prepare` has asked for
+    bias: Array  # product (dJ/dt along x1) x2 with the joint rates that `prepare` wrote
 
 
 @compiled
@@ -102,10 +102,10 @@ class PseudoInverse(NamedTuple):
 class JointMotion(NamedTuple):
     """Joint-space quantities of a step, arrays (n,), written by `prepare` and `command`."""
 
-    move: Array  # J^+ ahead, less the part of the error that is left to later steps
+    move: Array  # J^+ ahead, without the part of the error that is left to later steps
     null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates
     x1: Array  # the joint rates along which dJ/dt is evaluated
-    x2: Array  # the joint rates by which that dJ/dt is multiplied
+    x2: Array  # the joint rates by which dJ/dt along x1 is multiplied
     x: Array  # commanded rates at the end of the step
 
 
@@ -224,7 +224,7 @@ def prepare(p, inverse, target, rate, h, joints):
         reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
             joints.null[i] = rate[i] - joints.null[i]
-            # Without the null-space part a redundant arm would lose an order of accuracy.
+            # without the null-space part a redundant arm would lose an order of accuracy
             expected = joints.move[i] / h + joints.null[i]
             joints.x1[i] = expected if reading == AT_STEP else rate[i]
             joints.x2[i] = rate[i] if reading == AT_RATE else expected
@@ -274,7 +274,7 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
 
 @dual
 def natural(p, h):
-    """Return the rate [1/s] at which a method by itself removes an error; 0 if it has no feedback."""
+    """Return the rate [1/s] at which a method by itself removes an error; 0 for a method without feedback."""
     if p.code == CV:
         return p.kappa
     if p.code == CA:
@@ -335,7 +335,7 @@ def spare(J, m, e, limits, H, y, c):
 
 @dual
 def halved(speed, top):
-    """Return a joint's weight in `spare`: 1, or if slow the largest power of 2 up to its share of the top speed."""
+    """Return a joint's weight in `spare`: 1, or if slow the largest power of 2 up to its speed over the top speed."""
     w = 1.0
     while 0.0 < speed < SLUGGISH * top and speed < w * top:
         w *= 0.5
@@ -379,7 +379,7 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
 
 @dual
 def settle(p, h, rate_before, x, code, prev):
-    """For each joint that was clipped, write the rate it took to `prev`, the previous command, to prevent wind-up."""
+    """Write the rates that clipped joints really took to `prev`, the previous command, to prevent wind-up."""
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
             if code[i] > 0:
@@ -388,7 +388,7 @@ def settle(p, h, rate_before, x, code, prev):
 
 @dual
 def own_up(p, h, ratio, wanted, x, prev):
-    """Change `prev` to the command from which the rates taken, x (n,), would have followed: no wind-up of any joint.
+    """Change `prev` to the command from which the rates taken, x (n,), would have followed, to prevent wind-up.
 
     wanted (n,): the rates that the law had commanded; ratio: this step's h over the last one's, 0 at the start.
     """

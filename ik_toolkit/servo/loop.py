@@ -8,7 +8,7 @@ to the least error nearby (damped_descent.py). Mode CLIP is the published form t
 singular poses, each joint clipped on its own.
 """
 
-# The type checker does not know that numba calls the overloads below, nor that it takes their options from a dict.
+# Pyright does not know that numba calls the overloads below and takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 from collections.abc import Callable
@@ -64,7 +64,7 @@ LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above 
 
 @inner
 def set_out(law, J, f, G, y, limits, q, rate, state):
-    """Set the joint rates at the start: if none were given, J^+ f (f: target twist), cut to what can be braked."""
+    """Set the joint rates at the start: if none were given, J^+ f (f: target twist), limited to what can be braked."""
     if state[STATE.start] == MOVING:
         factor(J, J.shape[1], law.damping, G, y)
         apply(J, J.shape[1], G, f, y, rate)
@@ -160,7 +160,7 @@ def clip_rates(law, s, still, h, memory, code):
 # ---------------------------------------------------------------------------------------------------- inside the limits
 @inline
 def judge(wanted, h, p, state):
-    """Set commanded rates to zero if they are not finite or the arm is to brake.
+    """Set the commanded rates to zero if they are not finite or if the arm must brake.
 
     Return whether the loop ends, and whether to brake.
     """
@@ -322,7 +322,7 @@ def run(step, arm, given, own, samples, out, h, block):
         if not still:
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         move(q, rate, s.x, law.gamma, h)
-        # A descent step leaves no command that the method could go on from.
+        # after a descent step the method has no previous command to continue from
         state[STATE.start] = RUNNING if mu == 0.0 else READY
         state[STATE.period] = h
     return 0
@@ -332,7 +332,7 @@ def run(step, arm, given, own, samples, out, h, block):
 def servo(cls: type | None = None) -> Callable:
     """Return the compiled loop of the published laws (cls None), or of a solver's rule class.
 
-    follow(rows, ends, orders, settings, carried, samples, out, h) takes at most as many steps of h [s] as the record
+    follow(rows, ends, orders, settings, carried, samples, out, h) takes at most as many steps of h [s] as the `Record`
     `out` has room for, and returns how many it took.
 
     rows, ends: the packed chain (several tips: ends (F, ...)); orders: HEAD numbers, a Task for each tip (weights 1 or

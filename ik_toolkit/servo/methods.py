@@ -39,10 +39,10 @@ from .stability import GAMMA, best_gains
 
 # [arm reaches per rad] damping of the pseudo-inverse; joint speed per tip speed stays below 1 / (2 * 0.02)
 DAMPING = 0.02
-# [1/s] If slower, null-space motion left from one turn of a path leaves joints badly placed for the next turn.
+# [1/s] Default; slower damping lets null-space motion of one lap place joints badly for the next lap.
 NULL_DAMPING = TAKEN_UP
 
-# For each method: its code in the kernel, the options it takes, and a description of one line.
+# For each tracking method: its code in the kernel, its options, and a description of one line.
 METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
     "cv": (laws.CV, ("kappa",), "velocity level, error fed back with kappa (classical)"),
     "av": (laws.AV, ("share",), "one Newton step a sample (alternative velocity level)"),
@@ -60,11 +60,11 @@ METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
 class Method:
     """A tracking method and its options; None means the default, which may depend on the sample time.
 
-    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. share of
-    an error removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form. reading: 1, 2 or 3
-    of eq (25) (aa). gamma (aad): weight of the new
-    rate in a step. null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it). damping of
-    the pseudo-inverse near singularities [arm reaches per rad]; 0 inverts exactly.
+    kappa [1/s] (method cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time.
+    share of an error removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form. reading
+    (aa): 1, 2 or 3, how dJ/dt is read in eq (25) of Patko and Zelei. gamma (aad): weight of the new rate in a step.
+    null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it). damping of the
+    pseudo-inverse near singularities [arm reaches per rad]; 0 inverts exactly.
     """
 
     name: str
@@ -116,7 +116,7 @@ class Method:
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
     def pack(self, h: float) -> np.ndarray:
-        """Return a `laws.Law` as an array, with the gains of `gains`.
+        """Return the method and its gains (see `gains`) as an array, in the layout of `laws.Law`.
 
         Entries that belong to a run and not to the method are 0.
         """
@@ -147,7 +147,7 @@ def make_method(method: str | Method, **options: Any) -> Method:
     for option, value in options.items():
         if option not in allowed:
             raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
-        number(value, option)  # None is refused as well: an option that is named needs a value.
+        number(value, option)  # an option that is given needs a value, so None is refused as well
     return replace(made, **options)
 
 
@@ -164,7 +164,7 @@ class System(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Result of `simulate`: arrays over the samples reached, the last command of cv and ca, and why the run ended.
+    """Result of `simulate`: arrays over the samples reached, last command (methods cv, ca), and why the run ended.
 
     stopped is a sentence if the run ended early, else ''.
     """
@@ -221,7 +221,7 @@ def simulate(
         steps: Number of steps.
         q0: Joint values (n,) at the start.
         rate0: Joint rates (n,) at the start; default J^+ velocity(0).
-        command0: The command (n,) before the first one (cv, ca); default equal to the first (an Euler step), as the
+        command0: Method cv or ca: the command (n,) before the first one; default equal to the first (Euler), as the
             paper gives none.
         runaway: Largest move of a joint in one step; beyond it the run ends.
         options: Options of the method; damping is 0 by default here, which inverts J exactly.

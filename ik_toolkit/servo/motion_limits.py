@@ -12,7 +12,7 @@ from ..validate import switch
 from .viability import UNLIMITED
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
-INSTEAD = {  # Advice in the error for assigning an attribute of a Tracker, by attribute; "" stands for all others.
+INSTEAD = {  # Advice in the error for assigning an attribute of a Tracker, by attribute; "" is for all others.
     **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
     "q": "use reset(q0), or pass q= to update where joints are measured",
     "": "make a Tracker with the robot, method and options that are meant",

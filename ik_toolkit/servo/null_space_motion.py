@@ -14,20 +14,20 @@ from ..errors import InvalidOption, floats, near_match
 from ..validate import number
 from .laws import STATE, apply
 
-FADING = 0.15  # share of a joint's range, next to each limit, in which the joint is moved away from the limit
-# [rad or arm reaches] step of a difference quotient: its error is the square of the step, plus rounding of 1e-16 / step
+FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
+# [rad or arm reaches] step of a difference quotient, whose error is about step^2 + 1e-16 / step
 STEP = 1e-5
-NEARLY = 0.5  # share of the slack left that an error may use up in one sample
+NEARLY = 0.5  # share of the remaining slack that an error may use up in one sample
 # Excess over its slack from which an error is closed like any other.
-# BEYOND: while inequalities cannot be kept, as a share of the slack (less may be rounding). FAR: else [arm reaches,
-# rad].
+# BEYOND [share of the slack] holds while inequalities cannot be kept; less may be rounding.
+# FAR [arm reaches, rad] holds otherwise.
 BEYOND, FAR = 1e-3, 1e-2
-PRESSED = 0.1  # [s] after which inequalities for slack are tried again
+PRESSED = 0.1  # [s] after which inequalities that keep errors within slack are tried again
 
 
 @inline
 def reflect(flip, y):
-    """Mirror the rotation components of y (m,), three a tip, in place, so that a free turn becomes the last of them.
+    """Mirror the rotation components of y (m,), three per tip, in place, so that a free turn becomes the last one.
 
     flip (F, 3): the unit normal of the mirror plane of each tip, zero for a tip without a free turn.
     """
@@ -41,7 +41,7 @@ def reflect(flip, y):
 
 @inner
 def lay_aside(flip, J, e):
-    """Mirror J (n, m) and the error e (m,) as in `reflect`, and set what is left of free turns (rounding) to zero."""
+    """Mirror J (n, m) and the error e (m,) as in `reflect`, and set the components of free turns to exactly zero."""
     reflect(flip, e)
     for f in range(flip.shape[0]):
         if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
@@ -106,7 +106,7 @@ def slack_rows(slack, s, count, h, state):
 
 @inner
 def away_from_limits(q, limits, gain, g):
-    """Add to g (n,) a velocity away from near position limits, smooth and 0 in the middle of the range (gain [1/s])."""
+    """Add to g (n,) a velocity away from near position limits: smooth, 0 in the middle of the range, gain [1/s]."""
     for i in range(q.shape[0]):
         lower, upper = limits[0, i], limits[1, i]
         wide = upper - lower
@@ -170,11 +170,11 @@ class Secondary(Holds):
         limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
 
     def side(self, away: np.ndarray) -> None:
-        """Write to away (n,) the side to which joints leave a straight pose: the one chosen, or 1 for all."""
+        """Write to away (n,) to which side joints leave a straight pose: 1 or -1 as `elbow` says, else 1 for all."""
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:
-        """Set wish[2] to the velocity that lowers the cost and raises manipulability, at q (n,) [kernel units]."""
+        """Set wish[2] to the joint velocity that lowers cost and raises manipulability, at q (n,) [kernel units]."""
         unit = self.robot.chain.unit
         at = q * unit
         slope = np.zeros(len(at))

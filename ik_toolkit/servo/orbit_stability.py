@@ -37,7 +37,7 @@ class Growth(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The factor in words; below 1e-12, which is rounding, it says that the error is gone."""
+        """The growth factor in words; below 1e-12, which is rounding, they say that the error is gone."""
         over = "in a lap" if self.closed else "in all"
         if self.factor < 1e-12:
             return f"a small error is gone {over}"
@@ -45,7 +45,7 @@ class Growth(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Matrices of the exact motion, one for each of N steps, in the notation of the module.
+    """Matrices of the exact motion, one for each of N steps; D(x) is the derivative of J along joint velocities x.
 
     row: J^+ J; rate: J^+ D(qd); acceleration: J^+ D(qdd); bend: J^+ D(J^+ D(qd) qd); second: J^+ times the second
     derivative of J; each (N, n, n). first, last (m, n): J at the start and at the end.
@@ -102,7 +102,7 @@ def growth(
     lap = np.kron(blocks, made.last) @ total @ np.kron(blocks, np.linalg.pinv(made.first, rcond=SINGULAR))
     T, V, _ = reference.at(np.array([0.0, times[-1]]))
     off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
-    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())  # The last sample may be before the end by up to h.
+    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())  # the last sample may be up to h before the end
     value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
     logarithm = float(np.log(max(value, 1e-300)) + scale)
     return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
@@ -160,7 +160,7 @@ def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], nul
 
     The states are those of `mapping_matrix`.
 
-    `aa` is taken with its second reading of dJ/dt, the default of `Method`.
+    Method aa is taken with its second reading of dJ/dt, the default of `Method`.
     """
     eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
     null = null_rate(method, null_damping, h) * (eye - m.row)
@@ -179,8 +179,8 @@ def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], nul
                 [-P, -D, 0.0 * eye],
             ]
         )
-    # The law is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) w / (2 g), where x is qd for aa and w for aad.
-    # Here s = J^+ (error to the next target) and w = s / h + (1 - J^+ J) qd.
+    # The acceleration is a = (s / h - J^+ J qd) / (g h) - J^+ D(x) w / (2 g), where x is qd in method aa and w in aad.
+    # s is J^+ times the error to the next target, and w = s / h + (1 - J^+ J) qd.
     # The derivative of J^+ itself is left out, as it only causes null-space motion.
     g = 0.5 if method == "aa" else gains["gamma"]
     times_w = 1.0 if method == "aa" else 2.0

@@ -15,17 +15,17 @@ CLOSE = (1e-4, 2e-4)  # [m, rad] error up to which a pose counts as reached: a t
 DENSE = 1000  # number of samples from which the length of a path is measured
 STEP = (0.02, 0.05)  # distance between the poses tested: a share of the arm's reach, and [rad]
 FEWEST, MOST = 40, 1000  # least and largest number of poses tested along a path
-# bisections between the last pose reached and the first one not reached: to a thousandth of that distance
+# number of bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
 HALVINGS = 10
-# share of a joint's range next to its limit where it counts as at the limit, as the arm stops just before the edge
+# a joint within this share of its range of a limit counts as at the limit, as the arm stops just before the edge
 BOUNDARY = 1e-3
 STARTS = 24  # number of attempts to find another posture for the start of a path
-APART = 0.1  # [rad or arm reaches] difference of some joint from which postures count as different
-SHORTER = 0.95  # size suggested for a path, over the share of it that can be reached
-# other size factors that are tried, as a smaller closed path may be in reach as a whole
+APART = 0.1  # [rad or arm reaches] postures are different if some joint differs by more
+SHORTER = 0.95  # suggested size of a path, over the share of it that can be reached
+# further size factors that are tried, because a smaller closed path may be in reach as a whole
 SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
 PROBE = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
-DIGITS = ".7g"  # format of suggested joint values: with 4 digits the tip would start up to a millimetre beside its path
+DIGITS = ".7g"  # format of suggested joint values; with 4 digits the tip would start up to 1 mm off its path
 
 References = Reference | Mapping[str, Reference]
 
@@ -162,7 +162,7 @@ def freed(reference: Reference) -> Reference:
 
 
 def scaled(reference: Reference, factor: float) -> Reference:
-    """Return the same path with its distances from its start multiplied by `factor`; rotations stay as they are."""
+    """Return the same path with the distances from its start multiplied by `factor`; rotations do not change."""
     origin = reference.at(0.0)[0][:3, 3]
 
     def function(t: np.ndarray) -> Any:

@@ -35,7 +35,7 @@ from .motion_limits import speeds
 from .target_stream import STAND, STILL, WAIT
 from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOCITY, time_left, travel
 
-TOLERANCE = 1e-5  # [m, rad] tolerance of a posture: the tracker itself comes closer afterwards
+TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
 TINY = 1e-300  # least divisor of joint speeds, in case all of them are 0
 REACHED = 1e-3  # [m] error below which a target counts as reached; angles count at the lever arm LEVER
 
@@ -48,13 +48,13 @@ class Taken(NamedTuple):
     E: np.ndarray  # (2, m) errors before and after the step [m, rad], base axes
     left: float  # [m] error after the step as one number, see `Postures.size`
     T: np.ndarray  # (2, F, 4, 4) targets before and after the step
-    stand: np.ndarray  # whether the target stands, as a `target_stream.Stand`
+    stand: np.ndarray  # whether the target stands still, in the layout of `target_stream.Stand`
     dt: float  # [s] length of the update
-    since: float  # [s] since the last step that was examined; unhindered steps that end at their target are not
+    since: float  # [s] since the last step that was examined
     q: np.ndarray  # (n,) joint values after the step
     rate: np.ndarray  # (n,) joint rates after the step
     limits: np.ndarray  # (4, n) lower, upper, speed, acceleration
-    law: np.ndarray  # a `laws.Law`
+    law: np.ndarray  # the method and its gains, in the layout of `laws.Law`
     error_at: Callable[[np.ndarray], np.ndarray]  # function that returns the errors (m,) at other joint values (n,)
 
 
@@ -118,7 +118,7 @@ class Postures:
 
 
 def gap(T: np.ndarray, before: np.ndarray) -> float:
-    """Return the distance between two sets of poses (F, 4, 4) as one number: the norm of all their differences."""
+    """Return the norm of the difference of two sets of poses (F, 4, 4), over all matrix entries [m, 1]."""
     return math.hypot(*(T - before).ravel().tolist())
 
 
@@ -127,25 +127,25 @@ def locked(limits: np.ndarray) -> bool:
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
 
 
-FAST = VELOCITY | RECOVERING  # limits that hold a joint back only for a while
-PROGRESS = 0.9  # share of the least error so far: an error below it counts as progress
-# share of the time between two updates that a search may take; the search of a single arm ends after 0.02 s
+FAST = VELOCITY | RECOVERING  # limits that hold a joint back only temporarily
+PROGRESS = 0.9  # an error below this share of the least error so far counts as progress
+# share of the time between two updates that a search may take; then a search for a single arm ends within 0.02 s
 SHARE = 0.05
 ATTEMPT = 1e-5  # [s] duration of one attempt for an arm of six or seven joints (for two arms 8 times as long)
-ATTEMPTS = 96  # attempts in one search; where one attempt in ten succeeds, all fail in one search out of 25,000
-RUSH = 0.02  # a search ends after this share of the duration of the best move found, as the arm waits meanwhile
-PAUSE = 3.0  # [s] pause after a search that found nothing; it doubles after each further one while the target stands
+ATTEMPTS = 96  # attempts in one search; if one attempt in ten succeeds, all fail in one of 25,000 searches
+RUSH = 0.02  # a search ends after this share of the duration of the best move found, because the arm is waiting
+PAUSE = 3.0  # [s] pause after a search that found nothing; doubled after each further one while the target stands still
 LONGEST = 16.0  # [s] longest pause between searches, so that 99 % of the updates of a single arm do not search
 # [m, or rotation matrix entries] move of a standing target after which a new search need not wait for the pause
 ELSEWHERE = 0.02
 BARRED = 5  # number of postures remembered as blocked by a collision
-# [s] margin to position limits (time at full speed); what a posture lacks of it adds to the move's duration
+# [s] wanted distance from position limits, in time at full speed; what a posture lacks adds to its move's duration
 HEADROOM = 0.5
 ARRIVED = 0.05  # [s] time left at full joint speed at which a move ends and the tracker takes over
 # [s] time left at full joint speed at which a move to a standing target ends, as nothing can hinder it any more
 CLOSE = 1e-3
-FAR = 0.3  # [rad or arm reaches] change of a joint between updates from which a posture counts as another one
-STANDING = 0.3  # share of a move's cost that the error must have cost before it is made, if the target stands
+FAR = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
+STANDING = 0.3  # if the target stands still, a move is made once the error has cost this share of the move's cost
 ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
 
 
@@ -169,7 +169,7 @@ class Reconfiguration:
         """Forget everything, as at the start."""
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
-        self._barred: list[np.ndarray] = []  # postures with a collision there or on the way
+        self._barred: list[np.ndarray] = []  # postures that collide, or that a collision on the way blocks
         self._place = np.zeros(0)  # target of the goal, or of the search asked for by `search_now`
         self.forget()
         self._quiet, self._pause = 0.0, PAUSE  # [s] left of the present pause, and length of the next one
@@ -200,7 +200,7 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = PAUSE, []
             return
-        # If a joint is locked during a search, no other posture can be reached in finite time.
+        # a joint locked during a search would make every move last for ever
         if self._left and locked(limits):
             self.forget()
         if self._now:
@@ -215,9 +215,9 @@ class Reconfiguration:
             held |= bits
         if not (held & POSITION or taken.singular):
             return
-        # A joint at its speed limit is on its way as fast as it can.
-        # At an acceleration limit it is so only if the target moves: joints also reach it by trembling before a
-        # standing one.
+        # A joint at its speed limit is already moving as fast as it can.
+        # A joint at its acceleration limit is already moving as fast as it can if the target moves.
+        # If the target stands still, a joint at its acceleration limit may only be trembling.
         if held & FAST or (held & ACCELERATION and stood < WAIT):
             self._stood = 0.0
             return
@@ -355,7 +355,7 @@ class Reconfiguration:
 
     @property
     def why(self) -> tuple[str, ...]:
-        """Names of the joints at limits that caused the move."""
+        """Names of the joints whose limits caused the move."""
         return tuple(self.robot.joint_names[i] for i in self.held)
 
     def blocked(self) -> None:

@@ -22,7 +22,7 @@ from . import laws, viability
 from .path_reach import Survey
 from .stability import GainCheck
 
-ROUNDING = 1e-6  # share of a step by which a clock may lag and still not count as slowed, as its time is a rounded sum
+ROUNDING = 1e-6  # a clock that lags by less than this share of a step is not slowed; its time is a rounded sum
 
 
 class TrackStatus(Enum):
@@ -257,7 +257,7 @@ POSITION_TOLERANCE = 1e-3  # [m] accuracy to which a path is commonly followed
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
 SETTLE = 0.5  # [s] time allowed to settle for an arm that starts at rest
 LOOKED = 200  # largest number of samples at which the constraints of a description are checked
-MORE = 1.01  # factor over the error at the samples above which the error between samples is reported as larger
+MORE = 1.01  # the error between samples is reported if it exceeds that at the samples by this factor
 LIMITS = ((viability.POSITION, "position"), (viability.VELOCITY, "speed"), (viability.ACCELERATION, "acceleration"))
 
 
@@ -305,7 +305,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     after = f" after {result.settle:g} s" if result.settle else ""
     off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
-        # After a time to settle, the added time may only come from the start.
+        # with a time to settle, the added time may come from the start alone
         why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"

@@ -23,29 +23,29 @@ from .tracker import Tracker
 from .workspace import Samples, new_record
 
 QUICK = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
-SPEED = 0.98  # share of the speed limits used by a time law, as a run differs a little from the planned motion
-# Shares of the acceleration limits used by a time law, in turn while runs fail; with 0.95, 31 of 288 needed another.
+SPEED = 0.98  # share of the speed limits that a time law uses, because a run differs a little from its plan
+# Shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
 TOLERANCE = 0.8  # share of the tolerances that a time law allows for the error of a step
-FASTER = 5  # how often the limits used are raised after a run that kept to the reference
-JOINTS, TIP = 1.2, 1.5  # factors of one such raise: of redundant joints' limits, and of the error allowed for the tip
-FAR_OFF = 4.0  # error over tolerance above which a miss cannot come from the linearisation in a single step
+FASTER = 5  # how often a time law's limits are raised after a run that kept to the reference
+JOINTS, TIP = 1.2, 1.5  # factors of one raise: limits of redundant joints, allowed tip error
+FAR_OFF = 4.0  # a larger error over tolerance is not due to the linearisation in single steps
 ENOUGH = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
 NEAR = 0.05  # [s] time before and after a missed sample in which the clock is slowed
-LEAST = 0.25  # least factor of the squared clock rate when it is lowered once
-HELPED = 0.8  # a further run is tried only if the last left at most this share of the samples off the reference
-FOLLOWED = 0.2  # error of a step over its tolerance while the joints' path is sought
-FEWEST = 400  # least number of steps in which the joints' path is sought
-HARDER = (10.0, 30.0)  # [1/s] gains of limit avoidance tried if the usual one leads into limits
+LEAST = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
+HELPED = 0.8  # a further run is tried only if the last one missed at most this share of what the run before missed
+FOLLOWED = 0.2  # error of a step over its tolerance while a joint path is computed
+FEWEST = 400  # least number of steps in which a joint path is computed
+HARDER = (10.0, 30.0)  # [1/s] gains of limit avoidance, tried if the default gain leads into limits
 POSES = 40  # least number of poses that must all be in reach before `solve_path` is called
 MOST_POSES = 2001  # largest number of poses that `solve_path` is given; between them its path is linear
 # [m, rad] tolerance of `solve_path`, so that its errors at neighbouring samples do not look like accelerations
 EXACT = 1e-6
 STRIDE = (0.5, 0.2)  # [rad, m] largest joint moves between two poses of `solve_path`
 LEAD = 0.5  # share of the distance to a given joint path that a step corrects, in the null space
-SLOWEST = 0.02  # least rate of the clock near obstacles: the arm passes them at that rate, or is stopped
+SLOWEST = 0.02  # least rate of the reference's clock near obstacles
 RUNAWAY = 100.0  # [rad or arm reaches] mean joint move in one step beyond which a run has diverged
-AT_ONCE = 20_000  # steps between two checks for Ctrl-C
+AT_ONCE = 20_000  # number of steps between two checks for Ctrl-C
 NOWHERE = np.zeros((0, 0))
 
 
@@ -59,18 +59,18 @@ class Clock(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A joint path Q (K + 1, n) [kernel units] at s (K + 1,) [s], and the secondary motion on it."""
+    """A joint path Q (K + 1, n) [kernel units] at reference times s (K + 1,) [s], and its null-space motion."""
 
     s: np.ndarray
     Q: np.ndarray
     avoid: float  # [1/s] gain of limit avoidance
-    posture: np.ndarray  # (2, n) posture to move to in the null space, and the gain [1/s]
-    led: bool = False  # whether a run is led along the path: in the null space, and across singular poses
-    sides: np.ndarray = NOWHERE  # (M + 1, n) if led: directions from singular poses at the samples (`singular_sides`)
+    posture: np.ndarray  # (2, n) posture for the null-space motion, and its gain [1/s]
+    led: bool = False  # whether the path leads null-space motion, also at singular poses
+    sides: np.ndarray = NOWHERE  # (M + 1, n) if led: directions away from singular poses (`singular_sides`)
 
 
 class Taken(NamedTuple):
-    """Outcome of one run along a clock; Q, R, E, S, C are the arrays of a `workspace.Record`."""
+    """Outcome of one run with one Clock; Q, R, E, S, C are the arrays of a `workspace.Record`."""
 
     missed: int  # number of samples off the reference; for a solver, which always lags: of steps that limits held back
     Q: np.ndarray
@@ -105,7 +105,7 @@ class Run:
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
         self.count, self.most = len(times) - 1, int(np.ceil(stretch * (len(times) - 1)))
         self.full = Clock(times, np.ones(len(times)), np.zeros(len(times)), np.full(len(times), -1))
-        self.own = self.fine = samples_along(references, self.full, checked)  # `fine` becomes finer in `_ways`.
+        self.own = self.fine = samples_along(references, self.full, checked)  # `_ways` samples `fine` more densely
         tracker._late = LATE * self.dt
         self.start, self.q0 = tracker.carried(), tracker.q
         self.made: list[Taken] = []
@@ -138,7 +138,7 @@ class Run:
         from_rest = self._at_rest() and np.isfinite(limits[3]).any() and self.own.V[0].any()
         if not (slow and from_rest):
             own = self._take(self.full, self.own, here)
-            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # Or it begins too far off.
+            if not slow or own.missed == 0 or self._excess(own.E[:1])[0] > 1.0:  # no miss, or too far off at the start
                 return
         for way in self._ways(here):
             self._slowly(way, from_rest)
@@ -160,7 +160,7 @@ class Run:
             if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
-            if not way.led and len(taken.Q) == len(clock.s):  # Go on from the path that the joints took.
+            if not way.led and len(taken.Q) == len(clock.s):  # plan with the path that the joints took
                 way = way._replace(
                     Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
                 )
@@ -199,14 +199,14 @@ class Run:
 
     def _ways(self, here: Way) -> Iterator[Way]:
         """Yield joint paths along the reference, best first."""
-        # With so many steps the error of a step is small against the tolerance.
+        # `parts` is chosen so that the error of a step is small against the tolerance.
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
         parts = max(-(-FEWEST // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / FOLLOWED))))
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
         self.fine = samples_along(self.references, Clock(s, np.ones(len(s)), 0.0 * s, s))
         samples = samples_from(self.fine.T, self.fine.V / parts, self.fine.A / parts**2)
         plain = here.avoid == AVOID and not here.posture[1].any()  # no secondary motion was asked for
-        found: list[tuple[int, int, Way]] = []  # samples missed, steps of its law, path
+        found: list[tuple[int, int, Way]] = []  # number of samples missed, number of steps, path
         for way in (here, *(self._besides(here) if plain and self._redundant() else ())):
             Q, off = self._follow(samples, way)
             way = way._replace(s=s, Q=Q)
@@ -215,7 +215,7 @@ class Run:
                 break
         found.sort(key=lambda one: one[:2])
         yield from (way for off, _, way in found if off == 0)
-        slowest = found[0][0] == 0 and found[0][1] > self.most  # another posture would hardly be so much faster
+        slowest = found[0][0] == 0 and found[0][1] > self.most  # no other posture is so much faster
         if plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one:
             planned = self._planned(samples)
             if planned is not None:
@@ -249,7 +249,7 @@ class Run:
         limits[2:] = fast
         Q, E = (np.concatenate([one[k] for one in made]) for k in (0, 2))
         off = self._excess(E, 0.0) > 1.0
-        off[: int(np.argmin(np.append(off, False)))] = False  # The approach to the reference does not count.
+        off[: int(np.argmin(np.append(off, False)))] = False  # approaching the reference does not count
         missing = len(samples.T) - len(Q)
         return np.concatenate([Q, np.repeat(Q[-1:], missing, axis=0)]), int(off.sum()) + missing
 
@@ -301,10 +301,10 @@ class Run:
         joint = np.where(joint < n, joint, -1)
         times = times_of(s, rate)
         steps = max(int(np.ceil(times[-1] / self.dt - 1e-6)), 1)
-        slower = times[-1] / (steps * self.dt)  # Slowing the law by less than a step makes its end a sample.
+        slower = times[-1] / (steps * self.dt)  # slowed by less than a step, so that the end is a sample
         t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
-        at[t == times[-1]] = s[-1]  # The end is reached despite rounding.
+        at[t == times[-1]] = s[-1]  # exact end, despite rounding
         held = joint[np.searchsorted(s, at, side="right") - 1]
         return Clock(smoothed(at), smoothed(now * slower), smoothed(gain * slower**2), held)
 
@@ -373,12 +373,12 @@ class Run:
     def _taken(self, clock: Clock, made: list, pairs: Any, began: float) -> Taken:
         """Combine the records `made` of a run, complete or not, into a Taken."""
         Q, R, E, S, C = (np.concatenate(part) for part in zip(*made, strict=True))
-        whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave one record without its last sample.
+        whole, C = len(clock.s), C[: len(Q) - 1]  # Ctrl-C may leave a Record without its last sample
         clock = Clock(*(one[: len(Q)] for one in clock))
         missed = int((self._excess(E) > 1.0).sum())
         if not self.tracker.engine.waits:
             missed = int(((C & (viability.VELOCITY | viability.ACCELERATION)) > 0).any(axis=1).sum())
-        missed += (whole - len(Q)) * self.most  # An incomplete run is worse than a complete one.
+        missed += (whole - len(Q)) * self.most  # an incomplete run is worse than any complete one
         most = max(pairs, key=lambda pair: pairs[pair], default=None)
         return Taken(missed, Q, R, E, S, C, clock, self.tracker.carried(), time.perf_counter() - began, most)
 

@@ -38,7 +38,7 @@ from .retimed_run import Run, Taken
 from .tracker import JUMP, Tracker
 
 MODES = ("slow", "leave", "clip")
-COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say which errors count
+COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that select which errors count
 MAX_STRETCH = 10.0  # how many times the duration of its reference a run may take by default
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of a step at which the error between samples is evaluated
 
@@ -104,7 +104,7 @@ def track(
         TrackInterrupted: Ctrl-C was pressed; it is a KeyboardInterrupt whose `result` holds the steps taken (before the
             first step, a plain KeyboardInterrupt is raised).
         InvalidOption: An option is unknown or out of range.
-        InvalidTarget: The reference is none, is not finite, or lacks a tip.
+        InvalidTarget: `reference` is no Reference, is not finite, or lacks a tip.
         InvalidConfiguration: q0 is outside the limits or in collision, or has the wrong shape.
     """
     references = _references(robot, reference)

@@ -31,8 +31,8 @@ from .singular_step import (
 )
 from .viability import approach
 
-GAIN = 2.0 / 3.0  # share of an error fed back per sample by methods without a gain of their own: the best of `cv`
-BEFORE = -1.0  # value of STATE.near: the pose was singular before, but not in the last step
+GAIN = 2.0 / 3.0  # share of an error fed back per sample by methods without a gain, the best one of method cv
+BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
 
 
 @inline
@@ -72,7 +72,7 @@ def by_difference(task, s):
 
 @inner
 def forget_default(state, away):
-    """Set away (n,) to zero if no singular pose was met yet, as it then holds a default and no known side."""
+    """Set away (n,) to zero before the first singular pose, because it then holds a default and not a known side."""
     if state[STATE.near] == 0.0:
         for i in range(away.shape[0]):
             away[i] = 0.0
@@ -80,7 +80,7 @@ def forget_default(state, away):
 
 @inner
 def remember(state, near, beyond, h):
-    """Keep in `state` if the pose is singular (near), and for SIDE [s] that the target was out of reach (beyond)."""
+    """Note in `state` whether the pose is singular (near), and for SIDE [s] that a target was out of reach (beyond)."""
     if near:
         state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0)
     elif state[STATE.near] != 0.0:
@@ -99,7 +99,7 @@ def begin_mode(s, r, free, way, away):
     """Write the joint direction of singular direction r to V, and to s.x1 that along which its gradient is taken.
 
     Returns False if there is none, and then marks it as removed from the task (s.lost). free: whether to look for the
-    bent direction (`begin_bent`); way: the tip motion asked for; away: see `mode_speed`.
+    direction of most curved tip motion (`begin_bent`); way: the tip motion asked for; away: see `mode_speed`.
     """
     there = mode_direction(s.W, s.sv, r, away, way, s.x1)
     copy_column(s.x1, s.V, r)
@@ -144,8 +144,8 @@ class WeakMode(NamedTuple):
 
     r: int  # index of the singular direction
     full: float  # singular value sigma_r
-    sigma: float  # length of the tip motion along u_r per unit of motion along V_r
-    # Error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path.
+    sigma: float  # tip motion along u_r per unit of joint motion along V_r
+    # error along the other directions, if it cannot be closed (else 0), times the largest curvature of the tip's path
     rest: float
     own: float  # rate of the joints along V_r
     error: float  # error along u_r
@@ -166,7 +166,7 @@ def fastest_along(V, r, limits):
 
 @inner
 def mode_speed(s, mode, gain, h, limits, near, away):
-    """Decide on singular direction r: write its speed to s.xk, and 1 to s.lost if it is removed from the task.
+    """Decide on singular direction r: write the joint speed along it to s.xk, and 1 to s.lost if it leaves the task.
 
     u_r and V_r are its task and joint directions. s.t holds the curvature along u_r of each motion of `mode_probe`.
     near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach. away
@@ -176,18 +176,18 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     r, V, left, moved = mode.r, s.V, mode.error, mode.moved
     b, beside = s.t[ALONG], s.t[BESIDE]
     cap, a = fastest_along(V, r, limits)
-    grows = np.sign(b)  # The singular value grows towards the side on which the joints are.
+    grows = np.sign(b)  # 1 or -1: direction along V_r in which the singular value grows
     clear = mode.full > WEAK.clear and mode.sigma > WEAK.known * mode.full
     back = part_along(V, r, away)
     if abs(back) < WEAK.known and clear:
         bring_along(V, r, away, grows, 1.0)
         back = grows
     sigma, y, D, most = mode.sigma + 0.5 * (s.t[BOTH] - b - beside), 0.0, 0.0, a
-    # A small error beside a large one that cannot be closed is closed with damping, as in `hold_back`.
+    # An error that is small against another, unreachable error is closed with damping, as in `hold_back`.
     if abs(left) < WEAK.minor * mode.rest:
         left *= sigma * sigma / (sigma * sigma + mode.rest)
         moved *= sigma * sigma / (sigma * sigma + mode.rest)
-    # With acceleration limits, a first pass takes the error alone, to shrink it to what can be braked.
+    # With acceleration limits, a first pass considers only the error, to shrink it to what can be braked.
     for last in range(0 if a < np.inf else 1, 2):
         E = moved + h * gain * left - 0.5 * beside if last == 1 else left
         y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)
@@ -197,7 +197,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
             left *= most / (gain * abs(y))
     edge = D < 0.0
     x = (WEAK.caution if edge else 1.0) * y / h
-    # The joints were carried far to the other side, so they move back across the singular pose.
+    # Joints that were carried far to the other side move back across the singular pose.
     if edge and mode.sigma > WEAK.lost and grows * back < 0.0:
         x = -grows * (mode.sigma / abs(b) + WEAK.lost) * gain
     if edge and a < np.inf:
@@ -240,7 +240,7 @@ def judge_modes(law, task, look, s, limits, h, own, heavy):
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
         mode = WeakMode(r, s.sv[r], thin, rest, speed, left, moved)
         out = mode_speed(s, mode, gain, h, limits, state[STATE.near], away)
-        # Motion along the rest of the gradient, beside the replaced direction, is damped as in `hold_back`.
+        # Motion along the rest of the gradient, across the replaced direction, is damped as in `hold_back`.
         if free and out:
             s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out

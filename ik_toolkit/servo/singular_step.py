@@ -24,34 +24,34 @@ from ..compile.jit import inner
 from ..kernel.linalg import cholesky, make_rows_orthogonal
 from .laws import gram
 
-CLOSE = 0.1  # [arm reaches or rad] error up to which rotation errors add like vectors, to within a twentieth
+CLOSE = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
 ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
-# [s] time for which it is remembered from which side the joints came to a singular pose; oscillations are shorter
+# [s] time for which the side is remembered from which joints came to a singular pose, longer than oscillations
 SIDE = 0.2
 
 
 class Weak(NamedTuple):
-    """When a direction counts as singular, and what is done (tests/servo/test_crossings.py, test_out_of_reach.py).
+    """Thresholds for singular directions and motion along them (tests/servo/test_crossings.py, test_out_of_reach.py).
 
     Singular values are tip motions in arm reaches (or rad) per rad (or arm reach) of a joint.
     """
 
-    zero: float = 1e-9  # singular value below which there is no motion to first order
-    # Added to the squared singular values before factoring; negligible against lost^2, the least of them.
+    zero: float = 1e-9  # singular value below which the tip does not move to first order
+    # added to the squared singular values before factoring; negligible against the least of them, lost^2
     nothing: float = 1e-12
     # component of a unit vector along a direction above which it is clear to which side the vector points
     clearly: float = 0.1
-    # component of the remembered side above which it counts; less may come from another singular pose
+    # component of the remembered side above which that side counts; less may come from another singular pose
     known: float = 0.5
     lost: float = 5e-3  # singular value below which a direction is removed from the task
-    # a direction is removed, too, if the move asked for times the curvature exceeds this share of sigma_k^2
+    # a direction is also removed if the move asked for times the curvature exceeds this share of sigma_k^2
     bent: float = 0.2
     fade: float = 0.1  # [s] time in which motion along a direction that does not move the tip at all fades
-    least: float = 1e-3  # damping lambda at sigma_k = 0: a motion through a singular pose is off by about its square
-    flat: float = 1e-3  # [arm reaches / rad^2] curvature below which it counts as zero
-    # Share of the move to the closest pose that one step takes; full steps would zigzag, as in steepest descent.
+    least: float = 1e-3  # damping lambda at sigma_k = 0; a motion through a singular pose errs by about lambda^2
+    flat: float = 1e-3  # [arm reaches / rad^2] a smaller curvature counts as zero
+    # share of the move to the closest pose that one step takes; full steps would zigzag, as in steepest descent
     caution: float = 2.0 / 3.0
-    # Share of an error that cannot be closed, below which the error along another direction is closed with damping.
+    # errors below this share of another, unreachable error are closed with damping
     minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
 
@@ -89,7 +89,7 @@ def modes(J, near, W, U, sigma):
 
 @inner
 def begin_anew(slack, near):
-    """Forget the u_k found last if any error has slack, as an error out of the task must be a u_k of its own."""
+    """Forget the task directions u_k found last if an error has slack: an error out of the task needs its own u_k."""
     some = False
     for k in range(slack.shape[0]):
         some = some or slack[k] > 0.0
@@ -99,7 +99,7 @@ def begin_anew(slack, near):
 
 @inner
 def leave_modes(W, sigma, r, x):
-    """Remove from x (n,) what moves the tip, except along task direction u_r (-1: no exception).
+    """Remove from the joint motion x (n,) what moves the tip, except along task direction u_r (r = -1: no exception).
 
     Return the length left.
     """
@@ -120,7 +120,7 @@ def leave_modes(W, sigma, r, x):
 
 @inner
 def lost_direction(W, sigma, away, v):
-    """Write to v (n,) a joint direction for a singular value of 0: `away` without what moves the tip.
+    """Write to v (n,) the joint direction of a singular value of 0: `away` without the part that moves the tip.
 
     Returns False if nothing is left of it.
     """
@@ -130,7 +130,7 @@ def lost_direction(W, sigma, away, v):
     # A second projection removes the rounding of the first; twice is enough (Kahan).
     size = leave_modes(W, sigma, -1, v)
     for i in range(v.shape[0]):
-        v[i] = v[i] / size if size > WEAK.zero else 0.0  # What is left may be rounding only, which is no direction.
+        v[i] = v[i] / size if size > WEAK.zero else 0.0  # a remainder of rounding alone is no direction
     return size > WEAK.zero
 
 
@@ -169,7 +169,7 @@ def mode_probe(V, r, rate, part, h, x):
 
 @inner
 def way_along(sigma, b, E, own, side, home, h):
-    """Return the move y along v_k that solves sigma y + b y^2 / 2 = E, or is nearest, and D (< 0: E is out of reach).
+    """Return the move y along v_k that solves sigma y + b y^2 / 2 = E, or is nearest, and D (< 0: E is unreachable).
 
     There are two solutions, one on each side of the singular pose. The one is taken to which the joints are already
     moving (own: their move in a step). From rest at the singular pose, or with `home`, it is the side from which they
@@ -188,7 +188,7 @@ def way_along(sigma, b, E, own, side, home, h):
             # The second form of the root avoids a difference of nearly equal numbers.
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        D -= 2.0 * WEAK.flat * abs(E)  # D is estimated with the largest curvature that counts as zero.
+        D -= 2.0 * WEAK.flat * abs(E)  # with the largest curvature that counts as zero
         y = min(max(E / sigma, -sigma / WEAK.flat), sigma / WEAK.flat) if sigma > WEAK.zero else 0.0
         kept *= max(1.0 - h / WEAK.fade, 0.0)
     weight = D if D > 0.0 else -0.5 * D  # The weight is the second derivative of the squared error at the solution.
@@ -197,7 +197,7 @@ def way_along(sigma, b, E, own, side, home, h):
 
 @inner
 def mode_part(U, r, vector):
-    """Return the component of a vector (m,) along the task direction u_r (row r of U)."""
+    """Return the component of a task vector (m,) along the task direction u_r (row r of U)."""
     part = 0.0
     for c in range(vector.shape[0]):
         part += U[r, c] * vector[c]
@@ -245,7 +245,7 @@ def mode_direction(W, sv, r, away, way, v):
 
 @inner
 def begin_bent(W, V, sigma, r, away, x):
-    """Write to x (n,) the direction that `bent_direction` takes its gradient along: the remembered `away`, or v_r."""
+    """Write to x (n,) the direction along which `bent_direction` takes its gradient: the remembered `away`, or v_r."""
     for i in range(x.shape[0]):
         x[i] = away[i]
     size = leave_modes(W, sigma, r, x)
@@ -257,9 +257,9 @@ def begin_bent(W, V, sigma, r, away, x):
 def bent_direction(W, V, sigma, r, slope):
     """Make V_r the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
 
-    If sigma_r is nearly 0, a redundant arm has a second direction as good as v_r, and the smallest motion turns v_r
-    from one to the other. The tip can only get nearer along the curved one. That is the gradient slope (n,): for each
-    joint, the curvature along u_r of its motion combined with the direction of `begin_bent` (one step of a power
+    If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns
+    v_r from one to the other. Only along the curved one the tip can get nearer. That is the gradient slope (n,): for
+    each joint, the curvature along u_r of its motion combined with the direction of `begin_bent` (one step of a power
     iteration).
     """
     size = leave_modes(W, sigma, r, slope)
@@ -296,7 +296,7 @@ def take_out(J, W, U, V, lost, f, G):
             for c in range(k):
                 for d in range(c + 1):
                     G[c, d] += U[r, c] * U[r, d] if wide else V[c, r] * V[d, r]
-    if not wide:  # Joints that move nothing would make the matrix singular.
+    if not wide:  # a joint that moves nothing would make the matrix singular
         for c in range(k):
             G[c, c] += WEAK.nothing
     cholesky(G, k, 0.0)
@@ -305,7 +305,7 @@ def take_out(J, W, U, V, lost, f, G):
 
 @inner
 def by_modes(J, W, U, lost, ask, y):
-    """Rewrite the task (J and the rates ask) along the u_k that are not lost, so that its rows are independent.
+    """Rewrite the task (J and the rates `ask`) along the directions u_k that are kept, which makes rows independent.
 
     A row of weight 0 stays a direction of its own, as long as `modes` began without the directions of another task.
     """
@@ -359,7 +359,7 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, more):
 
 @inner
 def along_lost(V, lost, xk, x, speeds):
-    """Set the components of x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
+    """Set the joint rates x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V, r, x, xk[r] if speeds > 0.0 else 0.0, 1.0)
@@ -367,11 +367,11 @@ def along_lost(V, lost, xk, x, speeds):
 
 @inner
 def down_slopes(W, V, sigma, pull, x, speeds):
-    """Set a component of x (n,), beside a replaced direction V_k, to go down the error, or to 0 if `speeds` is 0.
+    """Set the component of x (n,) across a replaced direction V_k to reduce the error, or to 0 if `speeds` is 0.
 
-    It is the one along sigma_k v_k less its part along V_k, which `bent_direction` has put in the place of v_k.
+    It is along sigma_k v_k less the part along V_k, by which `bent_direction` has replaced v_k.
 
-    pull (m,): rates along that rest. It takes effect gradually while sigma_k grows from half of WEAK.lost to WEAK.lost.
+    pull (m,): rates along it. It takes effect gradually while sigma_k grows from half of WEAK.lost to WEAK.lost.
     """
     for r in range(pull.shape[0]):
         share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)

@@ -35,21 +35,21 @@ GAINS = {
     "ca": ("kp", "kd"),
     "aa": ("share",),
     "aad": ("gamma", "share"),
-}  # the gains of each method, in the order used by BEST
+}  # the gains of each tracking method, in the order used by BEST
 METHODS = tuple(GAINS)
-GAMMA = 0.6  # default of `aad`: eigenvalue 1 - 1/gamma = -2/3
+GAMMA = 0.6  # default of method aad; its eigenvalue is then 1 - 1/gamma = -2/3
 WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains whose default does not depend on the sample time
-BORDER = 1e-9  # relative distance to the border within which a gain set is called marginal
+BORDER = 1e-9  # gains within this relative distance of the stability border are called marginal
 
-# The best gains have the smallest spectral radius. For cv a complex pair of eigenvalues turns real at k = 2/3.
-# For ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
+# The best gains have the smallest spectral radius. In method cv a complex eigenvalue pair turns real at kappa h = 2/3.
+# In method ca there is a triple eigenvalue r, which solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
 BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)
 BEST_CA_RADIUS = -TRIPLE
 BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
-MOST_DELAY = 200.0  # [samples] largest delay; the matrix has as many rows
-GRID = 25  # points per side in the grid search for the best gains under a delay: four grids, each a quarter as wide
+MOST_DELAY = 200.0  # [samples] largest delay; the mapping matrix has as many rows
+GRID = 25  # points per side of the four search grids for the best gains under a delay, each a quarter as wide
 
 
 def mapping_matrix(
@@ -65,8 +65,8 @@ def mapping_matrix(
 ) -> np.ndarray:
     """Return the matrix that carries the linearised state of a method over one sample of h [s], at rest.
 
-    The state is (q, previous command) for cv, (q, qd, previous command) for ca, (q, qd) for aa and aad, and q for av;
-    each entry is repeated on the diagonal for `dof` joints, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd
+    The state is (q, previous command) in method cv, (q, qd, previous command) in ca, (q, qd) in aa and aad, and q in
+    av; each entry is repeated on the diagonal for `dof` joints, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd
     [1/s], share (1: as published). Source: Patko and Zelei (2019), eqs (30), (31), (34), (35), (39)-(42). Entry (3,3)
     of (41) is printed with kp and must have kd. Raises InvalidOption for a missing gain or an unknown method.
     """
@@ -164,7 +164,7 @@ def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tupl
     while np.abs(power).max() > 1e-20:
         P = P + power @ P @ power.T
         power = power @ power
-    # For these methods the rate is a state of its own, which can exceed the motion of a step when it zigzags.
+    # In these methods the rate is a state of its own; if it zigzags, it can exceed the motion of a step.
     if method in ("ca", "aa", "aad"):
         return math.sqrt(P[0, 0]), h * math.sqrt(P[1, 1])
     move = M[0] - np.eye(len(M))[0]  # the motion to the next sample, without the direct effect of the noise
@@ -172,21 +172,21 @@ def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tupl
 
 
 def p_limit(d):
-    """Return the upper border of p = kp h^2 for stable `ca`, given d = kd h (a number or an array)."""
+    """Return the upper stability border of p = kp h^2 for the acceleration-level method ca, given d = kd h."""
     return 0.5 * (d + np.sqrt(d * (9.0 * d + 16.0)))
 
 
 def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     """Return the gains of a method with the smallest spectral radius at sample time h [s].
 
-    cv: kappa h = 2/3, radius 0.577 (1/sqrt 3). ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet,
-    radius 0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. For positions measured `delay` samples ago they
-    are found by a search.
+    Method cv: kappa h = 2/3, radius 0.577 (1/sqrt 3). ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues
+    meet, radius 0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. For positions measured `delay` samples ago
+    they are found by a search.
     """
     one_of(method, METHODS, "tracking method")
     h = positive(h, "the sample time [s]")
     units = {"kappa": h, "kp": h * h, "kd": h, "share": 1.0}
-    # aa and aad have the eigenvalue of av, and another one that share does not change.
+    # Methods aa and aad have the eigenvalue of av, and another one that `share` does not change.
     law = method if method in BEST else "av"
     found = BEST[law]
     if _samples(delay):
@@ -237,7 +237,7 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
 
 @dataclass(frozen=True)
 class GainCheck:
-    """What `check_gains` found.
+    """Result of `check_gains`: whether the gains of a tracking method are stable.
 
     verdict: "stable", "marginal" or "unstable", over everything that was asked; radius: spectral radius of the mapping
     matrix (factor by which an error changes per sample, at rest); message: one sentence, more with delay, noise or a
@@ -283,12 +283,12 @@ def check_gains(
         h: Sample time [s].
         delay: Age of the measured joint positions in samples, as `Tracker.update(q=...)` gets them (20 ms at h = 0.01
             s: 2; fractions allowed).
-        noise: RMS of the noise on a measured position [rad or m]; the message says what becomes of it.
+        noise: RMS of the noise on a measured position [rad or m]; the message tells the resulting RMS of the joints.
         robot: A Robot; with path, the gains are judged along this path as well, by the growth of a small error over it,
             or over a lap if it is closed.
         path: A Reference, as from ik.circle.
         null_damping: Damping of null-space motion along the path [1/s], as in `Method`.
-        gains: kappa of cv; kp and kd of ca; share of av and aa; gamma and share of aad.
+        gains: By method: kappa (cv); kp and kd (ca); share (av and aa); gamma and share (aad).
 
     Returns:
         A GainCheck with the verdict, the spectral radius, a message and the best gains.
@@ -366,7 +366,7 @@ def _longest_along(
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
     """Return a sentence on gains or a sample time that would work."""
     words = " Try " + ", ".join(f"{name} = {value:.5g}" for name, value in best.items())
-    if method == "aa":  # `aa` is marginal even with its best gains.
+    if method == "aa":  # method aa is marginal even with its best gains
         out = " aad removes that eigenvalue at the same accuracy."
         return f"{words} with aad, which removes aa's eigenvalue -1." if delay else out
     # At a higher rate the same delay is more samples, so no rate is suggested.

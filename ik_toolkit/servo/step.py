@@ -15,24 +15,22 @@ from .target_jump import Choice
 
 
 class Standards(NamedTuple):
-    """Numbers by which a step is judged."""
+    """Thresholds by which the status of a step is judged."""
 
-    position: float = 1e-3  # [m] error above which a joint limit, or the edge of the reach, is reported as its reason
-    angle: float = 5e-3  # [rad] the same of the orientation
+    position: float = 1e-3  # [m] error above which a joint limit or the edge of the reach is reported as the reason
+    angle: float = 5e-3  # [rad] orientation error above which limits or reach are reported as the reason
     # share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
     at_rest: float = 1e-3
-    # share of the speed limit below which no feedback moves a joint: a gain of 0.1/s asks for 1e-4 at such an error
+    # a joint slower than this share of its speed limit is not moved by feedback; a gain of 0.1/s would ask for 1e-4
     resting: float = 1e-6
-    falling: float = (
-        0.2  # share of what feedback takes off the error in a step, below which the tip does not come nearer
-    )
+    falling: float = 0.2  # the tip comes nearer if the error falls by this share of what feedback would remove
 
 
 JUDGE = Standards()
 
 
 class StepStatus(Enum):
-    """How one step went.
+    """Outcome of one tracker step.
 
     OK: the arm is at its target, or gets nearer with nothing to hold it back; then the reason says how far it is. LIMITED:
     a limit held a joint back, or the tip can hardly get nearer to its target.
@@ -54,7 +52,7 @@ class StepStatus(Enum):
 
 
 class Judged(NamedTuple):
-    """What the status of a tracker's steps depends on, the same for all steps."""
+    """What the status of a tracker's steps depends on and is the same for all steps."""
 
     robot: Any
     settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
@@ -73,7 +71,7 @@ class Outcome(NamedTuple):
     h: float  # length of the step [s]
     lost: float  # number of singular directions, in which the tip can hardly move
     down: bool  # whether the step was a damped descent towards the closest pose nearby (servo/damped_descent.py)
-    finite: bool  # whether the target was finite
+    finite: bool  # whether all numbers of the target were finite
     lag: float  # largest difference between measured and commanded joints, over the one allowed
     resynced: bool  # whether the tracker restarted from the measured joints
     between: tuple[str, str] | None  # names of the two parts that would have touched
@@ -81,7 +79,7 @@ class Outcome(NamedTuple):
     way: tuple[str, ...] | Choice | None
 
 
-make_outcome = partial(tuple.__new__, Outcome)  # This is faster than Outcome(...), as in solvers/outcome.py.
+make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as in solvers/outcome.py
 
 
 class Step:
@@ -89,7 +87,8 @@ class Step:
 
     q (n,) [rad or m] and rate (n,) [rad/s or m/s]: command these now. position_error [m] and orientation_error [rad]
     (None for positions): what is left to this step's target, for several tips the largest, at `q`, or where measured
-    joints are estimated to be then. at_rest, between and status: see there. reason: a sentence, '' for OK at the target.
+    joints are estimated to be then. at_rest, between and status: see these properties. reason: a sentence, '' for OK at
+    the target.
     """
 
     __slots__ = ("_outcome", "q", "rate")

@@ -22,16 +22,16 @@ from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .target_stream import STAND, STILL, WAIT
 from .viability import HELD_BACK, POSITION, UNKNOWN, bending, time_left, travel
 
-# largest duration of the straight line over that of the direct joint move (1.3 times in all, with start and end)
+# a straight line of the tip is chosen if it takes at most this many times as long as the direct joint move
 STRAIGHT = 1.2
-# pieces of a straight line; within each the tip leaves the line by 1/576 of what it would in one direct joint move
+# number of pieces of a straight line; the tip leaves it by 1/24^2 of its deviation in one direct joint move
 POINTS = 24
-# duration of the line over that of a joint move from which joints must have changed posture between two points
+# a line that takes this many times as long as a joint move must contain a change of posture
 TORN = 4.0
-NEAR = 2e-3  # [m] error (angles at the lever arm LEVER) up to which the method closes it without a move
-# a method that leaves more than this share of the error in a step is hindered: its gains leave a third or nothing
+NEAR = 2e-3  # [m] a smaller error (angles at the lever arm LEVER) is left to the tracking method
+# a method that leaves more than this share of an error after a step is hindered; its gains leave a third at most
 SLOW = 0.5
-SOONER = 0.5  # a posture that moves slow joints less is preferred if its move takes less than this share of the time
+SOONER = 0.5  # the posture that moves slow joints less is taken if its move takes less than this share of the time
 CLOSE = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
 
@@ -46,14 +46,14 @@ class Route(NamedTuple):
     rate: np.ndarray
 
     def hardest(self, a: np.ndarray) -> float:
-        """Return the largest acceleration over the one allowed, a (n,); in cubic pieces it occurs at an end."""
+        """Return the largest joint acceleration over its limit a (n,); in a cubic piece it occurs at an end."""
         h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
         first = 6.0 * d / h**2 - (4.0 * self.rate[:-1] + 2.0 * self.rate[1:]) / h
         last = (2.0 * self.rate[:-1] + 4.0 * self.rate[1:]) / h - 6.0 * d / h**2
         return float((np.maximum(np.abs(first), np.abs(last)) / a).max())
 
     def fastest(self, top: np.ndarray) -> float:
-        """Return the largest rate over the one allowed, top (n,), at the ends and in the middle of the pieces."""
+        """Return the largest joint rate over its limit top (n,), at the ends and in the middle of the pieces."""
         h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
         middle = 1.5 * d / h - 0.25 * (self.rate[:-1] + self.rate[1:])
         return float(max((np.abs(self.rate) / top).max(), (np.abs(middle) / top).max()))
@@ -85,18 +85,18 @@ class Leap:
         self.forget()
 
     def forget(self) -> None:
-        """Drop the goal and forget the last target."""
+        """Give up the move (goal None) and forget the last target."""
         self.goal: np.ndarray | None = None
         self.why = Choice(straight=True, ratio=1.0)
-        self._enough = CLOSE  # [s] time left at full joint speed at which the method takes over
+        self._enough = CLOSE  # [s] time left at full joint speed at which the tracking method takes over
         self._route: Route | None = None
-        self._time = 0.0  # [s] since the move began
-        self._place = np.zeros(0)  # target last examined
+        self._time = 0.0  # [s] time since the move began
+        self._place = np.zeros(0)  # last target that was examined
 
     begin = forget
 
     def watch(self, taken: Taken) -> None:
-        """Examine a step taken by the method; set `goal` if the target has jumped and the method is hindered."""
+        """Examine a step of the tracking method; set `goal` if the target jumped and the error falls too slowly."""
         T, q, limits = taken.T, taken.q, taken.limits
         if not taken.stand[STAND.still] or taken.left < NEAR:
             return
@@ -104,11 +104,11 @@ class Leap:
             return
         if taken.left < SLOW * self.postures.size(taken.E[0]):
             return
-        # A target that moved here smoothly may be turning back, so the arm waits.
+        # A target that came here smoothly may be turning back, so the arm waits.
         if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:
             return
         self._place = T[1].copy()
-        # After a smooth motion, a joint at its limit means that only another posture leads on.
+        # After a smooth motion a joint at its limit means that only another posture can continue.
         # An operator who locks a joint wants no large moves.
         if (not taken.stand[STAND.leapt] and (taken.code & POSITION).any()) or locked(limits):
             return
@@ -121,7 +121,7 @@ class Leap:
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
         elif not len(found) and taken.stand[STAND.leapt] and self._elsewhere and self._enough <= CLOSE:
-            # There is one search for each jump, even if the target creeps on afterwards.
+            # only one search for each jump, even if the target creeps on
             taken.stand[STAND.leapt] = 0.0
             self._elsewhere.search_now(T[1], q, limits)
 
@@ -185,7 +185,7 @@ class Leap:
         return True
 
     def blocked(self) -> None:
-        """Give up the move because of a collision ahead: the method may slide along it."""
+        """Give up the move because of a collision ahead; the tracking method may slide along the obstacle."""
         self.goal = None
 
 
@@ -210,7 +210,7 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
 
     None if two neighbouring points coincide.
 
-    The path coordinate is time at full speed: a segment is as long as its slowest joint needs for it at its speed
+    The path coordinate is time [s] at full speed: the length of a segment is the time of its slowest joint at its speed
     limit, so the rate of the coordinate is at most 1.
     """
     top, a = speeds(limits), (1.0 - HELD_BACK) * limits[3] / bending(gamma)
@@ -234,7 +234,7 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
 
 
 def least_time(way: np.ndarray, limits: np.ndarray) -> float:
-    """Return the least time [s] in which joints can move by way (n,), from rest to rest, inside limits (4, n)."""
+    """Return the least time [s] in which joints move by distances way (n,), from rest to rest, in limits (4, n)."""
     moves = way > 0.0
     way, v, a = way[moves], speeds(limits)[moves], limits[3, moves]
     top = np.minimum(v, np.sqrt(way * a))  # peak speed of each joint before it has to brake

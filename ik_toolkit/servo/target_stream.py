@@ -20,29 +20,29 @@ from ..robot.pose import AxisTarget, as_array
 from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_of
 
-TIGHT = 1e-9  # error of a rotation matrix up to which it is accepted here; the full check corrects or refuses others
-READ, CHECK, REFUSED = range(3)  # how a target comes to the kernel: read in full, still to be checked, or no target
-# outcomes of `arrive`: taken, to be read in full, or not finite, so that the last target stays
+TIGHT = 1e-9  # rotation matrices with smaller errors are accepted here; the full check corrects or refuses others
+READ, CHECK, REFUSED = range(3)  # state of a target given to the kernel: fully read, still to be checked, or refused
+# results of `arrive`: accepted, to be read in full, or not finite (the last target stays)
 TAKEN, DOUBTFUL, HELD = range(3)
-STILL = 2e-3  # [m, or rotation matrix entries] change of a standing target within WAIT: 20 mm/s, or 0.014 rad/s
-WAIT = 0.1  # [s] time within which a target that stands may not move by more than STILL
-# [m/s, or rotation matrix entries per s] speed up to which a target is at rest; a reversing one is only briefly so slow
+STILL = 2e-3  # [m, or rotation matrix entries] largest change of a standing target in WAIT: 20 mm/s, or 0.014 rad/s
+WAIT = 0.1  # [s] time within which a target that stands still may not move by more than STILL
+# [m/s, or rotation matrix entries per s] speed up to which a target is at rest; a reversing one is only briefly slower
 RESTS = 5e-4
 # [m, or rotation matrix entries] change between two targets that counts as a jump; a fast hand moves a fifth of it
 JUMP = 0.05
 
 
 class Stand(NamedTuple):
-    """Layout of an array that says whether a target stands; STAND holds the indices.
+    """Layout of an array that says whether a target stands still; STAND holds the indices.
 
     Before its first motion a target counts as having jumped.
     """
 
-    seconds: int  # [s] for which the target has stood where it is, within STILL
-    leapt: int  # 1: the target jumped to where it is
-    still: int  # 1: it hardly moved from the last sample to this one, or only trembles as measured targets do
-    rest: int  # [s] for which it has been at rest; a target that trembles never is
-    known: int  # 1: the rest of the array holds the F poses where the target stands
+    seconds: int  # [s] for which the target has stood still, to within STILL
+    leapt: int  # 1: the target jumped to its present place
+    still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
+    rest: int  # [s] for which the target has been at rest; a trembling target never is
+    known: int  # 1: the rest of the array holds the F poses at which the target stands still
 
 
 STAND = Stand._make(range(len(Stand._fields)))
@@ -82,7 +82,7 @@ def replace(T, V, A, source, place):
 def difference(T0, T1, dt, V, first):
     """Write to V[first:] the twist that moves pose T0 to T1 (4, 4) in dt [s].
 
-    Without a rotation its angular part is exactly zero.
+    If the rotations are equal, its angular part is exactly zero.
     """
     put3(V, first, V3(T1[0, 3] - T0[0, 3], T1[1, 3] - T0[1, 3], T1[2, 3] - T0[2, 3]) * (1.0 / dt))
     turned = False
@@ -94,7 +94,7 @@ def difference(T0, T1, dt, V, first):
 
 @inner
 def gap(A, B, first):
-    """Return the distance between the numbers A (K,) and those of B from `first` on: the norm of their differences."""
+    """Return the norm of the difference between the numbers A (K,) and those of B from index `first` on."""
     total = 0.0
     for k in range(A.shape[0]):
         total += (A[k] - B[first + k]) ** 2
@@ -103,7 +103,7 @@ def gap(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """Update whether the target stands: stand (5 + 16 F,), see `Stand`, from targets T (2, F, 4, 4), dt [s] apart."""
+    """Update whether the target stands still: stand (5 + 16 F,), see `Stand`; T (2, F, 4, 4): targets dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
     if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:
@@ -163,8 +163,8 @@ def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceler
 
 FLOAT = np.dtype(np.float64)
 # Number of targets over which the longest step is remembered; gains are chosen for this step.
-# For steps of 0.5 to 1.5 times their mean, ca then reduces errors to 0.59 a step; with gains for each step only to
-# 0.99.
+# If steps vary from 0.5 to 1.5 times their mean, method ca then reduces an error to 0.59 of it in each step.
+# With gains chosen for each step it reduces the error only to 0.99.
 RECENT = 10
 KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its array
 
@@ -192,7 +192,7 @@ class Stream(CopiesViews):
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.
         self._moved = 0
-        # longest recent time between targets [s], longest after that one [s], targets after it
+        # longest recent time between targets [s], longest since then [s], number of targets since then
         self.pace, self._second, self._count = 0.0, 0.0, 0
 
     def _cut(self) -> None:
@@ -205,7 +205,7 @@ class Stream(CopiesViews):
         self.pace = 0.0
 
     def look_anew(self) -> None:
-        """Forget where the target stands: when it next stands, it counts as having jumped there."""
+        """Forget where the target stood: the next time it stands still, it counts as having jumped there."""
         self.stand[:] = 0.0
         self.stand[STAND.leapt] = 1.0
         self.unseen = 0.0

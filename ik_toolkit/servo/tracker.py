@@ -33,7 +33,7 @@ from .workspace import Record, Samples, carried_of, new_carried, new_record, new
 JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
 RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a tracker restarts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
-LAWS_KEPT = 64  # number of step lengths for which a method's parameters are cached
+LAWS_KEPT = 64  # number of step lengths h for which a method's gains are cached
 
 
 class Tracker(CopiesViews, ReadOnly):
@@ -49,11 +49,11 @@ class Tracker(CopiesViews, ReadOnly):
         on_limit: What gives way to limits. "direct": the tip falls behind, but towards its target; "leave": the error
             is the least possible now; "clip": each joint is clipped on its own, the published form.
         dt_max: Longest step [s] that keeps limits (default five times the first dt); a longer dt is taken in parts.
-        jump, resync: Joint moves [rad or arm reaches] in a step (JUMPED), from command to measurement (see `update`).
+        jump, resync: Largest joint move in a step, and difference of command and measurement [rad or arm reaches].
         avoid_limits: Gain [1/s] (or True, False) of null-space motion away from near limits.
         posture: Joint values (n,) to move to in the null space, or (joint values, gain [1/s]).
         elbow: A dict from joint names to 1 or -1: the side of zero on which a joint stays.
-        manipulability: Gain [1/s] with which it is raised in the null space.
+        manipulability: Gain [1/s] with which manipulability is raised in the null space.
         cost: Function of q (n,) [rad or m] to lower in the null space; it returns a finite number or its gradient (n,).
         avoid_collisions: True (the robot's own links) or a CollisionModel. The arm slows down and slides along
             obstacles, and takes no step after which it could not stop before a static one (BLOCKED).
@@ -125,9 +125,9 @@ class Tracker(CopiesViews, ReadOnly):
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._observer, self._rows = JointObserver(n, delay, noise), 0
         self._laws: dict[float, np.ndarray] = {}
-        self._ordered: tuple = ()  # inputs of the law in the settings
+        self._ordered: tuple = ()  # gains and options behind the settings
         self._kinds: tuple | None = None
-        self._goes: Leap | Reconfiguration | None = None  # what led the last step, or None: the method
+        self._goes: Leap | Reconfiguration | None = None  # what led the last step; None: the tracking method
         self.reset(q0, rate0=rate0)
         self._seal()
 
@@ -147,7 +147,7 @@ class Tracker(CopiesViews, ReadOnly):
             one, other = self._touching
             raise InvalidConfiguration(f"at q0 '{one}' touches '{other}'; start where nothing touches")
         self._late = self._longest
-        if self.secondary.cost is not None:  # An invalid cost raises now, not in a loop.
+        if self.secondary.cost is not None:  # an invalid cost raises now, not in a loop
             self.secondary.look(self._q)
         self.stream.forget()
         if target is not None:
@@ -164,7 +164,7 @@ class Tracker(CopiesViews, ReadOnly):
             way.begin()
         self._observer.reset()
         self.stream.look_anew()
-        self._behind = False  # whether the last step that was examined left an error
+        self._behind = False  # whether the last examined step left an error
         self._between: tuple[str, str] | None = None  # the pair of parts that blocked the last step
         self._touching = self._guard.restart(q) if self._guard else None
 
@@ -277,7 +277,7 @@ class Tracker(CopiesViews, ReadOnly):
             return
         self._forget(laws.READY)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._code &= viability.RECOVERING  # Other limits are expected during a move.
+        self._code &= viability.RECOVERING  # other limits are normal while a move leads the joints
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
@@ -336,7 +336,7 @@ class Tracker(CopiesViews, ReadOnly):
         runaway: float = math.inf,
     ) -> int:  # fmt: skip
         """Take as many steps of h [s] as `out` has room for (see servo/loop.py); return how many were taken."""
-        # With gains for each step's own length, `ca` oscillates without end if lengths differ.
+        # With gains for each step's own length, method ca would oscillate if step lengths differ.
         pace = max(h, min(self.stream.pace, self._late))
         ordered = h, pace, brake, measured, runaway, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:

@@ -27,22 +27,22 @@ from ..compile.jit import cached, compiled, dual, inline, inner, jit, shared
 from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.records import Array
 
-# Bits of `code`: why a joint did not move as commanded. HELD: an unusable command. RECOVERING: it was outside its
-# limits.
-# ROW: an inequality such as that of an obstacle. CALMED: it oscillated, so that its acceleration was limited.
+# Bits of `code`: why a joint did not move as commanded. HELD: the command was unusable.
+# RECOVERING: the joint was outside its limits. ROW: an inequality limits it, such as that of an obstacle.
+# CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
-ROUNDING = 4e-16  # margin before a limit, as a share of |limit| + |q|, for the rounding of the sums in one step
-# share of the distance to a limit kept as a margin: rounding accumulates to about this over some hundred braking steps
+ROUNDING = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
+# share of the distance to a limit kept as a margin, for the rounding of some hundred braking steps
 SPARE = 1e-13
-NOISE = 1e-12  # [rad or arm reaches] by which a joint may be beyond a viable state before it counts as recovering
-UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed assumed for a joint without a speed limit, where joints are compared
-SHARE = 0.1  # share of the speed limit (at most of 1 rad/s or 1 reach/s) at which a joint outside its limits returns
-SWING = 0.05  # share of the speed limit above which a motion counts in the detection of oscillation
+NOISE = 1e-12  # [rad or arm reaches] a joint beyond a viable state by more counts as recovering
+UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
+SHARE = 0.1  # share of the speed limit, or of 1 rad/s (arm reach/s) if less, at which a joint returns inside
+SWING = 0.05  # share of the speed limit above which a motion counts for detecting oscillation
 # A joint oscillates once it has reversed SWINGING times in a row, each within WINDOW [s] of the last; HOLD [s] ends it.
-# (scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.)
+# For comparison: scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.
 SWINGING = 2.0
 WINDOW, HOLD = 0.05, 0.1
-# [s] for which oscillation is limited after a limit, inequality or singular pose last hindered the joints
+# [s] for which oscillation is limited after a limit, an inequality or a singular pose has hindered the joints
 LASTING = 0.2
 # [1/s] growth of an oscillating joint's speed: by CALM of its speed limit plus GROWTH of its speed, per second
 CALM, GROWTH = 0.75, 10.0
@@ -66,7 +66,7 @@ def box_of(s):
 
 @shared
 def bending(gamma):
-    """Return the peak acceleration in a step over (new rate - last rate) / h, for the parabola of the module's text.
+    """Return the peak acceleration in a step over (new rate - last rate) / h, if the joint follows a parabola.
 
     It is 2 gamma for gamma between 1/2 and 1, where the parabola ends at a rate beyond the new one, else 1.
     """
@@ -106,7 +106,7 @@ def approach(distance, v, gamma, h, a, late):
 
 @dual
 def way_to(limit, q, sign):
-    """Return the distance from q to a limit (sign 1: upper, -1: lower), less a margin for rounding.
+    """Return a joint's distance from q to a limit (sign 1: upper, -1: lower), less a margin for rounding.
 
     Negative outside the limit.
     """
@@ -148,7 +148,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     fast, slow = speed, -speed
     if bend > 1.0:  # The parabola ends at a rate beyond w, so w is bounded such that its end keeps the speed limit.
         fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
-        # No next rate keeps a limit that was lowered to near 0; coming to rest is the fastest way below it.
+        # no next rate keeps a speed limit lowered to near 0; coming to rest is the fastest way below it
         if slow > fast:
             fast, slow = 0.0, 0.0
     ahead, behind = way_to(upper, q, 1.0), way_to(lower, q, -1.0)
@@ -166,7 +166,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
             w = fall if fall > fast else rise
         else:
             w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
-        # Rounding alone can empty the interval as well; then the single rate does not count as a recovery.
+        # Rounding alone can empty the interval of rates, too; this is no recovery.
         why = POSITION | ACCELERATION | (RECOVERING if miss * h > NOISE else 0)
         return w, w, why, why
     return low, top, why_low, why_top
@@ -283,7 +283,7 @@ def advance(q, rate, x, gamma, h, late, limits, code):
     return hit
 
 
-HELD_BACK = 0.1  # share of the acceleration limit kept for corrections while joints follow a known motion
+HELD_BACK = 0.1  # share of the acceleration limit reserved for corrections while joints follow a known motion
 UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
 
 

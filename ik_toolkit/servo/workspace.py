@@ -22,14 +22,14 @@ LAW, STATES = len(Law._fields), len(State._fields)
 
 @compiled
 class Settings(NamedTuple):
-    """Inputs that stay the same during a call, for n coordinates and m errors."""
+    """Inputs of a tracker that stay the same during a call, for n coordinates and m errors."""
 
     block: Array
-    law: Array  # a `laws.Law`
+    law: Array  # the method and its gains, in the layout of `laws.Law`
     counts: Array  # (3, m) weights of the errors, slack in kernel units, slack in m and rad
     limits: Array  # (4, n) rows lower, upper, speed, acceleration
-    wish: Array  # (3, n) rows: posture to move to, gain towards it [1/s], additional null-space velocity
-    lines: Array  # (rows, n) inequalities lines x <= level; the first law.rows of them apply
+    wish: Array  # (3, n) null-space motion: posture, gain towards it [1/s], additional joint velocity
+    lines: Array  # (rows, n) collision inequalities lines x <= level on joint rates; the first law.rows apply
     level: Array  # (rows,) right sides of these inequalities
     measured: Array  # (n,) measured joints, used if law.measured is 1
 
@@ -39,15 +39,15 @@ class Settings(NamedTuple):
 
 @compiled
 class Carried(NamedTuple):
-    """State that is carried from step to step."""
+    """State that a tracker carries from step to step."""
 
     block: Array
     motion: Array  # (2, n) joint values and rates
-    memory: Array  # memory of the method or the rule
+    memory: Array  # memory of the tracking method or of the solver's rule
     swings: Array  # (3, n) detection of oscillating joints, see `viability.watch`
-    away: Array  # (n,) direction in which joints leave a straight pose
+    away: Array  # (n,) direction in which joints leave a singular (straight) pose
     basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py), zeros before one
-    state: Array  # a `laws.State`
+    state: Array  # numbers kept between steps, in the layout of `laws.State`
     active: Array  # (n,) int8: joints in the active set of `constrain`
     kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
 
@@ -57,7 +57,7 @@ class Carried(NamedTuple):
 
 @compiled
 class Samples(NamedTuple):
-    """Targets of F tips at N samples."""
+    """Targets of F tips at N sample times."""
 
     block: Array
     T: Array  # (N, F, 4, 4) poses [m]
@@ -70,7 +70,7 @@ class Samples(NamedTuple):
 
 @compiled
 class Record(NamedTuple):
-    """What N - 1 steps result in: the state at N samples; N = 1 records the present state without a step."""
+    """Arrays that N - 1 steps fill: the state at N samples; N = 1 stores the present state without a step."""
 
     block: Array
     Q: Array  # (N, n) joint values
@@ -173,7 +173,7 @@ def new_samples(N: int, F: int) -> Samples:
 
 
 def new_record(N: int, n: int, m: int) -> Record:
-    """Make a record for N - 1 steps of n joints and m errors."""
+    """Make a Record (arrays to fill) for N - 1 steps of n joints and m errors."""
     return _made(record_of, record_shapes(N, n, m), N, n, m)
 
 
@@ -199,19 +199,19 @@ class Bench(NamedTuple):
     V: Array  # (n, m) v_k of the singular directions as columns
     U: Array  # (m, m) u_k as rows
     sv: Array  # (m,) singular values sigma_k
-    lost: Array  # (m,) 1 if a singular direction is removed from the task
+    lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task
-    pull: Array  # (m,) rates of `down_slopes`, beside a direction of curved tip motion
+    pull: Array  # (m,) rates of `down_slopes`, across a direction of curved tip motion
     flip: Array  # (F, 3) normals of the mirrors for free turns, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
     x1: Array  # (n,) joint rates along which dJ/dt is taken
-    x2: Array  # (n,) joint rates it is multiplied by
-    x: Array  # (n,) rates commanded, then taken
+    x2: Array  # (n,) joint rates by which dJ/dt along x1 is multiplied
+    x: Array  # (n,) rates: first those commanded, then those taken
     w: Array  # (n,) copy of the rates commanded
     g: Array  # (n,) secondary motion in the null space
     v: Array  # (n,) scratch
-    probe: Array  # (n,) joint values of a difference quotient
+    probe: Array  # (n,) joint values at which a difference quotient is evaluated
     before: Array  # (n,) rates before the step
     at: Array  # (n,) joint values at which error and Jacobian are evaluated
     size: Array  # (n,) speed limit of each joint, or UNLIMITED

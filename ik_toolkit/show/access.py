@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # Limit on the bytes of a message. The page sends numbers and short texts, and messages are buffered until complete.
 LARGEST = 2**20
-# viser and the checks here read only one header of each name in ONCE, so a second one is refused.
+# Each header in ONCE may occur only once, because viser and the checks here read only one of a name.
 ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")
 LOG = logging.getLogger(__name__)
 # Messages of the web socket are not logged, because a port scan would fill the terminal with tracebacks.
@@ -24,7 +24,7 @@ _PATCHING = threading.Lock()
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only programs of this machine can reach a host address."""
+    """Return whether only programs on this machine can reach a host address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -75,7 +75,7 @@ def guarded(host: str, token: str) -> Iterator[None]:
     """Make the server started inside check Host, Origin and token, and survive bad input.
 
     Without the check of Origin any web page could connect. Page, files and socket are below /token. A message that
-    cannot be read or is too large closes its connection with a reason; one that makes no sense is dropped.
+    cannot be read or is too large closes its connection with a reason; a message with invalid values is dropped.
     """
     import websockets.asyncio.server as ws
     from websockets.exceptions import ConnectionClosed

@@ -13,13 +13,13 @@ from ..text import figure
 from .body import DrawnShape, primitive
 
 OBSTACLE = (0.55, 0.58, 0.62)
-SLATE = (0.30, 0.34, 0.40)  # colour of poses and of where a motion starts
+SLATE = (0.30, 0.34, 0.40)  # colour of target poses and of the start of a motion
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
     (0.99, 0.75, 0.16),
 )  # fmt: skip
-MAX_FRAMES = 400  # per animation; a longer motion or run is thinned out
-SECONDS = 12.0  # duration of the animation of a motion without times
+MAX_FRAMES = 400  # largest number of frames of an animation; of a longer motion some frames are left out
+SECONDS = 12.0  # [s] duration of the animation of a motion without times
 
 
 class ShownMotion(NamedTuple):
@@ -155,7 +155,7 @@ def _coloured(
     first[[k + 1 for k in breaks]] = True
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
-        last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece
+        last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
         scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
 
 
@@ -170,7 +170,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
         names, values, t = _read(path)
     except InvalidConfiguration:
         raise
-    except Exception as error:  # damaged files raise many types: zip, zlib, npy, json and csv errors
+    except Exception as error:  # damaged files raise many types of errors (zip, zlib, npy, json, csv)
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
     missing = [joint for joint in robot.joint_names if joint not in names]
     if missing:

@@ -20,14 +20,14 @@ from ..robot.geometry.meshes import Mesh
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
 
-FARTHEST = 1e9  # [m]; pages compute in 32 bits and multiply lengths
+FARTHEST = 1e9  # [m] farthest coordinate drawn; pages compute in 32 bits and multiply lengths
 THINNEST = 1e-6  # [m] least radius of a stick
-MAX_SHAPES = 2_000  # per robot; robots have up to 150
-COLORED = (".dae", ".obj", ".glb", ".gltf")  # formats with colours worth showing
+MAX_SHAPES = 2_000  # largest number of drawn shapes of a robot; robots have up to 150
+COLORED = (".dae", ".obj", ".glb", ".gltf")  # mesh formats that can contain colours
 GREY = (0.70, 0.72, 0.75)
 STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # colours of stick figures
-SEEN = 1e-4  # [reaches, rad] parts nearer to each other than this look like one
-SMOOTH = np.radians(35.0)  # edges sharper than this stay visible
+SEEN = 1e-4  # [robot sizes, rad] copies of a part at smaller distances and angles look like one
+SMOOTH = np.radians(35.0)  # [rad] edges with a larger angle stay visible
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Body:
         )
 
     def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Return (P,) for parts at two sets of poses (P, 4, 4) whether they are seen in different places."""
+        """Return whether each part (P,) is visibly in different places at two sets of poses (P, 4, 4)."""
         gap = np.abs(A - B)
         gap[:, :3, 3] /= self.robot.reach
         return gap.max(axis=(1, 2)) > SEEN
@@ -107,7 +107,7 @@ class Body:
                 corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
-        if still and not len(stacked):  # the base has no drawn part: use the model's origin
+        if still and not len(stacked):  # the base has no drawn part, so the model's origin is used
             stacked = self.T_world_base[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
@@ -214,7 +214,7 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[BodyPart]
     model, geometry, parts = robot.model, pin.GeometryModel(), []
     data = model.createData()
     pin.framesForwardKinematics(model, data, robot.rest)
-    ball = pin.GeometryObject  # only its placement is used
+    ball = pin.GeometryObject  # only the placement of this object is used
 
     def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:
@@ -267,14 +267,14 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)
     across[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
-    for k in range(1, len(P)):  # parallel transport, so that the tube does not twist
+    for k in range(1, len(P)):  # parallel transport of `across`, so that the tube does not twist
         side = across[k - 1] - along[k] * (along[k] @ across[k - 1])
         size = np.linalg.norm(side)
         across[k] = side / size if size > 1e-9 else across[k - 1]
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     third = np.cross(along, across)
     angle = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3)
+    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3) points
     vertices = (P + radius * ring).transpose(1, 0, 2).reshape(-1, 3)
     k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
     a, b = 10 * k + j, 10 * k + (j + 1) % 10

@@ -25,13 +25,13 @@ from .body import THINNEST, Body, DrawnShape, grid_cell, need_trimesh, split_sha
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # Vertices (N, 3) [m], normals (N, 3) and faces (M, 3).
 
-MODULES = ("robot", "solve", "draw", "hand", "main")  # A module comes after those that it depends on.
-# Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on the page.
+MODULES = ("robot", "solve", "draw", "hand", "main")  # The page's modules, in order of dependence.
+# Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on a page.
 MOST_FACES = 40_000
 # Vertices merge in cells that are at first 1/250 of the robot's size and grow until the faces are few enough.
 FINEST = 1 / 250
 GROW = 1.1  # The cell size grows by at least this factor in each round.
-STEPS = 65_535  # A coordinate has 16 bits over its shape.
+STEPS = 65_535  # vertex coordinates are 16-bit numbers over the size of a shape
 
 
 def page_html(robot: Joints, body: Body, title: str) -> str:
@@ -51,7 +51,7 @@ def page_html(robot: Joints, body: Body, title: str) -> str:
         "CODE": code,
     }
     page = (files / "page.html").read_text(encoding="utf-8")
-    # One pass is enough, and inserted text is not scanned again.
+    # One pass replaces all marks, so that inserted text is not searched for marks.
     return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)
 
 
@@ -82,7 +82,7 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
         {
             "reach": robot.reach,
             "room": view_room(bounds, body.floor),
-            # A missing limit becomes null.
+            # a missing limit becomes null in JSON
             "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],
             "nodes": nodes,
             "base": at(base.parentJoint, base.placement),
@@ -107,7 +107,7 @@ def view_room(bounds: np.ndarray, height: float) -> dict[str, Any]:
 
 
 def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:
-    """Return the joints that move with q, parents first, and for each joint of the model its node and its pose there.
+    """Return the joints that move with q (nodes), parents first, and each model joint's node and pose in that node.
 
     A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); fixed joints are
     part of the placements.

@@ -28,7 +28,7 @@ from .body import DrawnShape
 
 HOST = "127.0.0.1"
 ROOT = "/meshcat/"
-MOST_GONE = 1000  # At most this many deleted paths are remembered for a page that does not read.
+MOST_GONE = 1000  # number of deleted paths remembered for a page that does not read its messages
 SHADE = 0.86  # Colours are multiplied by this, because under the viewer's lights pure white shows no shape.
 
 
@@ -61,7 +61,7 @@ def _command(command: dict[str, Any]) -> bytes:
 
 
 class Window:
-    """Contents of a drawing: commands by path, transforms for inspection, and the page's text (`about`)."""
+    """Contents of a drawing: commands by path in the scene, transforms for tests, and the page's text (`about`)."""
 
     def __init__(self) -> None:
         """Start with an empty scene."""
@@ -139,7 +139,7 @@ class Window:
                 feed.told(about)
 
     def snapshot(self, paths: Container[str] | None = None) -> list[bytes]:
-        """Return the commands that draw the scene anew, or some of its paths only, in order."""
+        """Return the commands, in order, that draw the scene anew, or only some paths in it."""
         with self.lock:
             return [
                 *(
@@ -229,7 +229,7 @@ class Feed:
         """Note that a path and everything below it is deleted."""
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
         self._gone.add(path)
-        if len(self._gone) > MOST_GONE:  # There are too many names, so the page is cleared and drawn anew.
+        if len(self._gone) > MOST_GONE:  # too many deleted paths: the page is cleared and drawn anew
             window = self.window
             self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
         self._news()

@@ -14,7 +14,7 @@ from ..style import COLOURS, DASHES, GREY, PALE
 from ..text import length
 from .plots import FLOOR, drawing, literal_text
 
-COLUMNS = 5  # of the legend of the joints, at most
+COLUMNS = 5  # largest number of columns of the legend of joints
 
 
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
@@ -51,7 +51,7 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
             ax.tick_params(labelbottom=False)
         axes[-1].set_xlabel("time [s]")
         joints = axes[2].get_legend_handles_labels()
-        for columns in range(COLUMNS, 0, -1):  # as many as fit: names may be long
+        for columns in range(COLUMNS, 0, -1):  # as many columns as fit; names may be long
             legend = figure.legend(*joints, fontsize=7.5, ncols=columns, loc="outside lower right")
             if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
                 break
@@ -86,7 +86,7 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
     first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
     corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # so that a planar arm still gets a readable box
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # a planar arm still gets a box with some depth
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
         getattr(ax, f"set_{name}lim")(middle - size, middle + size)
     ax.set_box_aspect(half, zoom=0.92)
@@ -183,7 +183,7 @@ def _joints(
     bounded = np.isfinite(robot.upper - robot.lower)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
-    for k in breaks:  # no line across a change of branch
+    for k in breaks:  # no line is drawn across a change of branch
         after = int(np.searchsorted(x, k))
         x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
     _lines(ax, x, shown, names)

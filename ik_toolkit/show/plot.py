@@ -67,7 +67,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     else:
         figure = postures(what, _needed(robot, "configurations"), target)
     if file is not None:
-        with drawing():  # The style keeps text as text in an .svg.
+        with drawing():  # this style keeps text as text in an .svg file
             save(figure, file)
     return figure
 
@@ -135,8 +135,8 @@ def plot_benchmark(found: Benchmark) -> Any:
         return figure
 
 
-LEAST_RATE = 1.0  # Least end [%] of a map's colour scale, for when hardly anything fails.
-MARKED = 200  # At most this many failures are marked individually.
+LEAST_RATE = 1.0  # [%] least upper end of the colour scale of a map of failure rates
+MARKED = 200  # largest number of failures that are marked individually
 
 
 def plot_tuning(result: TuneResult) -> Any:

@@ -14,7 +14,7 @@ from ..errors import InvalidOption, MissingExtra
 from ..files import as_path, whole_file
 from ..style import COLOURS, DASHES, GREY, STYLE
 
-FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
+FLOOR = 1e-12  # [m, rad] smaller errors are drawn at this value, because a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -34,7 +34,7 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
             interactive = plt.isinteractive()
-    if interactive != plt.isinteractive():  # the first figure loads the backend, and a notebook's changes this
+    if interactive != plt.isinteractive():  # the first figure loads the backend, which may change this
         plt.ion() if interactive else plt.ioff()
 
 

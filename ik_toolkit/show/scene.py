@@ -22,16 +22,16 @@ from .plots import iterates
 # Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
 YELLOW, SKY, RED = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15)
-TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # of several tips
+TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # colours of the paths of several tips
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
-AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
-FAR = 3.0  # extents; a target farther away is drawn but does not shrink the picture
-BETWEEN = 6  # frames between two iterates, so that the eye can follow
+AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # colours of x, y and z axes
+FAR = 3.0  # [scene sizes] a target farther away does not shrink the picture
+BETWEEN = 6  # frames between two iterates of a solve, so that the eye can follow
 MAX_GHOSTS = 12
 
 
 def css(color: Sequence[float]) -> str:
-    """Return the colour of a page for (r, g, b) in 0..1."""
+    """Return a CSS colour for (r, g, b) in 0..1."""
     return "#" + "".join(f"{round(255 * c):02x}" for c in color)
 
 
@@ -96,7 +96,7 @@ class Scene(Unique):
         """Draw the axes (x red, y green, z blue) of a pose; of a position (3,) or an axis target only what it fixes."""
         trimesh = need_trimesh()
         size = size or 0.14 * self._extent()
-        r = 0.035  # in units of size, like everything below
+        r = 0.035  # radius of an axis over its length
         free = isinstance(T_base, AxisTarget)
         T = np.eye(4)
         shapes = []
@@ -226,7 +226,7 @@ class Scene(Unique):
         rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
         wide = 0.005 * self._extent()
         ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
-        for k in range(ways.shape[1]):  # labels only for the first tip
+        for k in range(ways.shape[1]):  # labels for the first tip only
             self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
             self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
         labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]

@@ -11,17 +11,17 @@ from .options import PLAIN
 from .postprocess import finish_failures
 from .status import SEARCHED
 
-STARTS, STEPS = 64, 24  # Number of starts of the last search, which is for the tolerances, and of its steps.
+STARTS, STEPS = 64, 24  # Number of starts, and of steps, of the last search, `into_tolerances`.
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
 def error_size(rows: np.ndarray, length: float) -> np.ndarray:
-    """Return the squared error (N,) of result rows (N, ANSWER + n), in which a position error of `length` [m] is a radian."""
+    """Return the squared error (N,) of result rows (N, ANSWER + n); a position error of `length` [m] is worth 1 rad."""
     return (rows[:, AT.position] / length) ** 2 + rows[:, AT.rotation] ** 2
 
 
 def with_search(plan: Any, closed: Callable) -> Callable:
-    """Make a loop of the kernel's signature (see kernel.search.entry) of a closed form and the search for rows it does not solve.
+    """Make a solve (arguments of `kernel.search.entry`) from a closed form, and a search for targets it does not solve.
 
     `plan` is that of the closed form; the search gets its options, and holds joints where the closed form holds them.
     It begins as usual, and then once where the closed form ended. A row that is not solved either way keeps the closed
@@ -48,7 +48,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 
     def loop(_, T, Q0, flat, opt) -> None:
         rows, ends, seeds, feat = plan.chain
-        if len(flat) == plan.width:  # One target without history is the case that must be fast.
+        if len(flat) == plan.width:  # one target without history must be fast
             out, hist = flat[None], silent
         else:
             filled = len(T) * plan.width
@@ -67,8 +67,8 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             return  # A joint is held where the limits forbid it, so there is nothing else to find.
         ended = np.array(out[failed, ANSWER:])
         kinds = (int(opt[HEAD]),)
-        # With one target the closed form has written one row of the history; with more there is none.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # A closed form always gets a start.
+        # With one target the closed form has written one row of history; with more targets there is no history.
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # without a start it is home
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
@@ -129,7 +129,7 @@ def continue_with(
                 continue
             plan = search.varied(max_evaluations=left)
         found, starts = np.zeros((len(rows), out.shape[1])), start if len(start) == 1 else start[some]
-        if len(hist):  # There is one target alone.
+        if len(hist):  # only a single target has a history
             found[0], noted = plan.note(T, start, plan.ready(how[0], start, how[1]), len(hist))
             hist[: len(noted)] = noted
         else:

@@ -28,14 +28,14 @@ ONE_ATTEMPT: dict[str, Any] = {
 class SearchThresholds(NamedTuple):
     """Thresholds of the numerical search, in rad or parts of the robot's scale."""
 
-    same: float = 1e-3  # Two numerical answers are one if no joint differs by more [rad, or of the reach].
-    # Tolerance of the search, because answers to 1e-6 differ too much near singular poses to be merged.
+    same: float = 1e-3  # solutions are the same if no joint differs by more [rad or arm reaches]
+    # Tolerance of the search; with 1e-6, equal solutions near singular poses would differ too much to be merged.
     tight: float = 1e-9
-    flat: float = 1e-4  # A direction may lead along a family if its singular value (lengths over scale) is smaller.
-    stride: float = 0.02  # Step along such a direction; an isolated answer is not found again so far away.
-    close: float = 1e-2  # Answers with smaller errors are finished numerically.
-    steps: int = 40  # Number of steps that finish such an answer.
-    directions: int = 256  # Number of directions tried for families, enough to name the joints that move.
+    flat: float = 1e-4  # directions with a smaller singular value (lengths over scale) may lead along a family
+    stride: float = 0.02  # step along a direction of a family, too long to return to an isolated solution
+    close: float = 1e-2  # solutions with smaller errors are improved numerically
+    steps: int = 40  # largest number of steps that improve a solution numerically
+    directions: int = 256  # number of directions tried for families, enough to find all joints that move
 
 
 THRESHOLDS = SearchThresholds()
@@ -62,7 +62,7 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
     if limited:
         low, high = robot.lower[turning], robot.upper[turning]
         near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
-        near = np.clip(near, low, high)  # The sum with a turn is rounded.
+        near = np.clip(near, low, high)  # adding a full turn rounds
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
     orientation = None if all(kind in SPOKEN for kind in kinds) else out[:, AT.rotation]
@@ -172,7 +172,7 @@ def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
     """Return which joints (n,) may be moved by full turns, and whether only inside limits."""
     robot = plan.robot
-    if not plan.options.limits and robot.chain.plain:  # Without limits and mimic joints every angle may be turned over.
+    if not plan.options.limits and robot.chain.plain:  # full turns may be added to every angle
         return ~robot.slides, False
     return robot.chain.turns > 0, plan.options.limits
 

@@ -21,7 +21,7 @@ from .task import POSES, read_target
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count = whole(starts, "starts"), whole(count, "count")
-    places = int(solver.robot.by_tip)  # axes of an array of targets before those of one
+    places = int(solver.robot.by_tip)  # leading axes of a Tree's single target
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
@@ -34,7 +34,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         found = _listed(plan, T, kinds, start[0], starts, count)
     else:
         found = search_solutions(plan, T, kinds, start, starts, count)
-    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin, so it does not mean False.
+    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
         found = found.keep(free)

@@ -12,9 +12,9 @@ from ..text import angle, figure, length
 from .status import SEARCHED, Status, constraints_of
 from .task import Counts, all_errors, counted_rows, what_counts
 
-ATTEMPTS = 20  # starts of a search that looks for a part of the target
-FAINT = 1e-3  # weight of the orientation in such a search, so that the position comes first
-NEAR = 1e-4  # [reaches] from the position, at which such a search ends where it can be reached
+ATTEMPTS = 20  # number of starts of a search for a part of the target
+FAINT = 1e-3  # weight of the orientation in a search for the position, so that the position comes first
+NEAR = 1e-4  # [arm reaches] position error at which a search for the position ends
 
 ADVICE = {
     Status.CONVERGED: "",
@@ -39,7 +39,7 @@ CLOSED_FORM_SAYS = {
         "{left} away{at}; widen the limits or move the target"
     ),
 }
-SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)  # failures of a search
+SHORT = (Status.STALLED, Status.LIMIT_BLOCKED, Status.ITERATION_LIMIT, Status.SINGULAR)  # statuses of a failed search
 BROKEN = "every branch violates a joint limit"
 
 
@@ -81,10 +81,10 @@ def _cause(result: Any) -> str:
         return "were millimetres meant?"
     if result.status not in SHORT:
         return ""
-    blocked = result.status == Status.LIMIT_BLOCKED  # which is tested: the cause is known
+    blocked = result.status == Status.LIMIT_BLOCKED  # limits were tested, so the cause is known
     never, few = ([], "") if blocked else (impossible(result), too_few_joints(result))
     if not never and not few and result.restarts == 0:
-        return ""  # a single attempt says nothing on what the arm can do
+        return ""  # a single attempt proves nothing about the arm
     advice = (
         "free what cannot be met (free_turn, mask), or give it less weight (mask)"
         if never or few
@@ -186,7 +186,7 @@ def _failure(result: Any, left: str, starts: int) -> str:
 
 
 def impossible(result: Any) -> list[str]:
-    """What of its target each tip never has, however the joints stand: sentences."""
+    """Return sentences on what each tip can never have of its target, whatever the joint values."""
     of = result._of
     if not of.T.size:  # a row of a batch keeps no target
         return []
@@ -204,11 +204,11 @@ def impossible(result: Any) -> list[str]:
 
 
 def too_few_joints(result: Any) -> str:
-    """What says that the target fixes more directions than an arm can move in; or ''."""
+    """Return a sentence that the target fixes more directions than the arm can move in, or ''."""
     of, texts = result._of, []
     rows = counted_rows(result.robot, of.kinds, of.plan.options).reshape(-1, 2, 3).sum(axis=2)
     for arm, (lengths, angles) in zip(result.robot.arms, rows.tolist(), strict=True):
-        # What never changes is met or named by `impossible`: it takes no joint.
+        # components that never change are met, or named by `impossible`, and need no joint
         still = {0: 3, 1: 2, 3: 0}.get(arm.mobility.turns, 0)
         fixed = max(0, lengths - len(arm.mobility.normals)) + max(0, angles - still)
         able = arm.mobility.directions
@@ -221,9 +221,9 @@ def too_few_joints(result: Any) -> str:
 
 
 def position_alone(result: Any, turned: bool) -> str:
-    """Whether the position of a single pose can be reached without its orientation, and how near that comes; or ''.
+    """Return a sentence on whether a pose's position can be reached without its orientation, or how nearly; or ''.
 
-    turned: how far the orientation is off is said elsewhere.
+    turned: whether another sentence tells the orientation error.
     """
     of = result._of
     if of.kinds != (POSE,) or not of.T.size or of.plan.options.in_part:

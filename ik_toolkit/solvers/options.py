@@ -17,12 +17,12 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SLICE = 256  # A timed solve makes this many evaluations before it looks at the clock, about a quarter of a millisecond.
-FOLLOW = 0.5  # follow=True allows a joint to move this far [rad, or of the reach for slides].
-# kernel/null_space.py knows the objectives by these numbers.
+SLICE = 256  # number of evaluations of a timed solve between two looks at the clock, about 0.25 ms
+FOLLOW = 0.5  # follow=True allows each joint to move this far [rad or arm reaches]
+# The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
-OTHERWISE = {  # Other packages use these names, which mean something else here.
+OTHERWISE = {  # names of options in other packages, and their names here
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
@@ -83,7 +83,7 @@ class Options:
     avoid_collisions: Any = False
     follow: float = 0.0
 
-    @functools.cached_property  # Every check of an answer needs this, so it is computed once.
+    @functools.cached_property  # computed once, because every check of an answer needs it
     def in_part(self) -> bool:
         """Whether only part of the errors counts, or targets are relative to another tip."""
         return any(getattr(self, name) is not None for name in (*COUNTING[:3], "relative_to"))
@@ -98,7 +98,7 @@ NAMES = tuple(field.name for field in fields(Options))
 Numbers = Sequence[float] | np.ndarray
 
 
-End = float | None  # An end of a narrowed range; None leaves it as it is.
+End = float | None  # an end of a narrowed range; None leaves it as it is
 Limits = bool | Mapping[str, tuple[End, End] | Sequence[End]] | Sequence[Numbers | None] | np.ndarray
 
 
@@ -186,7 +186,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
         if name in OTHERWISE:
             raise InvalidOption(OTHERWISE[name])
         if name not in NAMES:
-            from .registry import solvers_with  # Most options are right, and the registry loads each solver.
+            from .registry import solvers_with  # imported only for errors, because the registry loads each solver
 
             near = near_match(name, (*parameters, "tolerance", *NAMES))
             raise InvalidOption(f"there is no option '{name}'.{near}{solvers_with(name)}")
@@ -194,7 +194,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             values[name] = _number(name, value, 0.0, math.inf)
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
-            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # Other packages call the start a seed.
+            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # other packages call the start a seed
                 raise InvalidOption("seed is the random seed of the restarts; the start is q0")
             if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
@@ -270,7 +270,7 @@ def counting(name: str, value: Any) -> Any:
 
 
 def _weights(name: str, value: Any) -> tuple[float, ...]:
-    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True counts as 1 here.
+    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True counts as 1
     if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
         raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
     return tuple(array.tolist())

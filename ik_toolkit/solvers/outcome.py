@@ -11,7 +11,7 @@ from .plan import Plan
 
 # Position error [m] and rotation angle [rad] (None if it is free) of each tip.
 Errors = list[tuple[float, float | None]]
-SPOKEN = (POSITION, FREE)  # These kinds of target leave the orientation free.
+SPOKEN = (POSITION, FREE)  # kinds of target that leave the orientation free
 
 
 class SolveRecord(NamedTuple):
@@ -21,8 +21,8 @@ class SolveRecord(NamedTuple):
     T: np.ndarray  # The targets (1, 4, 4), of several tips (1, F, 4, 4).
     kinds: tuple
     start: np.ndarray  # The start (1, n).
-    q0: bytes  # q0 (n,) as it was, or b"". The caller may change the array, and bytes cost a quarter of what a copy does.
-    row: np.ndarray  # The row of the kernel: Answer, q, then for several tips the Miss of each.
+    q0: bytes  # copy of q0 (n,), or b""; bytes cost a quarter of an array's copy
+    row: np.ndarray  # the kernel's result row: an Answer, q, and for several tips each tip's errors (Miss)
     elapsed: float
     notice: str = ""
     errors: Errors | None = None  # The errors that Pinocchio has computed again.
@@ -45,12 +45,12 @@ class SolveRecord(NamedTuple):
         return [(p, None if kind in SPOKEN else r) for (p, r), kind in zip(each, self.kinds, strict=True)]
 
     def excess(self) -> list[float]:
-        """Return by how much [m] the target of each tip is beyond its reach; 0 means that this is not proven."""
+        """Return by how much [m] each tip's target is proven out of reach; 0 means that it is not proven."""
         return [float(self.row[AT.excess])] if len(self.kinds) == 1 else self._misses()[:, 2].tolist()
 
     def _misses(self) -> np.ndarray:
         return self.row[ANSWER + self.plan.robot.n :].reshape(-1, MISS)
 
 
-# Making an outcome from all its fields with make_outcome is 0.2 microseconds faster than with Outcome(...).
+# Making a SolveRecord with this function is 0.2 microseconds faster than with the class.
 make_outcome = partial(tuple.__new__, SolveRecord)

@@ -25,13 +25,13 @@ from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
 from .task import kernel_tasks, relatives, what_counts
 
-MARGIN = 1.0 - 1e-9  # The kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree.
-# A plan stays ready for 64 kinds of target, because every axis is a kind of its own, and axes have no end.
+MARGIN = 1.0 - 1e-9  # share of a tolerance that the kernel uses, so that rounding in Pinocchio cannot disagree
+# A plan caches arrays for this many kinds of target; every free axis is a kind of its own.
 KINDS_KEPT = 64
-CLOSEST = 16  # This many solutions are compared if the one nearest q0 is asked for.
-# The single attempt of `follow` gets at least 100 iterations, because no other attempt follows if it converges slowly.
+CLOSEST = 16  # number of solutions compared if the one nearest q0 is asked for
+# The single attempt of `follow` gets at least 100 iterations, because no other attempt comes after it.
 FOLLOW_ITERATIONS = 100
-WITHOUT_LIMITS = 20  # attempts that test whether limits are what blocks a target
+WITHOUT_LIMITS = 20  # number of attempts without limits that test whether limits block a target
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
@@ -61,7 +61,7 @@ class Plan:
         self.width = ANSWER + robot.n + MISS * (len(robot.tips) if len(robot.tips) > 1 else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
-        self.memo: dict[Any, Any] = {}  # This is a cache for callers that keep something with the plan.
+        self.memo: dict[Any, Any] = {}  # cache for callers that keep something with the plan
         self._ready: dict[tuple, tuple] = {}
         self._packed: dict[tuple, np.ndarray] = {}
         self._tables: dict[bool, tuple] = {}
@@ -83,7 +83,7 @@ class Plan:
 
     @functools.cached_property
     def unlimited(self) -> "Plan":
-        """The same without limits and with a few attempts, which tells whether limits are what blocks a target."""
+        """The same plan without limits and with a few attempts, to test whether limits block a target."""
         attempts = {} if self.row.closed else {"restarts": WITHOUT_LIMITS - 1}
         return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **attempts})
 
@@ -111,7 +111,7 @@ class Plan:
         self.kernel(chain, T, start, out.reshape(-1), orders)
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
-        """Return the row (width,) of one target T (1, ...)."""
+        """Return the result row (width,) of one target T (1, ...)."""
         chain, orders = self._ready.get((kinds, given)) or self.ready(kinds, start, given)
         row = np.empty(self.width)
         self.kernel(chain, T, start, row, orders)
@@ -120,7 +120,7 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the row (width,) of one target T (1, ...), and its history (<= count, PAST + n), with arrays from `ready`."""
+        """Return the result row (width,) of one target T (1, ...) and its history (at most `count`, PAST + n)."""
         chain, orders = ready
         out = np.empty(self.width + count * (PAST + self.robot.n))
         self.kernel(chain, T, start, out, orders)
@@ -129,7 +129,7 @@ class Plan:
 
     # --------------------------------------------------------------------------------------------------------- preparing
     def ready(self, kinds: tuple, start: np.ndarray, given: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the kernel takes of a plan: all arrays of the chain in one, and the orders."""
+        """Return what the kernel takes from a plan: all arrays of the chain packed in one, and the options (Orders)."""
         found = self._ready.get((kinds, given))
         if found is None:
             arrays, last = self.arrays(kinds, start), self._joined
@@ -152,7 +152,7 @@ class Plan:
         return ends if wrap else without_wrap(ends, n)
 
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
-        """Return rows, ends, seeds and features for a call from `start` (1 or N, n).
+        """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, seeds and features.
 
         Held joints are in every start where the first row of `start` has them.
         """
@@ -249,7 +249,7 @@ class Plan:
 
 
 def held_joints(options: Options) -> np.ndarray:
-    """Return the places of the joints whose weight is 0."""
+    """Return the indices in q of the joints whose weight is 0."""
     return np.flatnonzero(np.array(options.joint_weights or (1.0,)) == 0.0)
 
 

@@ -23,11 +23,11 @@ Step = Callable[[Any], Any]
 
 
 class Limits(NamedTuple):
-    """How long finishing an answer may take."""
+    """Limits on the work of finishing an answer."""
 
-    improving: int = 200  # steps in the null space that improve an answer
-    descending: int = 500  # evaluations that lead from a failure to the closest configuration, of 0.3 microseconds each
-    begins: int = 20  # random configurations where the descent begins as well if a length_scale is given
+    improving: int = 200  # largest number of steps in the null space that improve an answer
+    descending: int = 500  # largest number of evaluations (0.3 us each) from a failure to the closest configuration
+    begins: int = 20  # number of random configurations where the descent begins as well if a length_scale is given
     # Each slice of a timed search is so many times as long as the last and repeats it, which costs at most a third more.
     growth: int = 4
 
@@ -36,10 +36,10 @@ MOST = Limits()
 
 
 def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
-    """Return the steps of a single call, and those of them that improve an answer, as the options of a plan ask for them."""
+    """Return the finishing steps of a single call, and those that improve an answer, as a plan's options ask."""
     o = plan.options
     improving: tuple[Step, ...] = () if o.objective is None else (improve,)
-    if o.avoid_collisions is not False:  # 0.0 is a margin, so it does not mean False.
+    if o.avoid_collisions is not False:  # 0.0 is a margin [m], not False
         from .collision_free import avoiding
 
         improving = (avoiding(plan, improving),)
@@ -53,9 +53,10 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def finish_failure(outcome: Any) -> Any:
-    """Return what a search that has not converged comes to, with its arrays copied.
+    """Finish a search that has not converged, with its arrays copied.
 
-    What a result says is worked out when it is read, when the caller may have changed the target and q0.
+    They are copied because a result's message is computed when it is read, and the caller may have changed them by
+    then.
     """
     outcome = outcome._replace(T=outcome.T.copy(), start=outcome.start.copy())
     if outcome.plan.options.timeout is not None:
@@ -95,13 +96,11 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
     beyond = misses[:, 2].copy()  # The column of distances proven out of reach is kept.
     length, least = o.length_scale or robot.reach, np.inf
     for q in begins:
-        made = row.copy()
-        made[ANSWER : ANSWER + robot.n], steps = (
-            q,
-            int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations])),
-        )
+        steps = int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations]))
         if steps < 2:
             break
+        made = row.copy()
+        made[ANSWER : ANSWER + robot.n] = q
         approach_target(*plan.chain[:2], T.reshape(-1, 4, 4), made, plan.orders(kinds, given), robot.n, length, steps)
         row[AT.evaluations] = made[AT.evaluations]
         left = _size(made, robot.n, length)

@@ -57,7 +57,7 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 
 
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
-    """Make the rule of a registry row with a preset, and some parameters changed. Raises InvalidOption."""
+    """Make the solver rule of a registry row with a preset, some parameters changed. Raises InvalidOption."""
     cls = row.load()
     if cls.preset is None:
         have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))

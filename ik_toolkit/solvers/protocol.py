@@ -25,14 +25,14 @@ from .registry import GENERAL, Row, find_row
 from .task import counted_rows, counts_in_part
 
 Class = TypeVar("Class", bound=type)
-SHOWN = 16  # An explanation shows this many branches of a continuous family.
+SHOWN = 16  # number of branches of a continuous family that an explanation shows
 
 
 @dataclass(frozen=True)
 class Asked:
-    """The request to a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
+    """What is asked of a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
 
-    The kinds are those of kernel.task (POSE, POSITION, ...); AXIS is in a pair with the axis.
+    Kinds are those of kernel.counted_error: POSE, POSITION, FREE, or a pair (AXIS, axis).
     """
 
     robot: Any
@@ -72,7 +72,7 @@ class Rule(Protocol):
     there may be several; None, the default, means the fields called damping and gain."""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
-        """Return the numbers of the compiled step: a record of the class that has `step`, an array, or (default) the rule."""
+        """Return the numbers of the compiled step: a NamedTuple with `step`, an array, or (default) the rule itself."""
         return self
 
     def refuses(self, asked: Asked) -> str:
@@ -80,7 +80,7 @@ class Rule(Protocol):
         return ""
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Return starts (M, n) [rad, m] to choose from without q0; None, the default, is home or the table of the robot."""
+        """Return starts (M, n) [rad or m] to choose from without q0; default None: home, or known configurations."""
         return None
 
     def options(self) -> dict[str, Any]:
@@ -92,7 +92,7 @@ class Rule(Protocol):
         return entry(type(self))
 
     def lanes(self) -> Callable | None:
-        """Return the rule for eight targets side by side, as arguments of `kernel.simd_search.lanes`, or None if it has none."""
+        """Return arguments of `kernel.simd_search.lanes`, which solves eight targets at once, None if impossible."""
         return None
 
 
@@ -110,15 +110,16 @@ class ClosedForm(Protocol):
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all branches of T (4, 4), and about `count` members of a family.
 
-        p is the result of `pack`; box (4, n) has lower and upper limits, the configuration to be near [rad or m], and
-        weights of the distance to it.
+        p is the result of `pack`; box (4, n) has lower limits, upper limits, reference configuration [rad or m] and
+        distance weights.
         """
         ...
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
         """Return the formulas with their numbers for T (4, 4), to explain a solve; by default the branches of `every` alone.
 
-        p and box are as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
+        p and box are as for `every`; the reference configuration box[2] is the answer to be explained, so that free
+        angles keep its values.
         """
         return listed_branches(robot, self.every(robot, p, T, box, SHOWN))
 
@@ -134,7 +135,7 @@ class ClosedForm(Protocol):
         return ""
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Map the places in q of joints that the parameters put at a value [rad or m] to that value."""
+        """Map the index in q of each joint that the parameters hold at a value to this value [rad or m]."""
         return {}
 
     preset, space = Rule.preset, Rule.space
@@ -160,7 +161,7 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
         The class, with the defaults of `protocol.Rule` for what it leaves out.
 
     Raises:
-        TypeError: There is no step, nothing for numba to pass (a record without fields), or a field is named like an
+        TypeError: There is no step, nothing for numba to pass (no fields), or a field is named like an
             option.
     """
 
@@ -200,7 +201,7 @@ def closed_form(cls: Class) -> Class:
 
 def _filled(cls: Any, protocol: Any) -> Any:
     for name in cls._fields:
-        if name in NAMES:  # `solve` takes both as keywords, and one would hide the other.
+        if name in NAMES:  # `solve` takes parameters and options as keywords, so names must differ
             raise TypeError(f"{cls.__name__}: '{name}' is an option of every solver; give the parameter another name")
     if hasattr(cls, "pack") and len(inspect.signature(cls.pack).parameters) < 3:
         raise TypeError(f"{cls.__name__}: pack takes (self, robot, asked)")

@@ -29,12 +29,12 @@ from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 class Length(NamedTuple):
     """How long a search continues by default.
 
-    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends when |e|^2 > C rho^k (first pair for starts from
-    the table, second for q0 and random starts). From the attempt `patience` after q0's, each has twice the iterations
-    and is given up later.
+    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair:
+    known starts, second pair: q0 and random starts). From the attempt `patience` after q0's, each has twice the
+    iterations and is given up later.
     """
 
-    iterations: int = 1000  # Number of iterations of an attempt.
+    iterations: int = 1000  # largest number of iterations of an attempt
     attempts: int = 1
     give_up: tuple[float, float, float, float] | None = None
     patience: float = math.inf
@@ -105,9 +105,9 @@ ROWS: tuple[Row, ...] = (
         "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a table of starts (default)",
         "any robot; position, pose, masks",
         "Sugihara 2011",
-        # The give-up is a broad optimum measured on six arms; by attempt 20 easy targets are solved.
-        # C from 10 to 100 and rho from 0.12 to 0.35 cost under 4 % of time, no give-up at all up to twice the time.
-        # Several tips pull on shared joints, and a start has to suit them all.
+        # When attempts are given up is a broad optimum measured on six arms; easy targets are solved by attempt 20.
+        # C from 10 to 100 and rho from 0.12 to 0.35 cost under 4 % of time; never giving up costs up to twice the time.
+        # Several tips need more attempts, because they pull on shared joints and a start must suit them all.
         search=Length(30, 250, (30.0, 0.18, 100.0, 0.35), 20),
         several=Length(40, 400, (60.0, 0.25, 200.0, 0.4)),
     ),
@@ -196,8 +196,8 @@ ROWS: tuple[Row, ...] = (
         position=False,
     ),
 )
-GROUP = "ik_toolkit.solvers"  # Entry points of this group are solvers.
-NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # Commands take lists of names with commas, and FILE:CLASS with a colon.
+GROUP = "ik_toolkit.solvers"  # group of the entry points by which packages offer solvers
+NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # no commas or colons, which commands use in lists and in FILE:CLASS
 LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
 BY_NAME = {row.name: row for row in ROWS}
@@ -205,13 +205,13 @@ GENERAL = ROWS[0].name  # 'auto' takes this solver if no closed form fits.
 
 
 def list_rows() -> tuple[Row, ...]:
-    """Return our rows, then those of other packages."""
+    """Return the registry rows of our solvers, then those of other packages."""
     return (*ROWS, *registered().values())
 
 
-@functools.cache  # Reading what is installed takes some milliseconds, so it is done once per process.
+@functools.cache  # cached, because listing installed packages takes milliseconds
 def registered() -> dict[str, Row]:
-    """Return the rows of other packages by name; unusable ones are left out, with a warning that names the package."""
+    """Return the registry rows of other packages' solvers by name, without unusable ones, of which a warning tells."""
     import importlib.metadata
 
     found: dict[str, tuple[Row, str]] = {}
@@ -255,7 +255,7 @@ def _row(point: Any) -> Row:
 
 
 def find_row(solver: Any) -> Row:
-    """Return the row of a solver name, rule class or rule instance. Raises UnknownSolver with a near match."""
+    """Return the registry row of a solver name, rule class or instance. Raises UnknownSolver with a near match."""
     if isinstance(solver, str):
         if solver in BY_NAME:
             return BY_NAME[solver]
@@ -264,7 +264,7 @@ def find_row(solver: Any) -> Row:
             raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, rows)}")
         return rows[solver]
     cls = solver if isinstance(solver, type) else type(solver)
-    if hasattr(cls, "loop"):  # protocol.rule or protocol.closed_form marks a class so.
+    if hasattr(cls, "loop"):  # set by protocol.rule or protocol.closed_form
         for row in (row for rows in (lambda: ROWS, list_rows) for row in rows()):
             if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
                 return row
@@ -292,7 +292,7 @@ def solvers_with(parameter: str) -> str:
 
 
 def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
-    """Make an instance of the row's class with the given parameters. Raises InvalidOption for an unknown one or a bad value."""
+    """Make an instance of the class of a registry row with these parameters. Raises InvalidOption for a wrong one."""
     cls = row.load()
     fields = cls._fields
     for key, value in parameters.items():
@@ -312,7 +312,7 @@ def is_solver_file(text: str) -> bool:
 
 
 def solver_from_file(text: str) -> type:
-    """The class of FILE.py:CLASS, run as Python runs a script: files beside it can be imported.
+    """Return the class of FILE.py:CLASS; the file runs like a script, so files beside it can be imported.
 
     Raises InvalidOption when there is no such file or class, when it does not run, or when the class is not a solver.
     """
@@ -334,11 +334,11 @@ def solver_from_file(text: str) -> type:
     raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
 
 
-@functools.cache  # a file is run once per process
+@functools.cache  # each file runs once per process
 def _classes(path: Path) -> dict[str, type]:
     """Return the classes that a file makes, by name. Raises InvalidOption if it does not run."""
-    # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was
-    # compiled for a file that moved is found again.
+    # The module gets a name of its own, so that a file named like a module (numpy.py) hides nothing.
+    # The name depends on the content, so that kernels compiled for a file are found again after it moved.
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -350,7 +350,7 @@ def _classes(path: Path) -> dict[str, type]:
     sys.path.insert(0, str(path.parent))
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:  # a script may end itself
+    except (Exception, SystemExit) as error:  # a script may call sys.exit
         del sys.modules[module_name]
         at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = getattr(error, "lineno", None) or (at[-1] if at else None)

@@ -19,7 +19,7 @@ from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors
 
-FAR_MOVE = 0.5  # rad, or robot sizes: a Solver's answer farther from q0 is noticed, as a loop seldom wants such a move
+FAR_MOVE = 0.5  # [rad or robot sizes] a Solver's farther move from q0 gets a notice
 
 
 class Result(ReadOnly):
@@ -138,7 +138,7 @@ class Result(ReadOnly):
             at = self.robot.joint_names.index(joint)
             slide = self.robot.joint_kinds[at] == "prismatic"
             moved = f"joint {joint} moved by {length(amount) if slide else f'{amount:.3g} rad'}"
-            # A bound Solver, which leaves the check out, is for loops; others may well start far away.
+            # A bound Solver (no check) is for loops, where moves are short; single solves may start far away.
             most = np.pi if of.plan.options.check else FAR_MOVE
             if self.attempt:
                 jump = f"q was found by attempt {self.attempt}, not from q0: {moved}; in a loop use follow=True"

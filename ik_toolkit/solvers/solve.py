@@ -27,10 +27,10 @@ from .registry import GENERAL, find_row, make_rule
 from .result import Result
 from .task import POSES, read_target
 
-# There is one dtype float64 per process, so `is` compares it; other kinds of float take the slow path.
+# numpy has one dtype object for float64, so `is` compares it; other dtypes take the slow path.
 FLOAT = np.dtype(np.float64)
-BOUND_KEPT = 64  # `solve` keeps this many solvers for a robot.
-EXACT = {  # A closed form honours or ignores these options; 'auto' takes the search if any other is given.
+BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
+EXACT = {  # closed forms honour or ignore these options; 'auto' takes the search if any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
     "seed", "length_scale", "limits", "q0_outside", "history", "check",
 }  # fmt: skip
@@ -65,7 +65,7 @@ class Solver(ReadOnly):
         auto = is_auto(solver)
         if auto and (owner := closed_form_with(robot, options)):
             solver, auto = owner, False
-        self._plans: dict[tuple, Plan] = {}  # Plans for the kinds of target that do not use `plan`.
+        self._plans: dict[tuple, Plan] = {}  # plans for kinds of target that `plan` is not for
         if auto:
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
@@ -73,14 +73,14 @@ class Solver(ReadOnly):
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        # Shape of an array that needs no reading: a tree of one tip takes a list of it.
+        # Shape of a target array that needs no conversion; a Tree of one tip takes a list of targets.
         self._pose = () if robot.by_tip and len(robot.tips) == 1 else robot.pose_shape
         self._kinds = POSES * len(robot.tips)
         self._seal()
 
     @property
     def rule(self) -> Any:
-        """Rule or closed form with its parameters (for 'auto' that of the search)."""
+        """The rule or closed form with its parameters; for 'auto' that of the general search."""
         return self.plan.rule
 
     @property
@@ -163,7 +163,7 @@ class Solver(ReadOnly):
 
 
 def require_robot(robot: Any) -> None:
-    """Raise InvalidOption if what should be a robot is none."""
+    """Raise InvalidOption unless `robot` is a Robot or a Tree."""
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"a Robot or a Tree is needed (see Robot.load), not {type(robot).__name__}")
 
@@ -202,7 +202,7 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
         # The types are in the key because named tuples of equal numbers are equal, and so are 1 and True.
         key = (type(solver), solver, *options.items(), *map(type, options.values()))
         found = kept.get(key)
-    except TypeError:  # Such a parameter cannot be hashed, for example a matrix.
+    except TypeError:  # a parameter such as a matrix cannot be hashed
         return Solver(robot, solver, **options)
     if found is None:
         with _SOLVERS_LOCK:

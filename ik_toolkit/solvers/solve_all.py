@@ -10,7 +10,7 @@ from .options import AllOptions
 from .solutions import Solutions
 from .solve import bound_solver, require_robot
 
-CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # These options are about one answer.
+CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # options that make sense for one answer only
 
 
 def solve_all(

@@ -23,12 +23,12 @@ class Status(enum.IntEnum):
     SINGULAR = 5
     NOT_FINITE = 6
     CHECK_FAILED = 7
-    COLLISION = 10  # The kernel uses 8 and 9 itself.
+    COLLISION = 10  # the kernel uses 8 and 9 internally
     TOO_FAR = 11
     CONSTRAINT_OPEN = 12
 
 
-SEARCHED = -1.0  # A closed form's row has this as its excess if q came from the search after it.
+SEARCHED = -1.0  # excess in a closed form's row if q came from the search after it
 
 
 def count_statuses(numbers: np.ndarray) -> dict[str, int]:

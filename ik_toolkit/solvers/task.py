@@ -12,7 +12,7 @@ from ..kernel.records import Task
 from ..robot.pose import AxisTarget, check_target, errors
 from .options import COUNTING, FRAMES, Options
 
-POSES = (POSE,)  # The kinds of a single pose.
+POSES = (POSE,)  # kinds of the target of one tip that is a pose
 WHOLE = frozenset((POSE, POSITION))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
@@ -28,7 +28,7 @@ class Counts(NamedTuple):
 
     @property
     def in_part(self) -> bool:
-        """Whether a part of the error does not count."""
+        """Whether only a part of the error counts."""
         return any(part is not None for part in self[:3])
 
 
@@ -200,7 +200,7 @@ def _read_tip(tip: str, target: Any, base: str) -> tuple[np.ndarray, Any, str]:
 
 
 def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
-    """One target, in the frame `base` -> (4, 4), kind and notice."""
+    """Return one target, given in the frame `base`, as a pose (4, 4), with its kind and a notice."""
     if isinstance(target, AxisTarget):
         return target.T_base_tip, (AXIS, target.axis), ""
     if isinstance(target, str):

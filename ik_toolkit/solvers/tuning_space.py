@@ -50,7 +50,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Space:
-    """Declared parameters of a search, the rule it starts from, and a function that makes a rule of values by name."""
+    """The parameters of a tuning search, the solver rule it starts from, and a function from values to a rule."""
 
     parameters: tuple[Parameter, ...]
     initial: Any
@@ -68,20 +68,20 @@ class Space:
         return np.concatenate([parameter.to_unit() for parameter in self.parameters])
 
     def values(self, x: np.ndarray) -> dict[str, Any]:
-        """Return the values of a point in the unit box, by name."""
+        """Return the parameter values for a point in the unit box, by name."""
         ends = np.cumsum([0, *(parameter.size for parameter in self.parameters)])
         parts = zip(self.parameters, ends[:-1], ends[1:], strict=True)
         return {parameter.name: parameter.from_unit(np.asarray(x)[a:b]) for parameter, a, b in parts}
 
     def build(self, x: np.ndarray) -> Any:
-        """Return the rule of a point in the unit box."""
+        """Return the solver rule for a point in the unit box, which has a coordinate in 0..1 for each number."""
         return self.make(self.values(x))
 
 
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, at most one turn about their middle."""
     n, chain = robot.n, robot.chain
-    ends = np.atleast_2d(chain.ends)[0]  # What belongs to the coordinates is the same for all of several tips.
+    ends = np.atleast_2d(chain.ends)[0]  # the limits are the same for all tips
     low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
     turning = chain.unit == 1.0
     width = np.where(turning, np.minimum(span, TAU), span)

@@ -20,7 +20,7 @@ from ..validate import one_of, solver_list
 from .statistics import wilson
 
 BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
-NEAR = 0.1  # largest distance of a start 'near' from a solution, in each joint [rad or m]
+NEAR = 0.1  # largest difference, in each joint [rad or m], between start 'near' and a solution
 RESTARTS = 99  # default number of restarts of every solver, so that each has 100 attempts
 STARTS = ("none", "home", "random", "near")
 TASKS = ("pose", "position")
@@ -47,7 +47,7 @@ class BenchmarkRow:
         worst_orientation_error: Largest error of all successes and tips [rad], None without successes or for positions.
         seconds: (N,) time of each call [s], solved targets first.
         iteration_counts: (N,) iterations of each call, in the same order.
-        once: The row of the same targets with one attempt each; None in that row itself.
+        once: The BenchmarkRow of the same targets with one attempt each; None in that row itself.
     """
 
     robot: str
@@ -205,7 +205,7 @@ def benchmark(
             rows.append(replace(many, once=one))
         if stopped:
             break
-    # If nothing applies, an option is probably wrong, and this error says so.
+    # If no solver applies, an option is probably wrong, as this error says.
     if last is not None and not rows and not stopped:
         raise last
     found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))
@@ -263,7 +263,7 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        # Most of the time is spent here, so Ctrl-C mostly arrives here.
+        # most time is spent here, so that Ctrl-C mostly arrives here
         table = run_block(*job[1:]) if futures is None else futures[k].result()
         parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)

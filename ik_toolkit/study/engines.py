@@ -57,7 +57,7 @@ class Evolution:
 
         options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
         self.size = len(start)
-        if self.size == 1:  # The package `cma` fails in one dimension, so a second one without effect is added.
+        if self.size == 1:  # The package `cma` fails in one dimension, so a dummy dimension is added.
             start = np.append(start, 0.5)
         self.engine = cma.CMAEvolutionStrategy(start, spread, options)
 

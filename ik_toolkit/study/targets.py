@@ -12,7 +12,7 @@ from ..solvers.solve import require_robot
 from ..validate import one_of, switch
 
 HOW = ("joints", "volume")
-CELLS = 40  # number of voxels along the reach, of which targets uniform in the volume pick one at random
+CELLS = 40  # number of voxels along the reach; each 'volume' target is in a random voxel
 POOL = 200_000  # number of random configurations whose tips fill the voxels
 
 

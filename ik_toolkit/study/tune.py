@@ -27,7 +27,7 @@ from .statistics import wilson
 from .targets import sample_targets
 
 METHODS = ("cma", "pso")
-JUDGED_SOON = 1  # number of held-out sets on which rules are compared after Ctrl-C, so that it ends soon
+JUDGED_SOON = 1  # number of held-out target sets for the final comparison after Ctrl-C, so that it ends soon
 FINALISTS = 8  # number of best candidates that are compared on the validation targets
 # Highest number of iterations during the search, where failures take most of the time and slow solves should count as failures.
 SEARCH_ITERATIONS = 300
@@ -107,7 +107,7 @@ class TuneResult:
 
     robot: str  # name of the robot
     solver: str  # name of the solver
-    method: str  # method of the search
+    method: str  # method of the search: 'cma' or 'pso'
     position_only: bool  # whether the targets are positions
     rule: Any  # the best of the three rules, for solve, Solver and solve_batch
     train: Score  # score of the tuned rule on the training targets
@@ -323,11 +323,11 @@ class _Search:
             costs = self.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
-        if not self.best:  # Without a generation the start is the best candidate.
+        if not self.best:  # before any generation the start is the best candidate
             self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:
-        """Return the costs of the engine's next candidates, from the record if it has them."""
+        """Return the costs of the optimiser's next candidates, from the checkpoint file if it has them."""
         X = engine.ask()
         costs = record.replay(len(self.history), X)
         if costs is None:
@@ -353,7 +353,7 @@ class _Search:
 
 
 def check_record(file: Path) -> None:
-    """Raise InvalidOption if a file is not the record of a search."""
+    """Raise InvalidOption if a file is not the checkpoint of a search."""
     _Record.read(file)
 
 

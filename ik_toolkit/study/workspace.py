@@ -24,7 +24,7 @@ from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
 GRID = 24  # number of cells along the longest side of the success map
-ENVELOPE = 100_000  # number of random configurations whose tips give the envelope of the reach
+ENVELOPE = 100_000  # number of random configurations whose tip positions give the envelope
 KEEP = 20_000  # number of targets kept in memory for plots; a file receives all of them
 FAILURES = 1000  # number of failures kept in memory for each solver
 
@@ -289,7 +289,7 @@ class _Table:
             return ""
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
-        # The header is written with the first targets, because a file of a header alone is not worth keeping.
+        # The header is written with the first targets, because a file with only a header is useless.
         if self.head:
             csv.writer(text).writerow(map(inert, self.head))
             self.head = []

@@ -17,7 +17,7 @@ CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and number of the b
 
 
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
-    """Add the section on Fig. 4 to the report. Returns a goal (3,) [m] that behaves from q0 (n,) [rad] as the paper's does."""
+    """Add the section on Fig. 4 to the report. Returns a goal (3,) [m] that behaves like the paper's, from q0 (n,)."""
     report.heading("Fig. 4: the gain K_p on one goal")
     goal = TO_PAPER.T @ np.array([-10.0, 50.0, -20.0])
     miss = {unit: least_distance(robot, goal * f) for unit, f in (("mm", 1e-3), ("cm", 1e-2))}
@@ -90,7 +90,7 @@ def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int 
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
     best = np.argsort(far)[:starts]
     Q, far = Q[best], far[best]
-    for width in np.geomspace(0.3, 1e-6, 60):  # The width is the largest move of a joint [rad or m].
+    for width in np.geomspace(0.3, 1e-6, 60):  # `width` is the largest move of a joint [rad or m].
         tries = np.clip(Q[:, None] + width * rng.standard_normal((starts, 64, robot.n)), robot.lower, robot.upper)
         away = np.linalg.norm(robot.chain.forward(tries.reshape(-1, robot.n))[0][:, :3, 3] - point, axis=1)
         away = away.reshape(starts, -1)

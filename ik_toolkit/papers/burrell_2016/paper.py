@@ -32,7 +32,7 @@ from .speed import speed
 from .swarm import swarm
 
 SEEDS = range(100, 110)
-# The start, of 150 random ones, whose counts come nearest to the published 960, 994 and 665.
+# Of 150 random starts this one gives counts nearest to the published 960, 994 and 665.
 FITTED = np.radians([18.0, 51.0, -18.0, -6.0, -20.0, -78.0])
 
 

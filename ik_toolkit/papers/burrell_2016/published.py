@@ -7,7 +7,7 @@ import numpy as np
 
 # Rotation from the axes of base_link to those of the paper.
 TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-# Our choice of tolerance [m] and iterations, as the paper gives neither.
+# Tolerance [m] and iteration limit are our choice; the paper gives neither.
 PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}
 # Tables I and III as printed: offset of theta, d, a, alpha, lower and upper limit (mm, degrees; the planar arm in its own units).
 TABLE_1 = (
@@ -26,7 +26,7 @@ TABLE_2 = {  # times of a solve [ms] by method, for the tolerances 5, 2, 1 and 0
     "IK-PID": (16.258, 16.231, 16.147, math.nan),
     "state space": (0.604, 0.763, 0.875, 1.310),
 }
-TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)  # m, tolerances of Table II
+TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)  # [m] tolerances of Table II
 PLANAR_B = (
     [[2, -2], [-1, 0], [1, -2]],
     [[0, -2], [-1, -1], [-2, -1]],

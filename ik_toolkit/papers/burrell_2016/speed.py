@@ -21,12 +21,12 @@ SETS = range(7, 14)  # seeds of the sets of 1000 goals
 
 
 class Amount(NamedTuple):
-    """How much is timed.
+    """Amount of work that is timed.
 
     Attributes:
-        runs: with the same goals, over which times spread.
-        few: goals of the interpreted versions, which are slow.
-        few_runs: their runs.
+        runs: number of timed runs with the same goals, which show the spread.
+        few: number of goals for the interpreted versions, which are slow.
+        few_runs: number of timed runs of the interpreted versions.
     """
 
     runs: int = 7
@@ -37,7 +37,7 @@ class Amount(NamedTuple):
 AMOUNT = Amount()
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
-BASE = "J+"  # the method by whose time all times are divided
+BASE = "J+"  # all times are divided by that of this method, the pseudo-inverse
 SAME_AS = {
     "J+, plain": "J+",
     "DLS, clipped": "DLS",

@@ -20,7 +20,7 @@ SEARCH_STEPS = 400  # highest number of iterations while searching; the result o
 
 
 def swarm(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray]) -> None:
-    """Add the section to the report; q0 (n,) [rad] is the start, which is not tuned; sets are held-out goals (1000, 3) [m]."""
+    """Add the section on the particle swarm; q0 (n,) [rad]: fixed start; sets: held-out goals (1000, 3) [m]."""
     report.heading("The 90 numbers by a particle swarm")
     published = StateSpace.preset("burrell-2016")
     space = all_entries(published)

@@ -13,8 +13,8 @@ from ...servo.orbit_stability import Motion, step_matrices
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-MEASURED = ("aa1", "aa2")  # The growth of these methods is measured on runs.
-# The methods of the paper by their names in the report; the method aad is not from the paper but our own.
+MEASURED = ("aa1", "aa2")  # readings 1 and 2 of method aa, whose error growth is measured on runs
+# Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
     "av": ("av", {}),
@@ -50,7 +50,7 @@ SETS = {
 
 # ------------------------------------------------------------------------------------------------ the three systems
 def one_dof(c: float = 0.2) -> System:
-    """Return r = c + sqrt(q), eq. (37), which is not defined for q < 0."""
+    """Return the system r = c + sqrt(q) with one joint, eq. (37), which is not defined for q < 0."""
     return System(
         lambda q: c + np.sqrt(q),
         lambda q: np.array([[0.5 / np.sqrt(q[0])]]),
@@ -79,7 +79,7 @@ def rr_inverse(p: np.ndarray, length: float = 1.0) -> np.ndarray:
 
 
 def sine(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return r_d = a0 + a1 sin(w t), eq. (36), with its derivatives."""
+    """Return the desired path r_d = a0 + a1 sin(w t), eq. (36), with its derivatives."""
     a, w = 0.6, 0.28
     s, c = np.sin(w * t), np.cos(w * t)
     return np.array([1.2 + a * s]), np.array([a * w * c]), np.array([-a * w * w * s])
@@ -123,7 +123,7 @@ def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, 
         options.update(kp=gains.kp, kd=gains.kd)
     options.update(changes)
     h, steps = options.pop("h", gains.h), options.pop("steps", case.steps)
-    with np.errstate(all="ignore"):  # a run that leaves the domain is reported, so numpy need not warn
+    with np.errstate(all="ignore"):  # a run that leaves the domain of sqrt is reported, so numpy need not warn
         return simulate(case.system, case.path, name, h, steps, case.start(case.path(0.0)[0] + offset), **options)
 
 
@@ -161,14 +161,15 @@ def settled(case: Case, made: Run) -> dict[str, float]:
 def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
     """Return the largest factor by which a small disturbance changes in one lap [s] of the moving target (Floquet multiplier).
 
-    It is the spectral radius of the product of the matrices that carry a disturbance over each step of the exact motion; h is
-    adjusted to divide the lap. The first two readings of aa leave that motion by their zigzag: theirs is measured.
+    It is the spectral radius of the product of the matrices that carry a disturbance over each step of the exact
+    motion; h is adjusted to divide the lap. The first two readings of method aa zigzag about that motion, so their
+    growth is measured.
     """
     if key in MEASURED:
         return measured_growth(case, gains, key, lap)
     steps = round(lap / gains.h)
     h = lap / steps
-    # The third reading of aa is aad without its damping.
+    # The third reading of method aa is method aad without its damping.
     known = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}, "aa3": {"gamma": 0.5, "share": 1.0}}
     of_key = known.get(key) or {**METHODS[key][1], "share": 1.0}
     method = "aad" if key == "aa3" else METHODS[key][0]
@@ -179,7 +180,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
 def exact_motion(case: Case, times: np.ndarray) -> Motion:
     """Return what `step_matrices` needs of the motion without error at some times [s]; J is square and has an inverse."""
     system, rows = case.system, []
-    near = 1e-5  # [s] of the difference of dJ/dt; its error is about 1e-10
+    near = 1e-5  # [s] step of the difference quotient for dJ/dt; its error is about 1e-10
     jacobians = [system.jacobian(case.start(case.path(t)[0])) for t in times]
     for t, J in zip(times[:-1], jacobians, strict=False):
         p, v, a = case.path(t)
@@ -199,7 +200,7 @@ def exact_motion(case: Case, times: np.ndarray) -> Motion:
 
 
 def measured_growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float = 1e-6) -> float:
-    """Return what `growth` does, from disturbed runs: a factor below about 1e-8 is rounding.
+    """Return the growth factor as `growth` does, but from disturbed runs; a factor below about 1e-8 is rounding.
 
     The state (angles, and rates or the previous command if the method has them) is disturbed one component at a time at the
     start of a lap; returns the spectral radius of the resulting matrix. h is adjusted to divide the lap.

@@ -10,8 +10,8 @@ from ..report import Report
 
 # Mass [kg], length [m] and radius [m] of a link, our choice: the paper gives none
 MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03
-GRAVITY = (0.0, -9.81, 0.0)  # m/s^2, in the plane of the arm so that it has an effect
-SHIFT = np.array([0.1, -0.05])  # rad, initial error
+GRAVITY = (0.0, -9.81, 0.0)  # [m/s^2] gravity, which has an effect because it is in the plane of the arm
+SHIFT = np.array([0.1, -0.05])  # [rad] initial error of the joints
 STEP, STEPS = 1e-3, 4000  # time step [s], and number of steps of a run
 HEAVIER = 1.2  # ratio of the true masses to those of the controller in the second run
 

@@ -19,11 +19,11 @@ COLOUR = {
 }
 DASH = {"aa1": "--", "aad": "--"}
 NAMES = {"aa1": "aa, reading 1", "aa2": "aa, reading 2", "aa3": "aa, reading 3", "aad": "aad (ours)"}
-FLOOR = 1e-8  # m, lower end of the error axes; runs that stay below are named in the panel
+FLOOR = 1e-8  # [m] lower end of the error axes; a panel names the runs that stay below it
 
 
 def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
-    """Draw Fig. 9: the stable region of cv over (h, kappa), and that of ca over (kd, kp) for several h."""
+    """Draw Fig. 9: the stable gains of method cv over (h, kappa), and of method ca over (kd, kp) for several h."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.2), layout="constrained")
     h = np.linspace(0.002, 0.35, 600)
     left.fill_between(h, 0, 1 / h, color="#D9D9D9", lw=0)

@@ -33,7 +33,7 @@ def error_finding(element: object, problem: str, advice: str, line: int) -> Find
 
 
 def odd(element: object, problem: str, advice: str, line: int, at_load: bool = False) -> Finding:
-    """Make a finding that does not prevent the robot from being loaded."""
+    """Make a finding (a warning) that does not prevent the robot from being loaded."""
     return Finding("warning", str(element), problem, advice, line, at_load)
 
 

@@ -27,7 +27,7 @@ def pose_dict(pos: Any, quat: Any) -> dict:
 
 
 def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
-    """Return [one(0), ..., one(count - 1)], where `one` makes a dict for an index."""
+    """Return [one(0), ..., one(count - 1)], where `one` makes a dict of the object with an index."""
     return [one(i) for i in range(count)]
 
 

@@ -24,15 +24,15 @@ class UrdfCaps(NamedTuple):
     elements: int = 200_000
     depth: int = 64
     attributes: int = 64  # Pinocchio's parser takes time quadratic in the attributes of an element; URDF has at most 6.
-    name: int = 255  # Number of characters, as for a file name, because messages repeat names.
-    tag: int = 1_000_000  # Number of bytes of a tag or comment, which the parser keeps in memory as a whole.
+    name: int = 255  # Limit on the characters of a name, as for a file name, because messages repeat names.
+    tag: int = 1_000_000  # Limit on the bytes of a tag or comment, which the parser keeps in memory as a whole.
     chunk: int = 65_536  # Number of bytes that are given to the parser at a time.
 
 
 CAPS = UrdfCaps()
 BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
-ENDLESS = 1e16  # Robot reads a limit of this size as no limit (NO_LIMIT).
-# FREEDOM maps the type of a joint to its number of degrees of freedom.
+ENDLESS = 1e16  # `probe.limits` reads a joint limit of this size as none (NO_LIMIT).
+# FREEDOM maps a joint type to its number of degrees of freedom.
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},

@@ -195,7 +195,7 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "capsule": ("radius", "length"),
     "mesh": ("filename", "scale"),
 }
-# No program adds attributes of its own to these elements, so an unknown attribute in them is probably misspelled.
+# No software adds its own attributes to these elements, so an unknown one is probably misspelled.
 CLOSED = ("origin", "axis", "mimic", "parent", "child")
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")

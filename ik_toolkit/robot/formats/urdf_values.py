@@ -75,7 +75,7 @@ def link_values(link: Item) -> Iterator[Finding]:
 
 
 def check_all_zero(joints: Sequence[Item]) -> Iterator[Finding]:
-    """Yield a warning if all limits of a robot are 0 to 0, which exporters write until somebody fills them in."""
+    """Yield a warning if all joint limits of a robot are 0 to 0, which exporters write as placeholders."""
     limited = [joint for joint in joints if joint.attributes.get("type") in ("revolute", "prismatic")]
     ends = [
         attribute_numbers(limit.get(end, "0"))

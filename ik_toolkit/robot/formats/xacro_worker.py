@@ -158,7 +158,7 @@ class Expansion:
         self._all(node, macros, symbols)
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
-        """Return a macro, whose body is about to be copied, and count the copy."""
+        """Return a macro, and count the cost of copying its body, which follows."""
         found = self._resolve(name, macros, symbols)
         body = found[2].body
         if id(body) not in self.bodies:
@@ -167,7 +167,7 @@ class Expansion:
         return found
 
     def replace_node(self, node: Any, by: Any, content_only: bool = False) -> None:
-        """Put other nodes in the place of one and count them, because each is searched for among its new neighbours."""
+        """Replace an XML node by others and count the cost, which grows with the number of siblings."""
         others = by if isinstance(by, list) else [by] if by is not None else []
         parts = sum(len(other.childNodes) if content_only else 1 for other in others)
         self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)

@@ -21,7 +21,7 @@ from .distance import Clearance, Near
 from .surroundings import PlacedShape, Surroundings
 
 SAMPLES = 8  # This many random configurations show which links move relative to each other.
-# Two parts are fixed to each other if no entry of their relative pose (rotation matrix, or [m]) changes by this.
+# Two parts are fixed to each other if no entry of their relative pose (rotation matrix, or [m]) changes by more.
 STILL = 1e-9
 
 
@@ -336,7 +336,7 @@ class CollisionModel(Surroundings):
 
 
 def as_margin(value: Any, what: str = "margin must be a distance of at least 0 [m]") -> float:
-    """Return a margin [m] as a float. Raises InvalidOption, "WHAT, not VALUE", if it is no distance."""
+    """Return a margin [m] as a float. Raises InvalidOption, "WHAT, not VALUE", if it is not a non-negative number."""
     number = floats(value, what, InvalidOption)
     if number.shape != () or not 0.0 <= number < np.inf:
         raise InvalidOption(f"{what}, not {value!r:.60}")

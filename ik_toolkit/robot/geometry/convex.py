@@ -61,7 +61,7 @@ def hull_of(mesh: Any) -> Any:
 
 
 def request(margin: float) -> coal.CollisionRequest:
-    """Make a request that tests whether two shapes are nearer than a margin [m]."""
+    """Make a collision request (coal) that tests whether two shapes are nearer than a margin [m]."""
     made = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
     made.security_margin = margin
     return made

@@ -16,7 +16,7 @@ from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlane
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
-# The nearest points of a pair jump from one end of an edge to the other, so points found before are kept.
+# The nearest points of a pair of shapes jump from one end of an edge to the other, so earlier ones are kept.
 # At most CORNERS points are kept, while their distance is less than NEARBY [m] above the least one.
 # Points within APART [m] of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
@@ -200,7 +200,7 @@ class Clearance:
 
     # ------------------------------------------------------------------------------------------------ motion
     def move(self) -> None:
-        """Compute the joint Jacobians that `levers` and `rows` need."""
+        """Compute the joint Jacobians that `levers` and `rows` need at the configuration placed last."""
         pin.computeJointJacobians(self.robot.model, self._data)
         self._V = np.ascontiguousarray(self._data.J.T[self._columns])
         self._locate()
@@ -208,7 +208,7 @@ class Clearance:
         self._parts = Bodies(self._V, self.coordinates, self._at, self._radius, *moved)
 
     def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bound how much closer (P, E) each pair can come per unit of each joint, if joint i moves at most way[i].
+        """Bound how much closer (P, E) pairs of shapes come per unit of each joint, if joint i moves at most way[i].
 
         The second result (P,) [m] is how much closer a pair can come in all. way (n,) [rad or m].
         """
@@ -221,7 +221,7 @@ class Clearance:
         self._held[:] = False
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest points that earlier calls of `facing` found, for `recall`."""
+        """Return the nearest points that earlier calls of `facing` found; `recall` takes them over."""
         return self._corners, self._held
 
     def recall(self, found: tuple[np.ndarray, np.ndarray]) -> None:
@@ -264,13 +264,13 @@ class Clearance:
         )
 
     def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Write the half-planes of joint rates for pairs ks (K,); see `kernel.clearance.rows` for the arguments."""
+        """Write the half-planes that limit the joint rates for pairs ks (K,) of shapes, see `kernel.clearance.rows`."""
         deceleration, *rules = rest[:5]
         facing, planes = Facing(ks, points, gap), HalfPlanes(*rest[5:])
         return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
-        """Return how far (K,) pairs ks are free from their last measurement on, see `kernel.clearance.free_until`.
+        """Return up to where (K,) on a path pairs ks are proven free of contact, see `kernel.clearance.free_until`.
 
         path: the fields of `BrakingPath`, and the place on it at which the proof begins [pieces].
         """

@@ -29,13 +29,13 @@ SECONDS = 4.0
 class MeshCaps(NamedTuple):
     """Limits on the meshes of a robot; the comments give what the largest file of example-robot-data has."""
 
-    bytes: int = 100_000_000  # Bytes of a file; the largest has 29 MB.
-    triangles: int = 2_000_000  # Triangles of a file; the largest has 351,394.
-    meshes: int = 1_000  # Number of different mesh files of a robot.
-    packages: int = 50  # Number of different ROS packages that a robot's meshes come from.
-    memory: int = 2_000_000_000  # Memory [bytes] of the reading process; the largest file takes 0.5 GB.
+    bytes: int = 100_000_000  # Limit on the bytes of a file; the largest has 29 MB.
+    triangles: int = 2_000_000  # Limit on the triangles of a file; the largest has 351,394.
+    meshes: int = 1_000  # Limit on the number of different mesh files of a robot.
+    packages: int = 50  # Limit on the number of ROS packages that a robot's meshes come from.
+    memory: int = 2_000_000_000  # Limit on the memory [bytes] of the reading process; the largest file takes 0.5 GB.
     seconds_per_mb: float = 2.0  # Processor time [s] for each MB of a file, beyond SECONDS.
-    crashes: int = 5  # Number of reading processes that may crash for one robot.
+    crashes: int = 5  # Limit on the number of reading processes that may crash for one robot.
     kept: int = 256  # Number of files whose triangles are cached.
 
 

@@ -95,7 +95,7 @@ PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "cap
 
 
 def surface(mesh: Mesh, scale: np.ndarray) -> Any:
-    """Make the surface of a mesh, scaled by (3,), a coal object."""
+    """Convert the surface of a mesh, scaled by (3,), to a coal object."""
     made = coal.BVHModelOBBRSS()
     (piece,) = mesh.pieces
     made.beginModel(len(piece.faces), len(piece.vertices))
@@ -106,7 +106,7 @@ def surface(mesh: Mesh, scale: np.ndarray) -> Any:
 
 
 def is_shape(value: Any) -> Shape:
-    """Return the value if it is a Shape. Raises InvalidOption otherwise."""
+    """Return a value that is a Shape unchanged. Raises InvalidOption otherwise."""
     if not isinstance(value, Shape):
         raise InvalidOption(
             f"a shape must be one of ik.Shape.box, sphere, cylinder, capsule or mesh, not {value!r:.60}"

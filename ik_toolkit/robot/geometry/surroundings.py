@@ -29,7 +29,7 @@ class PlacedShape:
 
 
 class Surroundings(ReadOnly):
-    """The shapes of a CollisionModel that are not part of the robot; `version` increases with every change of them."""
+    """The shapes of a CollisionModel that are not part of the robot; every change of a shape raises `version`."""
 
     robot: Any
     _names: list[str]
@@ -104,8 +104,8 @@ class Surroundings(ReadOnly):
             The model itself, so that calls can be chained.
 
         Raises:
-            InvalidOption: The shape is none, or the name is taken.
-            InvalidTarget: The pose is none.
+            InvalidOption: `shape` is no Shape, or the name is taken.
+            InvalidTarget: `pose` is no pose or position.
         """
         form, T = is_shape(shape).form(), as_matrix(pose)
         self._placed[self._new_name(shape, name)] = PlacedShape(shape, form, T)
@@ -115,7 +115,7 @@ class Surroundings(ReadOnly):
     def move(self, name: str, pose: Any) -> Self:
         """Give an obstacle a new pose in the base frame, or an attached shape one in its tip frame.
 
-        Raises InvalidOption if there is no such shape, InvalidTarget if the pose is none.
+        Raises InvalidOption if there is no such shape, InvalidTarget if `pose` is no pose or position.
         """
         one = self._placed[self._known(name)]
         self._placed[name] = replace(one, T=as_matrix(pose))

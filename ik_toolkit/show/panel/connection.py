@@ -38,7 +38,7 @@ class Worker:
                 self._wake.notify_all()
                 self._wake.wait_for(lambda: self._jobs or self.ended)
                 if self.ended:
-                    self._jobs.clear()  # they keep references to the visitor's scene
+                    self._jobs.clear()  # waiting jobs refer to the visitor's scene
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
                 self._busy = True
@@ -56,8 +56,8 @@ class Worker:
             self._wake.notify_all()
 
 
-KEPT = 100  # changes that can be undone
-TOGETHER = 1.0  # [s] changes of one kind within this time are merged: a drag, a slider being moved
+KEPT = 100  # largest number of changes that can be undone
+TOGETHER = 1.0  # [s] changes of one kind within this time are undone together, such as a drag
 
 
 class Past:
@@ -83,13 +83,13 @@ class Past:
 
 
 PLAIN = "#37424f"
-LONGEST = 600  # characters of a status message
+LONGEST = 600  # largest number of characters of a status message
 STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see viser_scene.Picture */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
 
 
 class Visit:
-    """Interaction between a visitor and the controls of a page, which Desk builds."""
+    """Connects one visitor with the controls of a page, which subclasses build."""
 
     def __init__(
         self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
@@ -99,7 +99,7 @@ class Visit:
         self.stage: Any = None
         self.chart: Any = None
         self.found: Any = None
-        self.aspect = 0.0  # of the picture when the camera was last aimed
+        self.aspect = 0.0  # width over height of the picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)
         self.kinds: dict[str, str] = {}
@@ -111,7 +111,7 @@ class Visit:
         self.status: Any = None
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
-        if hasattr(client, "camera"):  # a server has no camera
+        if hasattr(client, "camera"):  # a server, unlike a client, has no camera
             client.camera.on_update(lambda _: self._resized())
 
     def close(self) -> None:

@@ -9,15 +9,15 @@ from ...servo.path_reach import near_limits
 from ...servo.tracker import Tracker
 from ...text import angle, length
 
-STEP = 0.02  # Length of a step [s] of robot time.
-STEPS = 50  # Number of steps before the page is drawn anew, which make one second.
-FAR = 1000.0  # A target further away than this many reaches is a mistake.
-# The arm has settled after 25 steps at rest in a row: half a second, in which a tracker finds another way.
+STEP = 0.02  # length of a step [s]
+STEPS = 50  # number of steps before the page is drawn anew: one second of motion
+FAR = 1000.0  # a target farther away [arm reaches] is a mistake
+# The arm has settled after 25 successive steps at rest: within half a second a tracker would find another way.
 REST = 25
 
 
 class Followed(NamedTuple):
-    """State of a following arm: q (n,), whether it is at the target and at rest, errors by tip [m, rad or None], and a sentence."""
+    """State of a following arm: q (n,), at target or not, at rest or not, errors by tip [m, rad or None], sentence."""
 
     q: np.ndarray
     success: bool
@@ -27,7 +27,7 @@ class Followed(NamedTuple):
 
 
 class Hand:
-    """An arm that goes after a target from call to call, with one `Tracker`.
+    """An arm that follows a dragged target from call to call, with one `Tracker`.
 
     q (n,) is where it starts, tolerance [m and rad] defines a reached target; limits, avoid_collisions and reconfigure
     are those of `Tracker`. Raises what `Tracker` raises.

@@ -21,16 +21,16 @@ from .session import Session
 from .tables import as_sentence
 
 QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # Colours of the branch buttons.
-FREEDOMS = 6  # With fewer joints the target is a position, unless a closed form says otherwise.
+FREEDOMS = 6  # with fewer joints the target is a position, unless a closed form solves poses
 COLUMNS = ("n", "o", "a")
 STEP = 0.001  # Step [mm or deg] of the slider of the free parameter.
 
 
 class Lesson:
-    """The computations of the tab, without a page, in millimetres and degrees: forward, inverse, the free parameter.
+    """The computations of the tab "Learn", without a page, in mm and degrees: kinematics both ways, free parameter.
 
-    `made` is the Explanation of the last inverse, or None; `shown` is the number of its branch shown; `T` is its target
-    (4, 4) [m].
+    `made` is the Explanation of the last inverse solution, or None; `shown` is the number of its branch shown; `T` is
+    its target (4, 4) [m].
     """
 
     def __init__(self, session: Session) -> None:
@@ -111,12 +111,12 @@ class Lesson:
 
     @property
     def worked(self) -> WorkedSolution | None:
-        """The closed form worked out for the last inverse, or None."""
+        """The closed form worked out for the last inverse solution, or None."""
         return self.made.worked if self.made is not None else None
 
     @property
     def branches(self) -> tuple[Branch, ...]:
-        """The branches of the last inverse."""
+        """The branches of the last inverse solution."""
         return self.worked.branches if self.worked is not None else ()
 
     @property
@@ -135,7 +135,7 @@ class Lesson:
 
 
 class Learn:
-    """The controls of the tab on a visitor's desk."""
+    """The controls of the tab "Learn" on a visitor's page."""
 
     def __init__(self, desk: Any) -> None:
         """Build the controls; there are none for a robot with several tips."""

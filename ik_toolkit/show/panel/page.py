@@ -20,9 +20,9 @@ from .tables import Recorder, as_sentence, note_html, pose_html, table_html
 from .viser_scene import Stage
 
 QUIET = (71, 85, 105)  # colour of secondary buttons
-STEPS = 500  # least number of slider steps
-PUSH = 3.0  # [rad, or reaches] of self-motion from the middle of the slider to its end
-MOST_TIPS = 4  # tips that can be chosen on the page
+STEPS = 500  # least number of steps of a slider
+PUSH = 3.0  # [rad or arm reaches] self-motion from the middle of its slider to the end
+MOST_TIPS = 4  # largest number of tips that can be chosen on the page
 
 
 class PanelPage(Visit):
@@ -191,7 +191,7 @@ class PanelPage(Visit):
         if self.learn is not None:
             self.learn.show(s.q)
         self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
-        self.client.flush()  # at once, not at the end of viser's next interval
+        self.client.flush()  # send the changes now, not at the end of viser's interval
 
     # ------------------------------------------------------------------------------------------------------ actions
     def _switch(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -216,7 +216,7 @@ class PanelPage(Visit):
         s = self.session
         q = s.q.copy()
         for i, slider in enumerate(self.sliders):
-            if slider.value != self.shown[i]:  # shown values are rounded: an untouched joint keeps its exact value
+            if slider.value != self.shown[i]:  # shown values are rounded, so an untouched joint keeps its exact value
                 q[i] = slider.value / s.scale(i)
         if not np.isfinite(q).all():
             raise InvalidConfiguration("a joint value is not a finite number")
@@ -230,7 +230,7 @@ class PanelPage(Visit):
         if not np.isfinite(value) or not len(null_directions(s.robot, s.q, turns)):
             self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
-        along = np.cos(np.arange(s.robot.n))  # practically never orthogonal to an arm's self-motion
+        along = np.cos(np.arange(s.robot.n))  # arbitrary direction, practically never orthogonal to a self-motion
         s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)
         self.pushed = value
         self.show()
@@ -353,7 +353,7 @@ class PanelPage(Visit):
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
         if self.chart is not None:
             self.chart.hide()
-            self.found.hide()  # they are of another target
+            self.found.hide()  # the listed solutions are for another target
         if not found.settled and patience:
             self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
 

@@ -20,7 +20,7 @@ from ..access import guarded, is_loopback, new_token
 from .page import PanelPage
 from .session import Session
 
-HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows, rings and ball, the camera
+HEARD = (  # messages accepted from a visitor's page: controls, handles of the target, camera
     "GuiUpdateMessage",
     "TransformControlsUpdateMessage",
     "TransformControlsDragStartMessage",
@@ -31,7 +31,7 @@ HEARD = (  # messages accepted from a visitor's page: controls, the target's arr
 
 
 class Follower(PanelPage):
-    """The page of `ik view --follow`: the targets' fields, the status line and the view, without the other controls."""
+    """The page of `ik view --follow`: view, fields of the targets and status line, without the other controls."""
 
     def _build_controls(self) -> None:
         self.sliders: list[Any] = []
@@ -78,12 +78,12 @@ class Panel(Unique):
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
-        session = Session(source, tips)  # raises now if the robot is invalid
+        session = Session(source, tips)  # an invalid robot raises now
         here = session.robot.for_tips(session.poses())
         session.solve(here)  # compile now if necessary, so that no visitor has to wait
         session.follow(here)
         token = new_token()
-        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # suppresses viser's banner
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, self.server.get_port()
         if port not in (0, self.port):
@@ -92,7 +92,7 @@ class Panel(Unique):
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
-        _hear_only(self.server.gui._websock_interface, ())  # messages are accepted only by a visitor's desk
+        _hear_only(self.server.gui._websock_interface, ())  # only a visitor's page accepts messages
         self.desks: dict[int, PanelPage] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")
@@ -103,7 +103,7 @@ class Panel(Unique):
     def _welcome(self, client: Any, source: str, tips: str | Sequence[str] | None, local: bool) -> None:
         _hear_only(client.gui._websock_interface, HEARD)
         self.desks[client.client_id] = self._desk(client, source, tips, files=local)
-        if client.client_id not in self.server.get_clients():  # left before it was admitted
+        if client.client_id not in self.server.get_clients():  # the visitor left before being admitted
             self._goodbye(client)
 
     def _goodbye(self, client: Any) -> None:

@@ -24,7 +24,7 @@ class Around:
     def __init__(self, gui: Any, session: Session, listen: Callable[..., None], changed: Callable[[], None]) -> None:
         """Build the controls; `changed` is called after something was moved, `listen` is as in Goal."""
         self.session, self.listen, self.changed = session, listen, changed
-        self.stage: Stage  # The stage is set by `join`.
+        self.stage: Stage  # `join` sets the stage (the robot's drawing)
         avoid = gui.add_checkbox(
             "Avoid collisions", session.avoid, hint="When solving, listing solutions and dragging."
         )
@@ -43,7 +43,7 @@ class Around:
         listen(remove, "boxes", self.clear)
 
     def join(self, stage: Stage) -> None:
-        """Draw on a new stage, including the existing boxes."""
+        """Draw in a new view of the robot (Stage), including the existing boxes."""
         self.stage, self.handles = stage, stage.boxes
         side = float(f"{SIDE * stage.size:.1g}")
         self.size.value = self.size.value or f"{side:g} {side:g} {side:g}"
@@ -106,9 +106,9 @@ class Around:
         return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
 
 
-STEP = 0.02  # Step [rad, or reaches] between corrections, because the error of a tip grows with its square.
-THIN = 1e-6  # A direction does not move the tips if its singular value is below this fraction of the largest.
-CORRECTIONS = 3  # Number of Newton steps, each of which squares the remaining error.
+STEP = 0.02  # [rad or arm reaches] step between corrections; a tip's error grows with its square
+THIN = 1e-6  # directions below this fraction of the largest singular value do not move the tips
+CORRECTIONS = 3  # number of Newton steps of a correction; each squares the remaining error
 LEFT = 1e-7  # Largest error [m, rad] of a tip that counts as staying in place.
 
 
@@ -120,7 +120,7 @@ def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
 
 
 def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool, limits: bool) -> np.ndarray:
-    """Move `far` [rad, or reaches] from q (n,) along the self-motion nearest the direction `along` (n,), up to a joint limit.
+    """Move q (n,) by `far` [rad or arm reaches] along the self-motion nearest to direction `along`, or up to a limit.
 
     Each step continues in the direction that the null space shares with the previous step, so that moving back is
     reversible.

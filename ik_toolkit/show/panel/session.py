@@ -28,10 +28,10 @@ from .drag_follower import Followed, Hand, prepare
 
 # A typed target's orientation has one of the forms in KINDS.
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")
-NONE = "no target"  # One of several tips may have no target.
-SHOWN = 16  # At most this many solutions are listed.
-SAMPLES = 8  # Of this many random configurations, at least one is not singular.
-PATIENCE = 20  # An arm may move this long [s of robot time] towards a target that is no longer being moved.
+NONE = "no target"  # choice for one of several tips that has no target
+SHOWN = 16  # largest number of solutions listed
+SAMPLES = 8  # number of random configurations, of which at least one is not singular
+PATIENCE = 20  # [s of robot time] for which an arm may move towards a target that is no longer dragged
 
 
 class Session:
@@ -48,11 +48,11 @@ class Session:
         self.solver = "auto"
         self.parameters: dict[str, str] = {}
         self.tolerance = 1e-6
-        self.limits, self.avoid = True, False  # Joint limits are kept, collisions are not avoided.
-        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # Size [m] and pose (4, 4) in the base, by name.
+        self.limits, self.avoid = True, False  # whether joint limits are kept, and whether collisions are avoided
+        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # size [m] and pose (4, 4) in the base, by name
         self.source = ""
         self.random = np.random.default_rng(0)
-        self.warm: set[tuple] = set()  # Solvers and kinds of target that have been solved before.
+        self.warm: set[tuple] = set()  # solvers and kinds of target that have run before
         self.load(source, tips)
 
     def load(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -86,7 +86,7 @@ class Session:
         self.solutions: list[np.ndarray] = []
         self.distances: list[float] = []
         self.branches: np.ndarray | None = None
-        self.recorded: list[np.ndarray] = []  # configurations (n,) of a motion
+        self.recorded: list[np.ndarray] = []  # configurations (n,) of the motion being recorded
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
@@ -215,7 +215,7 @@ class Session:
         """Continue from a failed attempt to the closest pose near it."""
         # A target that is too far away and an arm already in contact raise.
         with contextlib.suppress(InvalidTarget, InvalidConfiguration):
-            # The arm keeps its posture, because the chosen solver has found no other posture that reaches the target.
+            # The arm keeps its posture, because the solver has found no other one that reaches the target.
             hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
             for _ in range(PATIENCE):
                 if self._move(hand).settled:

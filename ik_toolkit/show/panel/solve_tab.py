@@ -26,8 +26,8 @@ class Goal:
         orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
         listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
-        self.written = xyz, rotation  # texts that stand for the handle's target, which has more digits
-        self.handle: Handle  # from `join` on
+        self.written = xyz, rotation  # texts in the fields; the handle's target has more digits
+        self.handle: Handle  # set by `join`
 
     @property
     def posed(self) -> bool:
@@ -73,7 +73,7 @@ class Goal:
         return target
 
     def dragged(self) -> np.ndarray | None:
-        """Return the target to which the arrows were dragged, after writing it into the fields."""
+        """Return the target to which the handle's arrows were dragged, after writing it into the fields."""
         if self.kind == NONE:
             return None
         T = self.handle.read()
@@ -180,7 +180,7 @@ class SolutionsTab:
         )
 
 
-CURVES: Any = (  # the abscissa, then errors
+CURVES: Any = (  # columns of the chart: abscissa, then errors
     {"label": "evaluation"},
     {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
     {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
@@ -216,7 +216,7 @@ class Chart:
         rows = np.arange(len(position))
         if result.restarts:
             rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
-        known = [position, angle] if np.isfinite(angle).all() else [position]  # a position has no angle
+        known = [position, angle] if np.isfinite(angle).all() else [position]  # without angles for a position
         curves = [np.log10(np.maximum(values[rows], FLOOR)) for values in known]
         with self.client.atomic():
             self.plot.series = CURVES[: 1 + len(curves)]

@@ -10,23 +10,23 @@ import pinocchio as pin
 from ...errors import InvalidTarget
 from ..body import Body, need_trimesh
 
-RED = (204, 51, 38)  # line to a target that is not reached
+RED = (204, 51, 38)  # colour of the line to a target that is not reached
 GHOST = (0, 114, 178)
 
 
 class Picture(NamedTuple):
-    """How the robot is looked at, and how the handles of targets are drawn.
+    """Constants of the view: camera, and size and colour of the targets' handles.
 
     Attributes:
         view: direction in which the robot is looked at, from the front right, from above.
-        lens: [rad] from top to bottom.
-        fill: part of the picture that the robot takes: its arrows and the next poses need the rest.
-        narrow: [pixels] width of a page below which viser lays its controls over the lower part of the picture.
-        edge: part of the way from the middle of the picture to its edge: a target further out counts as not in it.
-        free: part of the height left on a narrow page, see connection.STYLE.
-        arrow: [sizes of the robot] length of a target's arrows.
-        ball: [arrows] radius of a target's ball, which stands out of a flange.
-        amber: its colour.
+        lens: [rad] vertical field of view.
+        fill: share of the picture that the robot fills; arrows and further poses need the rest.
+        narrow: [pixels] width of a page below which viser's controls cover the lower part of the picture.
+        edge: share of the way from the picture's middle to its edge; a target further out counts as outside.
+        free: share of the picture's height that stays visible on a narrow page, see connection.STYLE.
+        arrow: [robot sizes] length of a target's arrows.
+        ball: [arrow lengths] radius of the ball at a target, larger than a flange.
+        amber: colour of that ball.
     """
 
     view: np.ndarray = np.array([-0.66, 0.63, -0.41])
@@ -80,10 +80,10 @@ class Handle:
         """Return what moves the target with its ball, in the plane of the picture."""
         offset = np.zeros(3)
 
-        async def carry(event: Any) -> None:  # viser keeps the order of events for coroutines only
+        async def carry(event: Any) -> None:  # a coroutine, because viser keeps the order of events for these only
             nonlocal offset
-            with np.errstate(over="ignore", invalid="ignore"):  # a page may send anything
-                if event.phase == "start":  # the ball may be taken at its rim
+            with np.errstate(over="ignore", invalid="ignore"):  # a page may send any numbers
+                if event.phase == "start":  # the ball may be grabbed at its rim
                     offset = self.gizmo.position - np.array(event.start_position)
                 place = np.array(event.end_position) + offset
                 if np.isfinite(place).all():
@@ -112,7 +112,7 @@ class Handle:
 
 
 class Stage:
-    """A robot in the view of a viser client (or server), with a handle for each tip."""
+    """The drawing of a robot in a viser client (or server), with a handle for the target of each tip."""
 
     def __init__(
         self,
@@ -128,7 +128,7 @@ class Stage:
 
         `before` is the stage that this one replaces, if there was one.
         """
-        # The page places a new object where an earlier one of the same name was, unless it is told otherwise.
+        # The page places a new object where an earlier one of that name was, so every stage has names of its own.
         self.number = before.number + 1 if before else 0
         self.widest = before.widest if before else 0  # largest width [pixels] of the picture so far
         self.away = False  # whether the camera has moved away to see a target
@@ -183,7 +183,7 @@ class Stage:
         self.aim(q)
 
     def path(self, name: str) -> str:
-        """Return the name of an object in the page, which no object of an earlier stage has had."""
+        """Return a name for an object in the page, different from all names of earlier stages."""
         return f"/{self.number}/{name}"
 
     def show(self, q: np.ndarray) -> None:
@@ -207,7 +207,7 @@ class Stage:
         self.line("gap", [*zip(tips, goals, strict=True)], RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
-        """Also show the robot at q (n,), translucent, but for the parts that are where the robot has them; None removes it."""
+        """Also show the robot at q (n,), translucent, without parts that coincide with the robot's; None removes it."""
         self.ghosted = q
         if q is None:
             for handle in self.shade:
@@ -278,7 +278,7 @@ class Stage:
             )
 
     def ellipsoid(self, k: int, axes: np.ndarray, radii: np.ndarray, visible: bool) -> None:
-        """Draw a velocity ellipsoid around tip k: axes (3, 3) in the base, radii (3,) [m/s] as the way of a quarter of a second."""
+        """Draw a velocity ellipsoid around tip k: axes (3, 3) in the base, radii (3,) [m/s] drawn as 0.25 s long."""
         R = self.body.T_world_base[:3, :3] @ axes
         if np.linalg.det(R) < 0.0:
             R[:, 2] *= -1.0
@@ -304,18 +304,18 @@ class Stage:
     def aim(self, q: np.ndarray) -> None:
         """Look at the robot at q from the front right."""
         camera = getattr(self.client, "camera", None)
-        if camera is None:  # a server has no camera
+        if camera is None:  # a server, unlike a client, has no camera
             return
-        # the picture is as wide as the page until the controls are docked beside it
+        # [pixels] the picture is as wide as the page until the controls are docked beside it
         self.widest = max(self.widest, camera.image_width)
         self.extent, self.away = self.body.bounds(q), False
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.fov = PICTURE.lens
         self._look(camera, self.extent, PICTURE.view)
 
-    @np.errstate(all="ignore")  # a page may say of its camera and its targets what it likes
+    @np.errstate(all="ignore")  # a page may send any numbers for camera and targets
     def keep_in_view(self) -> None:
-        """Move the camera away, along the direction it looks in, until all targets are in the picture, and later back again."""
+        """Move the camera back along its viewing direction until all targets are in view, and later forward again."""
         camera = getattr(self.client, "camera", None)
         if camera is None:
             return

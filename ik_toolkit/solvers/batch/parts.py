@@ -23,9 +23,9 @@ from ..postprocess import confirmed, finish_failures, mark_open
 from ..task import counts_in_part
 from .targets import mended
 
-# This many parts wait for each thread, and in total at an executor; iterators are read no further ahead.
+# Number of parts that wait for each thread, or in total at an executor; iterators are read no further ahead.
 AHEAD, REMOTE_AHEAD = 4, 64
-SLICE = 0.05  # A thread checks this often [s] whether to stop.
+SLICE = 0.05  # [s] a thread checks this often whether to stop
 
 
 def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
@@ -49,7 +49,7 @@ def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
 
 # --------------------------------------------------------------------------------------------------------------- solving
 def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
-    """Return the loop that solves eight targets side by side (kernel.simd_search) if the rule has one and the options allow it."""
+    """Return the loop that solves eight targets at once (kernel.simd_search), None if rule or options forbid it."""
     o = plan.options
     plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
     plain = plain and not (o.closest or o.follow)
@@ -74,7 +74,7 @@ class Part(NamedTuple):
 
 def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable | None = None) -> None:
     """Solve rows (m, width), each from its own target and start alone."""
-    if len(plan.held) and len(part.start) > 1:  # Each target then has a table of starts of its own.
+    if len(plan.held) and len(part.start) > 1:  # each target then has its own table of starts
         for k in range(len(part.T)):
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
         return
@@ -146,7 +146,7 @@ def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | No
 @functools.lru_cache(4)
 def _unpacked(payload: bytes) -> Plan:
     """Read a plan from its pickle; a worker keeps it for the next part."""
-    # The payload is made by on_executor and sent by the scheduler, which runs our code anyway.
+    # The pickled data comes from `on_executor`; whoever sends it runs our code anyway.
     return pickle.loads(payload)  # noqa: S301
 
 
@@ -168,7 +168,7 @@ Tables = Generator[np.ndarray, None, None]
 
 
 def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Yield the tables of the jobs, in order, solved on threads of this process."""
+    """Yield the result tables of the jobs, in order, solved on threads of this process."""
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
@@ -185,7 +185,7 @@ def check_executor(executor: Any) -> None:
 
 
 def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
-    """Yield the tables of the jobs, in order, solved by the workers of an executor."""
+    """Yield the result tables of the jobs, in order, solved by the workers of an executor."""
     payload = pickle.dumps(plan)
     yield from _in_order(lambda job: executor.submit(_solve_remote, payload, job, share), jobs, REMOTE_AHEAD)
 

@@ -23,8 +23,8 @@ from .parts import Job, Tables, check_executor, on_executor, on_threads
 from .result import BatchCheckFailed, BatchInterrupted, BatchResult
 from .targets import Block, blocks, doubt_far, known, with_free_turns
 
-PART, REMOTE_PART = 2048, 4096  # Most rows given to a thread, and to a worker of an executor.
-LEAST_PART = 128  # Smaller batches are divided evenly between the threads, but not into smaller parts than this.
+PART, REMOTE_PART = 2048, 4096  # largest number of targets given to a thread at a time, and to a worker of an executor
+LEAST_PART = 128  # least number of targets in a part when a smaller batch is divided between threads
 
 
 def solve_parts(

@@ -19,7 +19,7 @@ class Block(NamedTuple):
     """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None if it is free."""
 
     parts: tuple[np.ndarray | None, ...]
-    pose_shape: tuple[int, ...]  # of all tips, as the kernel takes it
+    pose_shape: tuple[int, ...]  # shape of the poses of all tips, as the kernel takes them
 
     @property
     def kinds(self) -> tuple:
@@ -62,7 +62,7 @@ def _straighten(T: np.ndarray) -> None:
 
 
 def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
-    """Targets with AxisTargets in their lists as poses, and options with the free turn about the axis that they share.
+    """Return targets with AxisTargets replaced by poses, and options with the free turn about their common axis.
 
     Raises:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
@@ -108,7 +108,7 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 
 def known(targets: Any, base: str = "") -> Any:
-    """Targets, given in the frame `base`, as one array or a dict of arrays; None for an iterator."""
+    """Return targets, given in the frame `base`, as one array or a dict of arrays; None for an iterator."""
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")

@@ -4,7 +4,7 @@ from typing import Any
 
 
 def fits(robot: Any, kind: int) -> str | None:
-    """Return the name of the closed form that solves this robot for a kind of target (kernel.task.POSE or POSITION), or None."""
+    """Return the name of the closed form that solves this robot for a kind of target (POSE or POSITION), or None."""
     found = fit(robot, kind)
     return found[0] if found else None
 

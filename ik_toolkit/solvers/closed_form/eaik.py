@@ -12,10 +12,10 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
 
 N = 6
-# Number of Newton steps that finish an answer.
-# At a singular pose EAIK's own answers are off by 1e-4, and each step halves that.
+# Number of Newton steps that improve a solution of EAIK.
+# At a singular pose EAIK's solutions have errors of 1e-4, which each step halves.
 STEPS = 12
-# Slices of the parameters: the axes, the steps from one axis to the next, and the tip's orientation at q = 0.
+# Slices of the parameters: axes, vectors from one axis to the next, and the tip's orientation, at q = 0.
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
@@ -58,7 +58,7 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 @inline
 def joint_values(angles, box, q):
-    """Fill q (6,) with the legal turns of angles nearest box[2]; return the worst limit broken [rad] and the distance."""
+    """Fill q (6,) with angles on turns in limits nearest box[2] (reference); return excess [rad] and distance."""
     worst, distance = 0.0, 0.0
     for i in range(N):
         q[i], broken = legal_turn(angles[i], box[0, i], box[1, i], box[2, i])
@@ -69,14 +69,14 @@ def joint_values(angles, box, q):
 
 @cached
 def eaik_branches(Q, box, out, broken):
-    """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with how much each breaks a limit [rad]."""
+    """Fill out (K, 6) with Q on the turns in limits nearest box[2] (reference), broken (K,) with limit excess [rad]."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
 
 
 @closed_form
 class EAIK(NamedTuple):
-    """Analytic answers of the EAIK package for six revolute joints, for poses; the legal one nearest q0 is returned.
+    """Analytic solutions by the package EAIK for six revolute joints, for poses; returns the one in limits nearest q0.
 
     Needs the extra 'analytic'. The axes are read off the robot at q = 0; limits, turns and the choice are ours, and
     every answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for
@@ -86,7 +86,7 @@ class EAIK(NamedTuple):
     recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return all answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
+        """Return EAIK's solutions for T (4, 4), on turns nearest box[2] (reference); near singularities some lack."""
         Q = branches(p, T)
         out, broken = np.empty_like(Q), np.empty(len(Q))
         eaik_branches(Q, box, out, broken)

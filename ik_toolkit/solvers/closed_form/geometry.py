@@ -18,11 +18,11 @@ from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import ANSWER, HEAD, PAST, WEIGHTS, Answer, Ends, Orders, read, write
 
-FIT = 1e-9  # Axes that are off a structure by less than this [rad, or of the reach] fit it exactly.
-# Axes may be off a structure by at most 1e-4 [rad, or of the reach].
+FIT = 1e-9  # axes within this of a structure [rad or arm reaches] fit it exactly
+# Axes further than this from a structure [rad or arm reaches] do not fit it.
 # Files written with five digits are off by up to 1e-4, and Newton steps correct them.
 NEAR = 1e-4
-SNAP = 1e-9  # An answer this little [rad or m] beyond a limit is put on the limit.
+SNAP = 1e-9  # [rad or m] a solution beyond a limit by less is put on the limit
 
 
 class Fit(NamedTuple):
@@ -55,14 +55,14 @@ class Family(NamedTuple):
 class Branches(NamedTuple):
     """All branches that a closed form lists for one target."""
 
-    q: np.ndarray  # The branches (K, n) [rad or m], at the turn nearest the reference.
-    broken: np.ndarray  # By how much (K,) [rad or m] each branch breaks a limit.
+    q: np.ndarray  # (K, n) the branches [rad or m], on the full turns nearest the reference
+    broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
     marks: np.ndarray  # Signs (K, 3) of shoulder, elbow and wrist.
     complete: bool  # Whether these branches are proven to be all.
     words: str  # Part of the message that says where the branches are, such as ' at lift 0.2 m'.
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
     steps: int = 0  # Number of Newton steps that finish each branch on the real chain.
-    fixed: int = -1  # Place in q of a joint that those steps do not move, or -1.
+    fixed: int = -1  # index in q of a joint that those steps do not move, or -1
     partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
 
 
@@ -93,13 +93,13 @@ def angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
 
 
 def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the part of v (3,) perpendicular to the unit axis."""
+    """Return the component of v (3,) perpendicular to the unit vector `axis`."""
     return v - axis * (axis @ v)
 
 
 @shared
 def legal_turn(angle, low, high, near):
-    """Return angle + k 2 pi inside [low, high] nearest to `near`, and by how much it breaks the limits (0 if legal) [rad]."""
+    """Return angle + k 2 pi inside [low, high] nearest to `near`, and by how much [rad] it is outside (0: inside)."""
     x = angle + TAU * np.rint((near - angle) / TAU)
     if x > high + SNAP:
         x -= TAU * math.ceil((x - high - SNAP) / TAU)
@@ -112,7 +112,7 @@ def legal_turn(angle, low, high, near):
 
 @shared
 def clamp(x, low, high):
-    """Put x on a limit that it passes by less than SNAP; the second result says how much it breaks the limits otherwise."""
+    """Return x, put on a limit that it exceeds by less than SNAP, and by how much it still exceeds the limits."""
     if x > high:
         return (high, 0.0) if x - high <= SNAP else (x, x - high)
     if x < low:
@@ -129,7 +129,7 @@ def legal_start(ends, opt, q0):
 
 @inline
 def copy_limits(ends, opt, q0, box):
-    """Fill box (4, n) with lower and upper limits, reference configuration [rad or m] and distance weights."""
+    """Fill box (4, n): lower limits, upper limits, reference configuration [rad or m], distance weights."""
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)
     for i in range(n):
@@ -145,7 +145,7 @@ def copy_limits(ends, opt, q0, box):
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
     """Evaluate q with the kernel's forward kinematics and write the result row, whose errors and status are of that evaluation.
 
-    `broken` is by how much the best branch breaks a limit; `gap` how far [m] the target is out of reach with its
+    `broken` is by how much the best branch exceeds a limit; `gap` how far [m] the target is out of reach with its
     orientation kept; `slack` how much of that [m] the orientation's tolerance may make up for. `goal` (12,), `joints`
     and `trig` are scratch, see `kinematics.room`.
     """

@@ -75,16 +75,16 @@ def recognise(chain: Chain) -> Fit:
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
-    off = []  # Each entry says how far the chain is off the structure, and the message for it.
+    off = []  # pairs: deviation of the chain from the structure, and the message for it
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not move along the first revolute axis"))
-    # Sentences count revolute joints from the base, so that they read the same with and without a lift.
+    # Messages number revolute joints from the base, so that they are the same with and without a lift.
     for pair, a, b in (("1 and 2", z1, z3), ("2 and 3", z3, z4), ("4 and 5", z5, z6)):
         off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
     for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
         off.append((np.linalg.norm(np.cross(a, b)), f"its revolute joints {pair} are not parallel"))
-    # The shoulder is the foot on axis 1 of joint 3's axis; axes 3 and 4 must pass through it.
+    # The shoulder is the origin of joint 3 projected onto axis 1; axes 3 and 4 must pass through it.
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         missed = np.linalg.norm(across(z, c - shoulder)) / chain.reach
@@ -100,7 +100,7 @@ def recognise(chain: Chain) -> Fit:
     a4, a6 = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
     if min(a4, a6) <= NEAR * chain.reach:
         return no_fit("two of its parallel revolute axes coincide")
-    # The Denavit-Hartenberg x axes at q = 0 give every angle's offset; axes 5 and 7 are turned along 4 and 6.
+    # The D-H x axes at q = 0 give the offset of every angle; axes 5 and 7 are taken to point along axes 4 and 6.
     s5, s7 = math.copysign(1.0, z4 @ z5), math.copysign(1.0, z6 @ z7)
     x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6
     x5 = np.cross(z6, z4)
@@ -166,10 +166,10 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
             elif gap > 0.0:
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                if stroke > 0.0:  # The target is in reach with more stroke: the lift's limit stops the arm.
+                if stroke > 0.0:  # the target would be in reach with more stroke
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-        slack = opt[ORDER.tol_r] * lever  # A pose turned by the tolerance moves the wrist no further than this.
+        slack = opt[ORDER.tol_r] * lever  # a turn by the tolerance moves the wrist by at most this
         nearly = p[NEARLY] > 0.0
         spent = 0
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
@@ -180,7 +180,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(found + 1):  # The best so far comes first, then every branch at its lift.
+            for k in range(found + 1):  # the best so far first, then every branch at its lift
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
@@ -189,7 +189,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     continue
                 for j in range(n):
                     trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # One evaluation is kept for the answer.
+                left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for the answer
                 position, rotation, count = polish(rows, ends, opt, T[t], trial, fixed, STEPS, left)
                 spent += count
                 distance = 0.0
@@ -200,7 +200,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     copy(trial, q)
             if nearest < np.inf:
                 copy(q, best)
-            if nearly:  # A chain that fits only nearly proves nothing.
+            if nearly:  # a nearly fitting chain proves nothing about the target
                 broken, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
@@ -210,7 +210,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 
 @closed_form
 class Inspection(NamedTuple):
-    """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
+    """All branches (8) of a spherical shoulder on a lift, for poses; the branch inside limits nearest q0 is returned.
 
     Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed: every branch, the lift as the free
     parameter, reach test, singular poses.
@@ -244,12 +244,12 @@ class Inspection(NamedTuple):
         return np.concatenate([parameters, [choice, value, float(off > FIT)]])
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Map the place in q of a joint that has a given value to that value: the lift, if it is given as a number [m]."""
+        """Map the index in q of the lift to its value [m] if that is given as a number; else the result is empty."""
         place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Work out the formulas with their numbers for T (4, 4); box (4, n) is as for `every`."""
+        """Work out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
         from .inspection_steps import derive
 
         return derive(robot, p, T, box)

@@ -28,15 +28,15 @@ THETA = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 LEGEND = (
     "Shoulder, elbow and wrist: the signs of sin theta_3, sin theta_6 and cos theta_5 (0 where two branches merge)."
 )
-ANGLES, BROKEN, Q = 3, 9, 10  # Slots of a branch, which is a row of `table`.
-# Slots of the transforms base -> shoulder axes and tip -> wrist axes; each has a rotation and a point.
+ANGLES, BROKEN, Q = 3, 9, 10  # indices in a row of `table`, which is a branch
+# Slices of the transforms base -> shoulder axes and tip -> wrist axes: rotation and point of each.
 BASE, TOOL = 0, 12
-ALIGNED = 1e-12  # Rounding leaves this [m, or of a rotation] of axes that are the same.
+ALIGNED = 1e-12  # axes that differ by less [m, or rotation matrix entries] are the same
 PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 class HeadSlots(NamedTuple):
-    """Places in `head` of the numbers that follow the wrist pose (see `worked_out`)."""
+    """Indices in the array `head` of `worked_out` of the numbers that follow the wrist pose."""
 
     shoulder: int = 12
     room: int = 15
@@ -57,7 +57,7 @@ def worked_out(p, T, d, box, head, table):
 
     head has the wrist pose (12), the shoulder seen from it (3), the room left in the reach and how far the pose was
     moved to be reached [m], then what `forearm` returns about the elbow. A row of table has a branch's numbers of
-    elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit broken, and q.
+    elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit excess, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -83,7 +83,7 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return formulas and branches of the pose T (4, 4) at box[2]'s lift, or the given one; box is as in `geometry.copy_limits`."""
+    """Return formulas and branches of the pose T (4, 4) at the lift of the reference box[2], or the given lift."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))

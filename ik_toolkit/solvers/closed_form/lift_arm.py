@@ -18,19 +18,19 @@ from .reach import (
     nearest_lift,
 )
 
-# Slots of the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12).
+# Indices in the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12).
 # A4 and A6 are lengths, and NEARLY tells whether the arm only nearly has the structure.
-# From JOINTS on, each revolute joint has its place in q, sign and offset: theta = sign q + offset.
-# From LIFT on, the lift has its place (-1: none), sign, choice and given value.
+# From JOINTS on, each revolute joint has its index in q, sign and offset: theta = sign q + offset.
+# From LIFT on, the lift has its index in q (-1: none), sign, choice and given value.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
-SCAN = 12  # Number of lifts tried in each feasible interval if no branch at the first lift is legal.
-# If none of 33 lifts of a branch is legal, minima of the limit broken are searched for between them.
+SCAN = 12  # number of lifts tried in each feasible interval if no branch at the first is inside limits
+# If 33 lifts of a branch all exceed limits, minima of the excess are searched for between them.
 WINDOWS = 33
 # The golden section takes 64 steps, after which it is at rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
-TURNS = 8  # Full turns considered in either direction; a joint with wider limits counts as endless.
-# An arm is level if the slope of the tool's z axis, and the miss of the forearm over the arm's length, are below 1e-9.
+TURNS = 8  # number of full turns considered either way; joints with wider limits count as endless
+# An arm is level (axes 1 and 4 parallel) if tool z's slope, and the forearm's error over its length, are below 1e-9.
 LEVEL = 1e-9
 
 
@@ -49,7 +49,7 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q with the legal turns of `angles` (6,) nearest box[2] and lift d; return the worst limit broken and the distance."""
+    """Fill q with lift d and `angles` (6,) on turns in limits nearest the reference box[2]; return excess, distance."""
     worst, distance = 0.0, 0.0
     for k in range(6):
         i = int(p[JOINTS + 3 * k])
@@ -74,9 +74,9 @@ def near_angles(p, box, near):
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d that breaks limits least, and is nearest among the legal ones.
+    """Fill best (n,) with the branch at lift d that is nearest inside the limits, or else exceeds them least.
 
-    The wrist point is first moved to the nearest reachable one. Returns the limit broken and the distance.
+    The wrist point is first moved to the nearest reachable one. Returns limit excess and distance.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -102,7 +102,7 @@ def lift_limits(p, box):
 def choose_lift(p, P, box, spans):
     """Return the lift [m] to try first and the number of feasible intervals, which spans (2, 2) receives.
 
-    A number of 0 means that no legal lift reaches the target, so the nearest is returned; -1 means that the lift is not
+    A number of 0 means that no lift inside limits reaches the target, so the nearest is returned; -1: the lift is not
     free or its first choice is feasible.
     """
     a4, a6 = p[A4], p[A6]
@@ -131,7 +131,7 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Return how a lift whose legal range does not reach the target is stopped: lift, gap and missing stroke [m].
+    """Return how a lift whose limits keep it from the target is stopped: lift, gap and missing stroke [m].
 
     It is the limit nearest a lift that would reach, with gap 0; if no lift would, d and gap are returned with stroke 0.
     """
@@ -147,9 +147,9 @@ def stopped_at(p, P, box, d, gap, spans):
 
 @inner
 def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
-    """Try a few feasible lifts for a branch within limits: best receives the nearest one, or what breaks the limits least.
+    """Try a few feasible lifts for a branch inside limits; best receives the nearest, or the one of least excess.
 
-    Lifts are closer together at the ends of an interval, where the angles change fastest. Returns the limit broken.
+    Lifts are closer together at the ends of an interval, where the angles change fastest. Returns the limit excess.
     """
     least, nearest = np.inf, np.inf
     for k in range(spans.shape[0]):
@@ -165,7 +165,7 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 
 @inner
 def at_turn(p, P, k, span, turn, box, near, row, q):
-    """Fill q with branch k at a share (1 - cos(turn)) / 2 of a span of lifts; return the worst limit broken and the distance."""
+    """Fill q with branch k at the share (1 - cos(turn)) / 2 of a span of lifts; return limit excess and distance."""
     d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
     return joint_values(p, row, d, box, q)
@@ -175,8 +175,8 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
     """Search every branch over the feasible lifts for windows inside all limits, however narrow.
 
-    Such a window lies where the worst limit broken has a minimum; each minimum is approached by golden section until it
-    is legal or as small as it gets. Returns the least limit broken.
+    Such a window lies at a minimum of the largest limit excess; each minimum is approached by golden section until it
+    is zero or as small as it gets. Returns the least limit excess.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
@@ -224,7 +224,7 @@ def coupled(p, up, row):
 
 @inline
 def shared_range(box, i, j, shift, slope):
-    """Return the range of q_i in which it and q_j = shift + slope q_i (slope 1 or -1) are legal; it is empty if low > high."""
+    """Return the range of q_i with q_i and q_j = shift + slope q_i (slope +-1) inside limits; empty if low > high."""
     a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
     return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
 
@@ -239,10 +239,10 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, to the legal pair nearest the reference.
+    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, nearest the reference in limits.
 
-    theta_4 = constant + up theta_1, where up is 1 or -1. If no pair is legal, the one that breaks its limits least is
-    taken.
+    theta_4 = constant + up theta_1, where up is 1 or -1. If no pair is inside limits, the one that exceeds them least
+    is taken.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -262,9 +262,9 @@ def meet_limits(p, box, up, row):
 
 @inner
 def pick_level(p, P, d, free, box, near, row, q, best):
-    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) that breaks limits least, then the nearest.
+    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) of least limit excess, then the nearest.
 
-    Returns the limit it breaks, or infinity if the pose has no level arm. With `free` the lift may be chosen, otherwise
+    Returns its limit excess, or infinity if the pose has no level arm. With `free` the lift may be chosen, otherwise
     it is d.
     """
     least, nearest = np.inf, np.inf

@@ -39,16 +39,16 @@ from .reach import (
     shoulder_in_tool,
 )
 
-SPREAD_LIFTS = 9  # Number of lifts listed for each feasible interval of a free lift.
-STEPS = 8  # Number of Newton steps that finish a branch of an arm that only nearly has the structure.
-LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # Bits that say what leaves an angle free at a given lift.
+SPREAD_LIFTS = 9  # number of lifts listed in each feasible interval
+STEPS = 8  # number of Newton steps that correct a branch of an arm that only nearly fits
+LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # bits for what leaves an angle free at a given lift
 
 
 @cached
 def every_branch(p, T, box, lifts, out, broken):
     """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return their number.
 
-    broken (8 K,) receives by how much each branch breaks a limit.
+    broken (8 K,) receives by how much each branch exceeds a joint limit.
     """
     near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
     near_angles(p, box, near)
@@ -74,7 +74,7 @@ def first_lift(p, T, box):
 
 @cached
 def looks(p, T, d, Q, marks):
-    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of Q (K, n); return as bits what is free at lift d."""
+    """Fill marks (K, 3) with the signs of shoulder, elbow, wrist of Q (K, n); return bits for angles free at lift d."""
     for k in range(Q.shape[0]):
         for m in range(3):  # These are the signs of sin theta_3, sin theta_6 and cos theta_5.
             place = JOINTS + (3, 12, 9)[m]
@@ -94,7 +94,7 @@ def looks(p, T, d, Q, marks):
 
 @cached
 def level_family(p, T, box, d, free, samples, spans, out, broken):
-    """Fill spans (S, 2) with the legal ranges of theta_1's joint [rad] of the level arms of T (4, 4); return their number.
+    """Fill spans (S, 2) with the ranges [rad] in limits of theta_1's joint, for level arms at T; return their number.
 
     out (S samples, n) and broken (S samples,) receive configurations spread evenly over each range. With `free` the
     lift is what each arm needs, otherwise it is d.
@@ -214,7 +214,7 @@ def _free_angles(
     robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, d: float, free: int, free_lift: bool, count: int
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Family]]:
     """Return members (q, broken) and families for a free theta_1, theta_6 or theta_7."""
-    # The joints of theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
+    # Indices in q of theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
     names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]
     more, families = [], []
     if free & LEVEL_ARM:

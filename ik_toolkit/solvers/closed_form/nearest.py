@@ -13,11 +13,11 @@ from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from .geometry import copy_limits, legal_start, measure_tip
 from .polish import polish
 
-SAMPLE = 64  # This many branches are asked for if a family has no end.
+SAMPLE = 64  # number of branches asked for from a continuous family
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:
-    """Make a solve with the arguments of `kernel.search.entry` from `form.every`, which Python calls.
+    """Make a solve function, with the arguments of `kernel.search.entry`, from the `every` of a closed form.
 
     A failure proves nothing about the target.
     """
@@ -57,7 +57,7 @@ def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
     for k in range(Q.shape[0]):
         for i in range(n):
             q[i] = min(max(Q[k, i], box[0, i]), box[1, i])
-        left = opt[ORDER.evaluations] - 1.0 - spent  # One evaluation is kept for the answer.
+        left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for the answer
         position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps, left)
         spent += count
         error = max(position / opt[ORDER.tol_p], rotation / opt[ORDER.tol_r])

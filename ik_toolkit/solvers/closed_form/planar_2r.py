@@ -31,7 +31,7 @@ from .geometry import (
 from .polish import polish
 from .reach import ANGLES, L1, L2, NEARLY, joint_values, list_planar, planar_branches, planar_margin, to_plane
 
-STEPS = 8  # Number of Newton steps that finish a branch of an arm whose axes are only nearly parallel.
+STEPS = 8  # number of Newton steps that correct a branch if axes are only nearly parallel
 
 
 def recognise_planar(chain: Chain) -> Fit:
@@ -63,7 +63,7 @@ def recognise_planar(chain: Chain) -> Fit:
 
 @inner
 def nearest_on_limits(p, x, y, box, q, best):
-    """Fill best (2,) with the legal configuration that comes nearest to (x, y), if no branch is legal.
+    """Fill best (2,) with the configuration inside limits that comes nearest to (x, y), if no branch is inside limits.
 
     A joint is then at a limit. With joint 1 there the tip moves on a circle about the elbow, with joint 2 there on one
     about the base; the nearest point of the arc is where the circle's angle is nearest that of the target.
@@ -128,13 +128,13 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
         spent = 0
-        if p[NEARLY] > 0.0:  # Such an arm is finished on the real chain and proves nothing.
+        if p[NEARLY] > 0.0:  # a nearly fitting arm is corrected numerically and proves nothing
             nearest = np.inf
             for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
                 joint_values(p, sols[k], box, q)
                 for i in range(n):
                     q[i] = min(max(q[i], box[0, i]), box[1, i])
-                left = opt[ORDER.evaluations] - 1.0 - spent  # One evaluation is kept for the answer.
+                left = opt[ORDER.evaluations] - 1.0 - spent  # one evaluation is reserved for the answer
                 position, _, count = polish(rows, ends, opt, T[t], q, -1, STEPS, left)
                 spent += count
                 distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
@@ -148,7 +148,7 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 
 @closed_form
 class Planar2R(NamedTuple):
-    """Both elbow branches of two revolute joints with parallel axes, for positions; the legal one nearest q0 is returned.
+    """Both elbow branches of two revolute joints, axes parallel, for positions; returns the one in limits nearest q0.
 
     Link lengths, base pose, axis signs, angle and height offsets are free. Source: Chinyai, eqs. (1)-(5), with the
     second branch, the signs and the quadrants corrected.
@@ -168,7 +168,7 @@ class Planar2R(NamedTuple):
         families = ()
         if folded and found and broken[0] == 0.0:
             low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
-            if high < low:  # The limits lie a turn or more away.
+            if high < low:  # joint 1's limits lie a turn or more away
                 low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
             q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
             found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)
@@ -179,7 +179,7 @@ class Planar2R(NamedTuple):
         return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Work out the formulas with their numbers for T (4, 4); box (4, n) is as for `every`."""
+        """Work out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
         from .planar_2r_steps import derive_planar
 
         return derive_planar(robot, p, T, box)

@@ -11,13 +11,13 @@ from ..explain.worked_solution import Branch, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
 from .reach import ANGLES, HEIGHT, L1, L2, ON_AXIS, list_planar
 
-BESIDE = "newton"  # Chinyai compares the closed form with this solver.
+BESIDE = "newton"  # Chinyai's paper compares the closed form with this solver
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
 LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen along the line from the first joint to the target."
 
 
 def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return formulas and branches of the point of T (4, 4); box is as in `geometry.copy_limits`."""
+    """Return formulas and branches of the point of T (4, 4); box: limits, reference, weights (see `copy_limits`)."""
     q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
     count, _ = list_planar(p, T, box, q, broken, marks)
     angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # The angles theta_1 and theta_2 of each branch.

@@ -12,8 +12,8 @@ from ...kernel.linalg import damped
 from ...kernel.records import HEAD, ORDER, Ends, Orders, copy, read
 from ...kernel.serial import make_serial
 
-DAMPING = 1e-9  # Damping of the first step, which is so small that the step is Newton's.
-SOFTEST, STIFFEST = 1e-12, 1e3  # The damping stays between these two.
+DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
+SOFTEST, STIFFEST = 1e-12, 1e3  # least and largest damping
 
 
 @build
@@ -94,9 +94,10 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
     """Fill table (K, 3 + n) and signs (K, 3) with the branches of Q (K, n) that count, nearest to `start` (n,) first.
 
-    They break no limit (broken (K,)) and, after `polish` with `steps`, meet the tolerances of T (4, 4) as evaluated.
-    The columns of table are position error [m], rotation error [rad], distance (angles [rad], lengths over the scale)
-    and q; marks (K, 3) are the labels of the branches. Returns how many count and how many are inside the limits.
+    Counted branches exceed no limit (broken (K,)) and, after `polish` with `steps`, meet the tolerances of T (4, 4) as
+    evaluated. The columns of table are position error [m], rotation error [rad], distance (angles [rad], lengths over
+    the scale) and q; marks (K, 3) are the labels of the branches. Returns how many count and how many are inside the
+    limits.
     """
     n = Q.shape[1]
     box = Ends(ends, n)

@@ -13,11 +13,11 @@ from ...compile.jit import cached, inline, inner, shared
 from ...kernel.kinematics import TAU
 from .geometry import legal_turn
 
-# The two branches of an elbow are one if the sine of its angle is below 1e-7, which costs 1e-15 of the length.
+# Both elbow branches count as one if the sine of the elbow angle is below 1e-7: an error of 1e-15 of the length.
 MERGED = 1e-7
 ON_AXIS = 1e-12  # An angle about an axis is free if the point is nearer to the axis than this fraction of the lengths.
 EDGE = 1e-13  # Rounding allowed in a reach test, as a fraction of the lengths.
-# Slots of the parameters, after the transform base -> arm plane (12): the lengths and the height.
+# Indices in the parameters, after the transform base -> arm plane (12): the lengths and the height.
 # From ANGLES on, each angle has sign and offset: theta = sign q + offset.
 # NEARLY tells whether the axes are only nearly parallel.
 L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
@@ -81,7 +81,7 @@ def to_plane(p, T):
 
 @inner
 def joint_values(p, angles, box, q):
-    """Fill q (2,) with the legal turns of theta_1, theta_2 nearest box[2]; return the worst limit broken and the distance."""
+    """Fill q (2,) with theta_1, theta_2 on turns in limits nearest box[2] (reference); return excess and distance."""
     worst, distance = 0.0, 0.0
     for i in range(2):
         x = p[ANGLES + 2 * i] * (angles[i] - p[ANGLES + 2 * i + 1])
@@ -93,7 +93,7 @@ def joint_values(p, angles, box, q):
 
 @cached
 def list_planar(p, T, box, out, broken, marks):
-    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with the limit each breaks, marks (2, 3) with their signs.
+    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with limit excess, marks (2, 3) with their signs.
 
     Returns the number of branches, and whether the links fold back onto the base, which leaves the first angle free.
     """
@@ -149,7 +149,7 @@ def inspection_nearest(P, d, a4, a6):
     else:
         dx, dy = u, 0.0
     dz = v - z
-    for i in range(3):  # The shoulder moves by (dx, dy, dz) in tool axes, so the tool moves the other way.
+    for i in range(3):  # the tool moves by minus the shoulder's (dx, dy, dz) in tool axes
         P[9 + i] -= P[3 * i] * dx + P[3 * i + 1] * dy + P[3 * i + 2] * dz
     return gap
 
@@ -262,7 +262,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
     Only a pose whose tool z axis is level has such arms. A free lift follows from theta_6, otherwise it is d and the
     miss is that of the forearm's length. The bits of k are: arm up or down, elbow, wrist.
     """
-    up = 1.0 - 2.0 * (k % 2)  # This is cos(theta_3).
+    up = 1.0 - 2.0 * (k % 2)  # cos(theta_3)
     phi = math.atan2(up * P[6], up * P[7])
     cp, sp = math.cos(phi), math.sin(phi)
     x, y, z = shoulder_in_tool(P, P[11] if free else d)
@@ -358,8 +358,8 @@ def lift_intervals(P, a4, a6, low, high, out):
 
 @shared
 def nearest_lift(P, a4, a6, low, high):
-    """Return the lift in [low, high] from which the point of P, which none reaches, is missed by least, orientation kept."""
-    side = math.hypot(P[9], P[10]) + a4 + a6  # Further than this from the point, moving on only adds distance.
+    """Return the lift in [low, high] that comes nearest to the point of P, which no lift reaches, orientation kept."""
+    side = math.hypot(P[9], P[10]) + a4 + a6  # lifts further away than this only add distance
     low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
     best, step = low, (high - low) / 64.0
     for k in range(1, 65):
@@ -367,7 +367,7 @@ def nearest_lift(P, a4, a6, low, high):
         if inspection_margin(P, d, a4, a6) > inspection_margin(P, best, a4, a6):
             best = d
     a, b = max(best - step, low), min(best + step, high)
-    for _ in range(60):  # Close in by the golden section.
+    for _ in range(60):  # golden section search
         u, v = b - 0.6180339887498949 * (b - a), a + 0.6180339887498949 * (b - a)
         if inspection_margin(P, u, a4, a6) < inspection_margin(P, v, a4, a6):
             a = u

@@ -14,7 +14,7 @@ from .layout import Block, Sentence, Table, Variable, decimals, digits
 
 # Axes are parallel if the sine between them is below 1e-7, and meet if they are nearer than 1e-7 of the reach.
 SAME = 1e-7
-AGREES = 1e-6  # The table and the robot may differ by this [of the reach, or rad].
+AGREES = 1e-6  # [arm reaches or rad] largest difference between table and robot
 
 
 def dh_of(robot: Any) -> DHTable | None:

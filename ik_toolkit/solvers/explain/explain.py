@@ -20,9 +20,9 @@ from .dh_table import dh_of
 from .explanation import Explanation, Iterations
 from .worked_solution import Branch, WorkedSolution
 
-# The finish on the real chain corrects errors up to 1e-3 of the reach, also those of EAIK near singular poses.
+# Newton steps on the real chain correct errors up to 1e-3 of the reach, as EAIK has near singular poses.
 NEARLY = 1e-3
-# An answer is a branch if it is within 1e-6 [rad, or of the reach] of it; the finish moves branches of a near fit.
+# An answer counts as a branch within 1e-6 [rad or arm reaches]; Newton steps move branches of a near fit.
 SAME = 1e-6
 
 
@@ -40,7 +40,7 @@ def explain_result(result: Any) -> Explanation:
     if form is not None:
         solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
-        if not solution.steps:  # Branches without steps are EAIK's, whose poses match only roughly.
+        if not solution.steps:  # EAIK's branches, without steps, match only roughly
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
         chosen = _nearest(robot, solution.branches, q)
@@ -123,7 +123,7 @@ def _beside(of: SolveRecord, name: str) -> SolveRecord:
         row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), options)
     made = _run(of, plan)
-    if not made.row[AT.iterations]:  # The start is the answer, so there would be nothing to show.
+    if not made.row[AT.iterations]:  # a solve from the answer itself has nothing to show
         start = robot.random_q(np.random.default_rng(0))
         made = _run(of._replace(start=start[None], q0=start.tobytes()), plan)
     return made

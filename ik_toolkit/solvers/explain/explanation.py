@@ -29,7 +29,7 @@ from .worked_solution import Branch, WorkedSolution
 
 
 class Iterations(NamedTuple):
-    """How an iterative solver came to its answer, evaluation by evaluation of the attempt that counts.
+    """How an iterative solver found its answer: each evaluation of the winning attempt.
 
     The arrays are position (K,) [m], orientation (K,) [rad] (NaN where it is free) and q (K, n) [rad or m].
     """
@@ -78,7 +78,7 @@ class Explanation:
     # ------------------------------------------------------------------------------------------------------------- parts
     @property
     def places(self) -> int:
-        """The number of decimals of a millimetre that are shown."""
+        """The number of decimals with which millimetres are shown."""
         return decimals(self.robot.reach)
 
     def blocks(self) -> Iterator[Block]:
@@ -169,7 +169,7 @@ class Explanation:
         assert self.iterations is not None
         i = self.iterations
         turned = not np.isnan(i.orientation).all()
-        # The values of more than three joints do not fit beside the errors.
+        # more than three joint values do not fit beside the errors
         joints = range(self.robot.n if self.robot.n <= 3 else 0)
         units = [unit_of(kind) for kind in self.robot.joint_kinds]
         names = [self.robot.joint_names[j] for j in joints]
@@ -179,7 +179,7 @@ class Explanation:
             cells = [str(k), f"{1000.0 * i.position[k]:.3e}"]
             cells += [f"{math.degrees(i.orientation[k]):.3e}"] if turned else []
             rows.append((*cells, *(digits(i.q[k, j], units[j], self.places) for j in joints)))
-        if len(rows) > 14:  # Of a long run, the first ten and the last four are shown.
+        if len(rows) > 14:  # of many iterations the first ten and the last four are shown
             rows[10:-4] = [("...", *[""] * (len(head) - 1))]
         yield Table(head, rows)
         which = f" Attempt {i.attempt} is shown." if i.attempt else ""

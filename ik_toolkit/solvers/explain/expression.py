@@ -11,8 +11,8 @@ from sympy.printing.latex import LatexPrinter
 from sympy.printing.mathml import MathMLPresentationPrinter
 from sympy.printing.str import StrPrinter
 
-BREAK = "\v"  # This marks in MathML where a line may end.
-# SLOT finds the places in a written formula where the number of a symbol goes, in parentheses or not.
+BREAK = "\v"  # marks in MathML where a line may end
+# SLOT finds where in a written formula the number of a symbol belongs, with or without parentheses.
 SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
@@ -100,7 +100,7 @@ def written(expression: Any, form: str) -> str:
 
 
 def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
-    """Write an expression, unsimplified, with texts like '-12.5 deg' in place of its symbols, by their names."""
+    """Write an expression, unsimplified, with symbols replaced by texts such as '-12.5 deg' (by symbol name)."""
 
     def put_in(found: re.Match[str]) -> str:
         text = texts.get(found[1], "180 deg")

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from ...style import BAD, MUTED
 from .worked_solution import WorkedStep
 
-WIDTH = 80  # The text has this many columns.
-UNITS = {"m": "mm", "rad": "deg", "": ""}  # Values [m, rad or 1] are shown in these units.
-SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # A value times this is the number shown.
+WIDTH = 80  # number of columns of the text
+UNITS = {"m": "mm", "rad": "deg", "": ""}  # units in which values in m, rad or 1 are shown
+SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # factors from values in m, rad or 1 to these units
 
 
 class Title(str):
@@ -24,11 +24,11 @@ class Sentence(str):
 
 
 class Variable(str):
-    """The value of a joint's own variable in a D-H table."""
+    """A cell with the value of a joint's own variable in a D-H table."""
 
 
 class OutsideLimits(str):
-    """A joint value outside the joint's limits."""
+    """A cell with a joint value outside the joint's limits."""
 
 
 class Table(NamedTuple):
@@ -71,8 +71,8 @@ def digits(value: float, unit: str, places: int) -> str:
 def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
     """Yield equations that belong together, each as its sides in a form of `expression.written`, with their first step.
 
-    A formula is alone: symbol, formula, formula with numbers, value with unit. Given numbers without words join those
-    before.
+    A step with a formula is a chain of its own: symbol, formula, formula with numbers, value with unit. A given number
+    without words joins the given numbers before it.
     """
     # SymPy is imported here, because only explanations need it.
     from .expression import quantity, with_numbers, written
@@ -87,7 +87,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[
         sides = [written(step.symbol, form)]
         if step.formula is not None:
             sides.append(written(step.formula, form))
-            # Otherwise the same text would be shown twice.
+            # otherwise the same text would be shown twice
             if with_numbers(step.formula, "text", texts) != texts[step.name]:
                 sides.append(with_numbers(step.formula, form, texts))
         value = quantity(texts[step.name] + " mm" * (step.unit == "m"), form)
@@ -124,7 +124,7 @@ def _equation_lines(block: Equations) -> Iterator[str]:
         if step.formula is None:
             yield from _wrapped(", ".join(map(" = ".join, group)) + said, "  ", 6)
             continue
-        if opening:  # The given numbers end here.
+        if opening:  # end of the given numbers
             yield ""
             opening = False
         name, *sides = group[0]

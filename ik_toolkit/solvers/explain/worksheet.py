@@ -66,7 +66,7 @@ def zero_angles(sheet: Worksheet, offsets: dict[str, float]) -> dict[str, Any]:
     """Add alpha_1 ..., the angles [rad] of theta_1 ... at q = 0 that are not zero; return the symbol, or 0, of each theta."""
     made = {}
     for name, offset in offsets.items():
-        zero = abs(offset) < 1e-12  # Rounding leaves less than this [rad].
+        zero = abs(offset) < 1e-12  # [rad] smaller offsets are rounding
         made[name] = 0 if zero else sheet.given(name.replace("theta", "alpha"), offset, "rad", "the angle at q = 0")
     return made
 

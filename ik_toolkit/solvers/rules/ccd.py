@@ -9,9 +9,9 @@ from ..protocol import Asked, rule
 
 @compiled
 class Sweep(NamedTuple):
-    """The compiled step of CCD, as a record with a field because numba passes no record without one."""
+    """The compiled step of CCD; it has a field because numba passes no NamedTuple without one."""
 
-    least: float  # A joint does not move the tip if the squared speed of the tip is below this.
+    least: float  # a joint with a smaller squared tip speed does not move the tip
 
     JACOBIAN = False
 
@@ -31,7 +31,7 @@ class Sweep(NamedTuple):
             new = p.inside(i, old + p.best_move(e, i, self.least))
             if new == old:
                 continue
-            if not s.affords(2):  # There must be two evaluations left, a trial and one to undo it.
+            if not s.affords(2):  # two evaluations must be left: a trial, and one to undo it
                 cut = True
                 break
             s.q[i] = new
@@ -57,5 +57,5 @@ class CCD(NamedTuple):
     """
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Sweep:
-        """Return the record that has the compiled step."""
+        """Return the compiled step, a NamedTuple of the class that has `step`."""
         return Sweep(1e-14)

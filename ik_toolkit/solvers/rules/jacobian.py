@@ -11,11 +11,11 @@ from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # Least damping, because J J' has no inverse at the target of a planar arm.
+FLOOR = 1e-12  # least damping; J J' of a planar arm has no inverse
 
 
 def negative(name: str, value: Any) -> str:
-    """Return why a rule refuses a parameter that must not be negative, or ''; what is no number is refused elsewhere."""
+    """Return why a rule refuses a negative parameter, or ''; what is no number is refused elsewhere."""
     return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
 
 
@@ -38,7 +38,7 @@ class LM(NamedTuple):
         return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
-        """Return the rule for eight targets side by side, as arguments of `kernel.simd_search.lanes`."""
+        """Return arguments of `kernel.simd_search.lanes`, which solves eight targets at once."""
         from ...kernel.simd_search import lanes
 
         return lanes()
@@ -145,9 +145,9 @@ class Transpose(NamedTuple):
 
 @compiled
 class Inverse(NamedTuple):
-    """The compiled step of Newton, as a record with a field because numba passes no record without one."""
+    """The compiled step of Newton-Raphson; it has a field because numba passes no NamedTuple without one."""
 
-    least: float  # A row of the Jacobian without a larger entry does not count.
+    least: float  # Jacobian rows with only smaller entries do not count
 
     def step(self, p, e):
         s = p.desk
@@ -187,5 +187,5 @@ class Newton(NamedTuple):
         return f"needs as many task rows as joints, and here the task has {asked.rows} and the path {n} joints"
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
-        """Return the record that has the compiled step."""
+        """Return the compiled step, a NamedTuple of the class that has `step`."""
         return Inverse(1e-12)

@@ -14,7 +14,7 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, start_parameter
 
-UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # Each unit of gain is this many rad/m.
+UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # factor that converts a gain in these units to rad/m
 
 
 # A trial must improve the error by more than 1e-14 of the length scale, which is above rounding.
@@ -25,7 +25,7 @@ ROUNDING = 1e-14
 class Gains(NamedTuple):
     """The compiled step of PID with its gains in kernel units.
 
-    Its memory holds the integral, the last norm and whether there was one.
+    Its state holds the sum of error norms, the last norm, and whether there was one.
     """
 
     kp: float
@@ -63,7 +63,7 @@ class Gains(NamedTuple):
                 s.q[i] = p.inside(i, old + size if sign == 0 else old - size)
                 f = p.try_out(s.q)
                 value = p.norm(f, self.orientation)
-                # Not moving wins ties, for example for a roll about the tip when only positions count.
+                # On ties the joint does not move, such as a roll joint at the tip when only positions count.
                 if value < least - ROUNDING:
                     least = value
                     kept = s.q[i]
@@ -138,14 +138,14 @@ class PID(NamedTuple):
         return Space(tuple(parameters), initial, lambda values: cls(**values))
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Return the starts (M, n) [rad, m] to choose from without q0, or None for home.
+        """Return start configurations (M, n) [rad or m] to choose from if no q0 is given; None: start at home.
 
         Raises InvalidOption on a wrong shape.
         """
         return None if self.starts is None else check_starts("pid", self.starts, robot)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Gains:
-        """Return the gains in kernel units and the orientation scale."""
+        """Return the compiled step with the gains in kernel units and the orientation scale."""
         if self.units not in UNITS:
             raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
         n, scale = robot.n, robot.chain.scale

@@ -21,21 +21,21 @@ from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
-# Each system of units is given per metre of error and in rad per unit of increment.
+# For each system of units: units of error per metre, and radians per unit of joint increment.
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
-# The table begins with the numbers of states and maps, whether there is a D, and whether each step chooses a map.
+# `numbers` of Maps begins with the counts of states and maps, and flags: is there a D, does each step choose a map.
 HEAD = 4
-C_FIXED = -0.05  # (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver, so C need not be searched.
-SETTLED = 1e-13  # A state that changes by less in a step has settled.
+C_FIXED = -0.05  # C is not searched: (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver
+SETTLED = 1e-13  # a state that changes by less in a step has settled
 
 
 class MapDesign(NamedTuple):
-    """Numbers of the designed solver, which has a map for each of many starts."""
+    """Constants of the designed solver, which has a map (B, D) from error to joint step for each of many starts."""
 
     maps: int = 128  # Number of starts of the designed solver.
     tuned_maps: int = 32  # Number of starts of a tuned solver.
     samples: int = 4096  # Number of configurations from which the starts are picked.
-    # Jacobians are averaged over +- spread of a joint's range, but at most radius [rad, or of the reach].
+    # Jacobians are averaged within +- spread (share of a joint's range), at most radius [rad or arm reaches].
     spread: float = 0.15
     radius: float = 0.3
     damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, in its units of reach and joint range.
@@ -50,15 +50,15 @@ DESIGN = MapDesign()
 class Maps(NamedTuple):
     """The compiled step of Algorithm II.
 
-    Its memory holds the state and, behind 4 n numbers, the place of the map in use, counted from 1.
+    Its memory holds the state x in 4 n numbers, then the number of the map in use, counted from 1.
     """
 
-    numbers: Array  # HEAD, for each joint 1 / (2 pi) or 0, then A and C, and for each map its start, B and D.
+    numbers: Array  # head, 1 / (2 pi) or 0 per joint, A and C, then start, B and D of each map
 
     JACOBIAN = False
 
     def nearest_map(self, q, first, width):
-        """Return the place of the map whose start is nearest q (n,)."""
+        """Return the index of the map whose start is nearest q (n,)."""
         numbers = self.numbers
         least, chosen = np.inf, 0
         for k in range(int(numbers[1])):
@@ -108,7 +108,7 @@ class Maps(NamedTuple):
         for i in range(m):
             changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
             s.x[i] = s.x[2 * n + i]
-        # Joints may rest at their limits while the state still builds up, which is no stall.
+        # Joints that rest at limits while the state still changes are no stall.
         return WAITING if changed > SETTLED else 0
 
 
@@ -177,7 +177,7 @@ class StateSpace(NamedTuple):
         return _several_maps(robot, position_only, maps) if initial is None else _split(robot, maps, initial)
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Return the starts (M, n) [rad, m] to choose from without q0, or None for home."""
+        """Return start configurations (M, n) [rad or m] to choose from if no q0 is given; None: start at home."""
         starts = self.resolve(robot, position_only).starts
         return None if starts is None else check_starts("state-space", starts, robot)
 
@@ -383,7 +383,7 @@ def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
     parameters = (
         start_parameter(robot, starts),
         Parameter("share", 0.0, 1.0, 0.0),
-        Parameter("kappa", 0.1, 1.4, 0.5625),  # This value puts both poles at 0.25 for a = -0.5.
+        Parameter("kappa", 0.1, 1.4, 0.5625),  # puts both poles at 0.25 for a = -0.5
         Parameter("a", -0.95, 0.6, a),
     )
     return Space(parameters, initial, make)
