@@ -46,11 +46,17 @@ class JointObserver:
             raise InvalidOption(f"noise must be at least 0 and finite [rad], not {noise!r}")
         self.offset, self._rate = np.zeros(n), np.zeros(n)
         self._sent: deque[np.ndarray] = deque(maxlen=delay + 1)
+        self._unheard = 0  # samples still to come whose measurements answer to commands from before a jump
+        self.used = False  # whether joints have been measured: from then on they are where the offset says
 
-    def reset(self) -> None:
-        """Forget the commands and the offset."""
+    def reset(self, *, jumped: bool = False) -> None:
+        """Forget the commands and the offset; jumped: measurements that answer to commands from before are left out.
+
+        They are taken for twice as late as assumed: compared with commands from after the jump, they would cause another.
+        """
         self.offset[:], self._rate[:] = 0.0, 0.0
         self._sent.clear()
+        self._unheard, self.used = 2 * (self.delay + 1) if jumped else 0, jumped
 
     def bandwidth(self, h: float) -> float:
         """Return the bandwidth [rad/s] of the filter at sample time h [s].
@@ -60,12 +66,19 @@ class JointObserver:
         steady = FILTER.steady / ((self.delay + 1) * h)
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
 
-    def take(self, measured: np.ndarray, command: np.ndarray, h: float) -> float:
-        """Take the joints measured now (n,), and their present command (n,) [kernel units], a sample of h [s] later.
+    def send(self, command: np.ndarray) -> None:
+        """Note the present command (n,) [kernel units], once a sample; in samples without a measurement, too."""
+        self._sent.append(command.copy())
+        self._unheard = max(self._unheard - 1, 0)
+
+    def take(self, measured: np.ndarray, h: float) -> float:
+        """Take the joints measured now (n,) [kernel units], after the command has been noted; h [s]: sample time.
 
         Returns the largest difference between the measured joints and the command they answer to.
         """
-        self._sent.append(command.copy())
+        if self._unheard:
+            return 0.0
+        self.used = True
         w, apart = self.bandwidth(h), measured - self._sent[0]
         self._rate += h * w * (w * (apart - self.offset) - 2.0 * self._rate)
         self.offset += h * self._rate
