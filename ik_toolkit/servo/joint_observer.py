@@ -12,13 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption, floats, whole
+from ..errors import InvalidOption, whole
+from ..validate import number
 
 
 class Filter(NamedTuple):
     """What is assumed of measured joints, and how slowly they then correct the commands."""
 
     delay: int = 2  # age of measured joints [samples]
+    longest: int = 10_000  # largest delay [samples], as many commands are kept
     noise: float = 1e-4  # standard deviation of their noise [rad or arm reaches]
     acceleration: float = 0.1  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
     # Bandwidth of the filter times the age of the newest command that it can judge. The loop stays stable where the true delay
@@ -40,12 +42,13 @@ class JointObserver:
 
     def __init__(self, n: int, delay: int, noise: float) -> None:
         """Begin without an offset. Raises InvalidOption for a delay that is no whole number, or a negative noise."""
-        self.delay = whole(delay, "delay [samples]", 0)
-        self.noise = float(floats(noise, "noise must be a number [rad]", InvalidOption))
-        if not 0.0 <= self.noise < math.inf:
-            raise InvalidOption(f"noise must be at least 0 and finite [rad], not {noise!r}")
+        self.delay, self.noise = whole(delay, "delay [samples]", 0), number(noise, "noise [rad]")
+        if self.delay > FILTER.longest:
+            raise InvalidOption(f"delay must be at most {FILTER.longest} samples, not {delay!r:.60}")
+        if self.noise < 0.0:
+            raise InvalidOption(f"noise must be at least 0 [rad], not {noise!r}")
         self.offset, self._rate = np.zeros(n), np.zeros(n)
-        self._sent: deque[np.ndarray] = deque(maxlen=delay + 1)
+        self._sent: deque[np.ndarray] = deque(maxlen=self.delay + 1)
         self._unheard = 0  # samples still to come whose measurements answer to commands from before a jump
         self.used = False  # whether joints have been measured: from then on they are where the offset says
 

@@ -68,10 +68,10 @@ def test_a_wrong_delay_does_not_make_it_swing(assumed, true):
 
 def test_mistakes_are_typed():
     robot = robots.load("planar_2r")
-    for wrong in (-1, 1.5, "two", None):
+    for wrong in (-1, 1.5, "two", None, 1e300):
         with pytest.raises(InvalidOption, match="delay"):
             ik.Tracker(robot, delay=wrong)
-    for wrong in (-1e-4, np.nan, np.inf, "loud"):
+    for wrong in (-1e-4, np.nan, np.inf, "loud", [], [1e-4, 1e-4]):
         with pytest.raises(InvalidOption, match="noise"):
             ik.Tracker(robot, noise=wrong)
 
