@@ -53,11 +53,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def finish_failure(outcome: Any) -> Any:
-    """Return what a search that has not converged comes to, with its arrays copied.
-
-    What a result says is worked out when it is read, when the caller may have changed the target and q0.
-    """
-    outcome = outcome._replace(T=outcome.T.copy(), start=outcome.start.copy())
+    """Return what a search that has not converged comes to."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
     finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
