@@ -50,8 +50,8 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
         if not isinstance(arm, Robot):
             raise InvalidOption("gains are judged along the path of one tip; choose it with --tip")
         path = asked_path(arm, asked, joint_vector(arm, asked.q0, "--q0", robot.deg), {}, 1e-3).reference
-    more = {"delay": late.delay, "noise": late.noise}
-    check = check_gains(asked.method, 1.0 / asked.rate, **_path(arm, path), **more, **chosen(asked))
+    more = {"delay": late.delay, "noise": late.noise, **chosen(asked)}  # This refuses a rate of 0.
+    check = check_gains(asked.method, 1.0 / asked.rate, **_path(arm, path), **more)
     along = None if check.along is None else check.along._asdict()
     write_json({"robot": arm.name, **vars(check), "along": along}, out.as_json)
     if not out.as_json:

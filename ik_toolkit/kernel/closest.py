@@ -44,6 +44,55 @@ def weighed(p, e, factor):
 
 
 @inline
+def down(J, error, i):
+    """Return by how much the squared error falls, halved, as joint i moves: the slope, negated."""
+    total = 0.0
+    for k in range(error.shape[0]):
+        total += J[i, k] * error[k]
+    return total
+
+
+@inline
+def held_wrongly(s, error, weights, box):
+    """Return whether the joints held by a step, although the error falls away from their limits, have the steeper slopes."""
+    free, wrong = 0.0, 0.0
+    for i in range(s.q.shape[0]):
+        if weights[i] > 0.0:
+            g = down(s.J, error, i)
+            if s.w[i] > 0.0:
+                free += g * g
+            elif g > 0.0 if s.q[i] <= box.lower(i) else g < 0.0:
+                wrong += g * g
+    return wrong > free
+
+
+@inline
+def step_down(p, error, damping, weights, box, pressed):
+    """Write a damped step to p.desk.dq, and return the largest move of a joint in it.
+
+    It holds the joints at a limit that the step itself would push outwards, which is fast but may hold one that ought to leave.
+    Where that matters, or with `pressed`, it holds those that the slope of the error pushes outwards.
+    """
+    s = p.desk
+    copy(weights, s.w)
+    if not pressed:
+        for _ in range(s.q.shape[0]):
+            p.toward(error, damping)
+            if not hold(s.q, s.dq, s.w, box):
+                break
+        pressed = held_wrongly(s, error, weights, box)
+    if pressed:
+        for i in range(s.q.shape[0]):
+            g, w = down(s.J, error, i), weights[i]
+            s.w[i] = 0.0 if (s.q[i] <= box.lower(i) and g <= 0.0) or (s.q[i] >= box.upper(i) and g >= 0.0) else w
+        p.toward(error, damping)
+    size = 0.0
+    for i in range(s.q.shape[0]):
+        size = max(size, abs(s.dq[i]))
+    return size
+
+
+@inline
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     """Do the work of `approach_target` on views, with a block of scratch."""
     o = read(Orders, orders)
@@ -58,13 +107,13 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     for i in range(n):
         s.q[i] = row[ANSWER + i] / full.unit(i)
     move(s.q, s.q, 0.0, box)  # only clips the joints to their limits
-    factor, share, value, made = full.scale() / length, DOWN.first, np.inf, 0
+    factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
         e = p.evaluate(s.q)
         made += 1
         now = weighed(p, e, factor)
         if now < value:
-            value, share = now, max(DOWN.lowered * share, DOWN.least)
+            value, share, pressed = now, max(DOWN.lowered * share, DOWN.least), False
             copy(s.q, best)
             copy(s.y, error)
             p.keep(e, BEST_OF_ALL)
@@ -75,17 +124,13 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
         else:
             share *= DOWN.raised
             copy(best, s.q)
-        if e.good or share > DOWN.most or made >= steps:
+        if e.good or made >= steps:
             break
-        copy(weights, s.w)
-        for _ in range(n):
-            p.toward(error, share * value)
-            if not hold(s.q, s.dq, s.w, box):
-                break
-        size = 0.0
-        for i in range(n):
-            size = max(size, abs(s.dq[i]))
-        if size < DOWN.smallest:
+        size = step_down(p, error, share * value, weights, box, pressed)
+        if not pressed and (size < DOWN.smallest or share > DOWN.most):
+            pressed, share = True, DOWN.first
+            size = step_down(p, error, share * value, weights, box, pressed)
+        if size < DOWN.smallest or share > DOWN.most:
             break
         move(s.q, s.dq, 1.0, box)
     row[AT.evaluations] += made

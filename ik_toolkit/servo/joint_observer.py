@@ -12,13 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption, floats, whole
+from ..errors import InvalidOption, whole
+from ..validate import number
 
 
 class Filter(NamedTuple):
     """Assumptions on measured joint values, which set how fast they correct the estimate."""
 
     delay: int = 2  # age of measured joints [samples]
+    longest: int = 10_000  # largest delay [samples], as many commands are kept
     noise: float = 1e-4  # standard deviation of the measurement noise [rad or arm reaches]
     acceleration: float = 0.1  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
     # Bandwidth of the filter [rad/s] times the age [s] of the newest command that a measurement shows.
@@ -40,17 +42,24 @@ class JointObserver:
 
     def __init__(self, n: int, delay: int, noise: float) -> None:
         """Begin without an offset. Raises InvalidOption for a delay that is no whole number, or a negative noise."""
-        self.delay = whole(delay, "delay [samples]", 0)
-        self.noise = float(floats(noise, "noise must be a number [rad]", InvalidOption))
-        if not 0.0 <= self.noise < math.inf:
-            raise InvalidOption(f"noise must be at least 0 and finite [rad], not {noise!r}")
+        self.delay, self.noise = whole(delay, "delay [samples]", 0), number(noise, "noise [rad]")
+        if self.delay > FILTER.longest:
+            raise InvalidOption(f"delay must be at most {FILTER.longest} samples, not {delay!r:.60}")
+        if self.noise < 0.0:
+            raise InvalidOption(f"noise must be at least 0 [rad], not {noise!r}")
         self.offset, self._rate = np.zeros(n), np.zeros(n)
-        self._sent: deque[np.ndarray] = deque(maxlen=delay + 1)
+        self._sent: deque[np.ndarray] = deque(maxlen=self.delay + 1)
+        self._unheard = 0  # samples still to come whose measurements answer to commands from before a jump
+        self.used = False  # whether joints have been measured: from then on they are where the offset says
 
-    def reset(self) -> None:
-        """Forget the commands and the offset."""
+    def reset(self, *, jumped: bool = False) -> None:
+        """Forget the commands and the offset; jumped: measurements that answer to commands from before are left out.
+
+        They are taken for twice as late as assumed: compared with commands from after the jump, they would cause another.
+        """
         self.offset[:], self._rate[:] = 0.0, 0.0
         self._sent.clear()
+        self._unheard, self.used = 2 * (self.delay + 1) if jumped else 0, jumped
 
     def bandwidth(self, h: float) -> float:
         """Return the bandwidth [rad/s] of the filter at sample time h [s].
@@ -61,12 +70,19 @@ class JointObserver:
         steady = FILTER.steady / ((self.delay + 1) * h)
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
 
-    def take(self, measured: np.ndarray, command: np.ndarray, h: float) -> float:
-        """Update the estimate by the joints measured (n,) and commanded (n,) now [kernel units], h [s] after the last.
+    def send(self, command: np.ndarray) -> None:
+        """Note the present command (n,) [kernel units], once a sample; in samples without a measurement, too."""
+        self._sent.append(command.copy())
+        self._unheard = max(self._unheard - 1, 0)
+
+    def take(self, measured: np.ndarray, h: float) -> float:
+        """Take the joints measured now (n,) [kernel units], after the command has been noted; h [s]: sample time.
 
         Returns the largest difference between the measured joints and the command they answer to.
         """
-        self._sent.append(command.copy())
+        if self._unheard:
+            return 0.0
+        self.used = True
         w, apart = self.bandwidth(h), measured - self._sent[0]
         self._rate += h * w * (w * (apart - self.offset) - 2.0 * self._rate)
         self.offset += h * self._rate

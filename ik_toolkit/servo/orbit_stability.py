@@ -100,9 +100,9 @@ def growth(
     # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
     blocks = np.eye(size)
     lap = np.kron(blocks, made.last) @ total @ np.kron(blocks, np.linalg.pinv(made.first, rcond=SINGULAR))
-    T, V, _ = reference.at(np.array([0.0, times[-1]]))
+    T, V, _ = reference.at(np.array([0.0, reference.duration]))  # not the last sample, which may be before the end
     off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
-    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())  # the last sample may be up to h before the end
+    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())
     value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
     logarithm = float(np.log(max(value, 1e-300)) + scale)
     return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)

@@ -184,6 +184,19 @@ def smaller(found: Survey) -> list[float]:
     return sorted({within, *(size for size in SIZES if not within < size <= reached)} - {0.0}, reverse=True)
 
 
+def position_options(options: dict[str, Any]) -> dict[str, Any] | None:
+    """Return options for a pose as they are for its position alone, or None if none of it then counts, or that cannot be told."""
+    kept = {name: value for name, value in options.items() if name != "free_turn"}
+    for name in ("mask", "slack"):
+        value = kept.get(name)
+        if value is not None:
+            if isinstance(value, dict):
+                return None
+            kept[name] = (*np.asarray(value, float)[:3].tolist(), 0.0, 0.0, 0.0)
+    mask = kept.get("mask")
+    return kept if mask is None or any(mask) else None
+
+
 def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tuple[Survey, str]:
     """Find out why a robot cannot follow a reference, and what would work instead.
 
@@ -195,14 +208,16 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
         if share <= 1.0:
             return found, ""
         return found, f"Every pose can be reached, but {joint} would need {share:.3g} times its speed limit: go slower."
-    ways: list[tuple[str, References]] = []
+    ways: list[tuple[str, References, dict[str, Any]]] = []
     if isinstance(reference, Reference):
-        if not reference.position_only:
-            ways.append(("with the orientation free", freed(reference)))
-        ways += [(f"scaled by {factor:g} about its start", scaled(reference, factor)) for factor in smaller(found)]
+        if not reference.position_only and (kept := position_options(options)) is not None:
+            ways.append(("with the orientation free", freed(reference), kept))
+        ways += [
+            (f"scaled by {factor:g} about its start", scaled(reference, factor), options) for factor in smaller(found)
+        ]
     works: list[str] = []
-    for words, other in ways:
-        if not any(one.startswith("scaled") for one in works) and trace(robot, other, q0, **options) is not None:
+    for words, other, kept in ways:
+        if not any(one.startswith("scaled") for one in works) and trace(robot, other, q0, **kept) is not None:
             works.append(words)
     elsewhere = other_start(robot, reference, **options)
     if elsewhere is not None:

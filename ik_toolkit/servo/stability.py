@@ -322,7 +322,9 @@ def check_gains(
             else " Noise on the measured positions grows without bound."
         )
     found = None
-    if verdict != "stable":
+    # Gains that a higher rate makes stable at rest may need a still higher one along the path.
+    rescued = path is not None and verdict != "stable" and 0.0 < longest < math.inf and not delay
+    if verdict != "stable" and not rescued:
         message += _way_out(method, best, longest, delay)
     if path is not None:
         from .orbit_stability import Growth, growth
@@ -334,8 +336,9 @@ def check_gains(
         found = along(h, gains)
         judged = "stable" if found.factor < 1.0 else "unstable"
         message += f" Along the path it is {judged}: {found.words} ({found.per_step:.5g} a sample)."
-        if judged == "unstable" and verdict == "stable":
-            verdict, longest = judged, _longest_along(lambda h: along(h, gains).factor, h, path.duration)
+        if rescued or (judged == "unstable" and verdict == "stable"):
+            top, verdict = (longest, verdict) if rescued else (h, judged)
+            longest = _longest_along(lambda h: along(h, gains).factor, top, path.duration)
             tries = [", ".join(f"{name} = {value:.5g}" for name, value in best.items())]
             tries = tries if along(h, best).factor < 1.0 else []
             tries += [f"a rate above {1.0 / longest:.4g} Hz"] if longest > 0.0 else []

@@ -24,6 +24,7 @@ class Standards(NamedTuple):
     # a joint slower than this share of its speed limit is not moved by feedback; a gain of 0.1/s would ask for 1e-4
     resting: float = 1e-6
     falling: float = 0.2  # the tip comes nearer if the error falls by this share of what feedback would remove
+    still: float = 1e-3  # share of the error that a step removes, below which the tip hardly comes nearer
 
 
 JUDGE = Standards()
@@ -159,12 +160,15 @@ class Step:
 
         The error of an arm that cannot follow falls as well where its target comes back, but more slowly.
         """
-        o = self._outcome
-        parts = o.errors.reshape(2, -1, 2, 3) * [[1.0 / o.by.robot.reach], [1.0]]
-        before, after = np.linalg.norm(parts.reshape(2, -1), axis=1)
+        o, (before, after) = self._outcome, self._sizes()
         gains = o.by.settings(o.h)
         rate = gains.get("kappa", gains["kp"] / gains["kd"] if gains.get("kd") else 1.0 / o.h)
         return bool(after < (1.0 - JUDGE.falling * min(rate * o.h, 1.0)) * before)
+
+    def _sizes(self) -> np.ndarray:
+        """Return the size (2,) of the errors before and after the step, with lengths in arm reaches."""
+        parts = self._outcome.errors.reshape(2, -1, 2, 3) * [[1.0 / self._outcome.by.robot.reach], [1.0]]
+        return np.linalg.norm(parts.reshape(2, -1), axis=1)
 
     def _away(self) -> bool:
         """Return whether the error left is above JUDGE's, so that limits or the reach are worth reporting."""
@@ -194,7 +198,10 @@ class Step:
             limited = not o.lost and o.code.any()
             parts.append(f"about as close as {'the limits allow' if limited else 'the arm reaches from here'}")
         elif status is StepStatus.LIMITED and o.way is None and not o.code.any():
-            parts.append(f"{self._left()} away: the tip can hardly get nearer to its target from here")
+            before, after = self._sizes()
+            slowly = after < (1.0 - JUDGE.still) * before
+            how = "coming nearer, but slowly" if slowly else "the tip can hardly get nearer to its target from here"
+            parts.append(f"{self._left()} away: {how}")
         if o.way is not None:
             parts.append(_on_the_way(o.way))
         words = (

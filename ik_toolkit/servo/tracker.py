@@ -153,7 +153,7 @@ class Tracker(CopiesViews, ReadOnly):
         if target is not None:
             self.stream.take(0, target, twist, acceleration)
 
-    def _begin(self, q: np.ndarray, rate: np.ndarray | None) -> None:
+    def _begin(self, q: np.ndarray, rate: np.ndarray | None, *, jumped: bool = False) -> None:
         """Set the joints to q and rate (n,) [rad or m, per s], and forget all earlier steps."""
         unit = self.robot.chain.unit
         self._q[:] = q / unit
@@ -162,7 +162,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._forget(laws.GIVEN if rate is not None or self._at_rest else laws.MOVING)
         for way in self._ways:
             way.begin()
-        self._observer.reset()
+        self._observer.reset(jumped=jumped)
         self.stream.look_anew()
         self._behind = False  # whether the last examined step left an error
         self._between: tuple[str, str] | None = None  # the pair of parts that blocked the last step
@@ -216,20 +216,20 @@ class Tracker(CopiesViews, ReadOnly):
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
             self.prepare(stream.kinds or (POSITION,) * stream.tips)
-        before = self._q.copy()
+        (observer := self._observer).send(before := self._q.copy())
         if q is not None:
             found = self.robot.check_q(q, "q")
-            lag = self._observer.take(found / self.robot.chain.unit, self._q, dt) / self.resync
+            lag = observer.take(found / self.robot.chain.unit, dt) / self.resync
             if resynced := lag > 1.0:
-                self._begin(found, np.zeros(self.robot.n))
+                self._begin(found, np.zeros(self.robot.n), jumped=True)
         if not self._late:  # Only the first step assigns: an assignment to a sealed object takes half a microsecond.
             self._late = LATE * dt
         h = dt / (parts := parts_of_step(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
-            np.add(self._q, self._observer.offset, out=self._settings.measured)
-            self._step(part, h, not finite, q is not None)
-        if q is not None:
-            self._error[:] = self.error_at(self._q + self._observer.offset, self.stream.last_of(part), h)
+            np.add(self._q, observer.offset, out=self._settings.measured)
+            self._step(part, h, not finite, observer.used)
+        if observer.used:
+            self._error[:] = self.error_at(self._q + observer.offset, self.stream.last_of(part), h)
         code, lost = self._code.copy(), self._out.S[0]
         if self._postures and finite and not self._goes:
             stream.unseen += dt

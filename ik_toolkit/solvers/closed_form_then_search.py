@@ -5,7 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import BAD_TARGET, CONVERGED, ITERATION_LIMIT, STALLED, UNREACHABLE
+from ..kernel.checks import (
+    BAD_TARGET,
+    CONVERGED,
+    ITERATION_LIMIT,
+    LIMIT_BLOCKED,
+    SINGULAR,
+    STALLED,
+    UNREACHABLE,
+)
 from ..kernel.records import ANSWER, AT, HEAD, ORDER, PAST
 from .options import PLAIN
 from .postprocess import finish_failures
@@ -134,7 +142,9 @@ def continue_with(
             hist[: len(noted)] = noted
         else:
             plan.run(T[some], how[0], starts, how[1], found)
-        finish_failures(plan, T[some], how[0], starts, how[1], found)
+        # The row may keep the status of the closed form, so its q is the closest one however this search ended.
+        ended = (STALLED, LIMIT_BLOCKED, UNREACHABLE, ITERATION_LIMIT, SINGULAR)
+        finish_failures(plan, T[some], how[0], starts, how[1], found, ended)
         merge(out, rows, found, search.options.length_scale or search.robot.reach)
         still[some] = found[:, AT.status] != CONVERGED
     return still

@@ -53,25 +53,28 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def finish_failure(outcome: Any) -> Any:
-    """Finish a search that has not converged, with its arrays copied.
-
-    They are copied because a result's message is computed when it is read, and the caller may have changed them by
-    then.
-    """
-    outcome = outcome._replace(T=outcome.T.copy(), start=outcome.start.copy())
+    """Finish a search that has not converged."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
     finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
 
 
-def finish_failures(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
-    """Finish the failures among rows (m, width) of targets T, in place.
+def finish_failures(
+    plan: Any,
+    T: np.ndarray,
+    kinds: tuple,
+    start: np.ndarray,
+    given: bool,
+    rows: np.ndarray,
+    ended: tuple[int, ...] = (STALLED, LIMIT_BLOCKED, UNREACHABLE),
+) -> None:
+    """Finish the failures among rows (m, width) of targets T, those with a status of `ended`, in place.
 
     LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then the default
     search descends to the closest configuration near its own.
     """
-    for k in np.flatnonzero(np.isin(rows[:, AT.status], (STALLED, LIMIT_BLOCKED, UNREACHABLE))):
+    for k in np.flatnonzero(np.isin(rows[:, AT.status], ended)):
         at, row = start[k : k + 1] if len(start) > 1 else start, rows[k]
         if row[AT.status] == LIMIT_BLOCKED and plan.options.limits:
             if plan.unlimited.solve(T[k : k + 1], kinds, at, given)[AT.status] != CONVERGED:

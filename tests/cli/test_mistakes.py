@@ -75,6 +75,7 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         (["solvers", "lmm"], "Did you mean 'lm'"),
         (["dh", "nothing.toml"], "cannot read"),
         (["check", "nothing.urdf"], "there is no file"),
+        (["gains", "planar_2r", "--rate", "0"], "--rate must be positive"),
     ],
     ids=lambda value: " ".join(value[-4:]) if isinstance(value, list) else None,
 )

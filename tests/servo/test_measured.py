@@ -68,9 +68,40 @@ def test_a_wrong_delay_does_not_make_it_swing(assumed, true):
 
 def test_mistakes_are_typed():
     robot = robots.load("planar_2r")
-    for wrong in (-1, 1.5, "two", None):
+    for wrong in (-1, 1.5, "two", None, 1e300):
         with pytest.raises(InvalidOption, match="delay"):
             ik.Tracker(robot, delay=wrong)
-    for wrong in (-1e-4, np.nan, np.inf, "loud"):
+    for wrong in (-1e-4, np.nan, np.inf, "loud", [], [1e-4, 1e-4]):
         with pytest.raises(InvalidOption, match="noise"):
             ik.Tracker(robot, noise=wrong)
+
+
+def test_measurements_in_some_samples_only():
+    """In the samples between, the joints are where the filter has them; commands without a measurement count as well."""
+    robot, rng = robots.load("planar_3r"), np.random.default_rng(9)
+    for every in (3, 20):
+        tracker, real, rates, errors = ik.Tracker(robot, q0=START), [START] * 3, [], []
+        for k, target in enumerate(targets(robot, 1500)):
+            q = None if k % every else real[-3] + 1e-4 * rng.standard_normal(robot.n)
+            step = tracker.update(target, H, q=q)
+            real.append(step.q)
+            if k * H > 0.6:
+                errors.append(np.linalg.norm(robot.fk(step.q).translation - target))
+                rates.append(step.rate)
+                assert step.status is StepStatus.OK, step
+        assert max(errors) < 1e-4 * robot.reach
+        assert np.abs(np.diff(rates, axis=0)).max() / H < 3.0
+
+
+@pytest.mark.parametrize("true", [0, 2, 4])
+def test_one_measurement_far_off_is_one_jump(true):
+    """The measurements after a jump are of before it: compared with what was commanded since, each would cause another."""
+    robot = robots.load("planar_3r")
+    tracker, real, jumps, step = ik.Tracker(robot, q0=START), [START] * (true + 1), 0, None
+    path = targets(robot, 1500)
+    for k, target in enumerate(path):
+        step = tracker.update(target, H, q=real[-1 - true] + 0.3 * (k == 200))
+        real.append(step.q)
+        jumps += step.status is StepStatus.JUMPED
+    assert jumps == 1
+    assert np.linalg.norm(robot.fk(step.q).translation - path[-1]) < 1e-3

@@ -55,3 +55,21 @@ def test_coming_nearer_is_said():
         assert step.status is StepStatus.OK and step.position_error > 1e-3
         reasons.append(step.reason)
     assert all("from the target and coming nearer" in reason for reason in reasons)
+
+
+def test_coming_nearer_slowly_is_not_called_hardly():
+    """With acceleration limits the tip comes nearer by some percent a sample, and no limit is active."""
+    robot = robots.load("planar_3r")
+    q = np.array([0.1, 0.5, 0.4])
+    tracker = ik.Tracker(robot, "cv", q0=q, acceleration_limits=1.0)
+    at, slowly = robot.fk(q).translation, 0
+    for k in range(1500):
+        t = 1e-3 * k
+        step = tracker.update(
+            at + 0.15 * min(1.0, 2.0 * t) ** 2 * np.array([np.cos(3.0 * t) - 1.0, np.sin(3.0 * t), 0.0]), 1e-3
+        )
+        before, after = step._sizes()
+        if "hardly" in step.reason:
+            assert after > 0.99 * before
+        slowly += "coming nearer, but slowly" in step.reason
+    assert slowly

@@ -316,3 +316,28 @@ def test_a_disturbance_grows_over_an_open_path_as_two_runs_show(method, gains, s
         seen, rows = ("rate", wanted[n : 2 * n]) if method == "aad" else ("q", wanted[:n])
         off = 0.5 * (getattr(runs[0], seen)[-1] - getattr(runs[1], seen)[-1])
         np.testing.assert_allclose(off, rows, rtol=0.05, atol=0.05 * np.abs(rows).max())
+
+
+@pytest.mark.parametrize(("method", "gains"), [("cv", {"kappa": 40.0}), ("ca", {"kp": 61.0, "kd": 3.8})])
+def test_a_rate_that_is_named_is_stable_along_the_path(method, gains):
+    """Also where the gains are unstable at rest: the rate that is stable there is too low along the path."""
+    robot = ik.Robot.load("planar_2r")
+    path = ik.circle(robot.fk(robot.home + 0.4).translation, 0.3, duration=2.0)
+    for rate in (4.0, 4.97, 6.0):
+        check = st.check_gains(method, 1.0 / rate, robot=robot, path=path, **gains)
+        assert (
+            check.verdict == "unstable" and f"a rate above {1.0 / check.longest_step:.4g} Hz is stable" in check.message
+        )
+        assert "Try" not in check.message
+        above, below = (
+            st.check_gains(method, check.longest_step * f, robot=robot, path=path, **gains) for f in (0.999, 1.1)
+        )
+        assert above.along.factor < 1.0 <= below.along.factor
+
+
+def test_a_lap_is_closed_whatever_the_rate():
+    """At 9.93 Hz the last sample of a lap of 2 s is 0.09 s before its end."""
+    robot = ik.Robot.load("planar_2r")
+    path = ik.circle(robot.fk(robot.home + 0.4).translation, 0.3, duration=2.0)
+    for rate in (9.0, 9.93, 10.0):
+        assert st.check_gains("ca", 1.0 / rate, robot=robot, path=path, kp=61.0, kd=3.8).along.closed

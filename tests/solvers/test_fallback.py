@@ -72,9 +72,7 @@ def test_a_failed_closed_form_returns_the_best_configuration_and_speaks_of_it(ar
                 continue
             assert not search.success
             seen.add(result.status)
-            assert (
-                size(robot, result) <= size(robot, search) + 1e-11
-            )  # both descend to the same place, to within their last step
+            assert size(robot, result) <= size(robot, search) + 1e-10  # where a descent to the same place ends
             position, orientation = robot.errors(result.q, T)
             assert abs(position - result.position_error) < 1e-9 and abs(orientation - result.orientation_error) < 1e-9
             assert f"{length(position)}, {angle(orientation)}" in result.message

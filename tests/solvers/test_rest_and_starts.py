@@ -78,3 +78,9 @@ def test_largest_move_and_its_notice():
     message, error = lost.message, lost.raw_error
     moved[:] = far
     assert lost.message == message and np.array_equal(lost.raw_error, error)
+    target, start = near.copy(), q0 - 1.0
+    found = solver(target, start)
+    told = found.raw_error, str(found.explain())
+    target[:3, 3] += 0.3
+    start += 0.5
+    assert found.success and np.array_equal(found.raw_error, told[0]) and str(found.explain()) == told[1]

@@ -1,0 +1,28 @@
+"""A run that is lost says so, whatever counts of its poses: the explanation tries the position alone."""
+
+import pytest
+import robots
+
+import ik_toolkit as ik
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"mask": (1,) * 6},
+        {"mask": (1, 1, 1, 0.5, 0.5, 0.0)},
+        {"mask": (0, 0, 0, 1, 1, 1)},
+        {"slack": (0, 0, 0, 0, 0, 0.1)},
+        {"free_turn": (0, 0, 1)},
+        {"mask": (1, 1, 1, 1, 1, 0), "frame": "tip"},
+    ],
+)
+def test_a_lost_run_never_raises(options):
+    robot = robots.load("hydrolek_7w")
+    begin = robot.fk(robot.home).homogeneous
+    end = begin.copy()
+    end[1, 3] += 1.5
+    run = ik.track(robot, ik.line(begin, end, duration=1.0), q0=robot.home, **options)
+    assert run.message
+    if options != {"mask": (0, 0, 0, 1, 1, 1)}:
+        assert run.status.name == "LOST", run
