@@ -71,9 +71,10 @@ class JointObserver:
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
 
     def send(self, command: np.ndarray) -> None:
-        """Note the present command (n,) [kernel units], once a sample; in samples without a measurement, too."""
-        self._sent.append(command.copy())
-        self._unheard = max(self._unheard - 1, 0)
+        """Keep the present command (n,) [kernel units], once a sample; in samples without a measurement, too."""
+        self._sent.append(command)
+        if self._unheard:
+            self._unheard -= 1
 
     def take(self, measured: np.ndarray, h: float) -> float:
         """Take the joints measured now (n,) [kernel units], after the command has been noted; h [s]: sample time.

@@ -226,7 +226,8 @@ class Tracker(CopiesViews, ReadOnly):
             self._late = LATE * dt
         h = dt / (parts := parts_of_step(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
-            np.add(self._q, observer.offset, out=self._settings.measured)
+            if observer.used:
+                self._settings.measured[:] = self._q + observer.offset
             self._step(part, h, not finite, observer.used)
         if observer.used:
             self._error[:] = self.error_at(self._q + observer.offset, self.stream.last_of(part), h)

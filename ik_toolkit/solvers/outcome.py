@@ -17,11 +17,11 @@ SPOKEN = (POSITION, FREE)  # kinds of target that leave the orientation free
 class SolveRecord(NamedTuple):
     """One solve as it ended; a Result reads it. Finishing steps (see `postprocess.finishing`) return a changed copy."""
 
+    # The target and q0 are kept as bytes, a copy at a quarter of an array's cost: the caller may change both arrays later.
     plan: Plan
-    T: np.ndarray  # The targets (1, 4, 4), of several tips (1, F, 4, 4).
+    target: bytes  # the targets (1, 4, 4), of several tips (1, F, 4, 4), or b"" in a row of a batch
     kinds: tuple
-    start: np.ndarray  # The start (1, n).
-    q0: bytes  # copy of q0 (n,), or b""; bytes cost a quarter of an array's copy
+    q0: bytes  # the configuration (n,) given as the start, or b""
     row: np.ndarray  # the kernel's result row: an Answer, q, and for several tips each tip's errors (Miss)
     elapsed: float
     notice: str = ""
@@ -33,6 +33,16 @@ class SolveRecord(NamedTuple):
     def given(self) -> bool:
         """Whether the caller gave q0."""
         return bool(self.q0)
+
+    @property
+    def T(self) -> np.ndarray:
+        """Targets (1, 4, 4), of several tips (1, F, 4, 4); empty in a row of a batch."""
+        return np.frombuffer(self.target).reshape(-1, *self.plan.robot.pose_shape).copy()
+
+    @property
+    def start(self) -> np.ndarray:
+        """Start (1, n): q0 or home."""
+        return np.frombuffer(self.q0)[None].copy() if self.q0 else self.plan.home
 
     def left(self) -> Errors:
         """Return the errors of each tip: Pinocchio's if it was asked, otherwise the kernel's."""

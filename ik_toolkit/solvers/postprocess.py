@@ -190,7 +190,7 @@ def confirm(outcome: Any) -> Any:
         mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)
-            again = outcome._replace(T=mended[None], row=row, errors=None)
+            again = outcome._replace(target=mended.tobytes(), row=row, errors=None)
             for step in plan.steps:
                 again = step(again)
             return again

@@ -132,11 +132,10 @@ class Solver(ReadOnly):
                 notice = notice or note
             row = plan.solve(T, kinds, start, given)
             status = row[AT.status]
-        # What a result says is worked out when it is read, when the caller may have changed the target and q0.
-        T, asked = T.copy(), b""
-        if given:
-            start, asked = start.copy(), start.tobytes()
-        outcome = make_outcome((plan, T, kinds, start, asked, row, perf_counter() - started, notice, None, None, None))
+        asked = start.tobytes() if given else b""
+        outcome = make_outcome(
+            (plan, T.tobytes(), kinds, asked, row, perf_counter() - started, notice, None, None, None)
+        )
         if status != CONVERGED:
             outcome = finish_failure(outcome)
         for step in plan.steps:

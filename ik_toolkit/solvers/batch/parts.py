@@ -95,9 +95,8 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
     if plan.improving:
         for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
             one = part.rows(slice(k, k + 1))
-            outcome = SolveRecord(
-                plan, one.T, kinds, one.start, one.start.tobytes() if given else b"", out[k].copy(), 0.0
-            )
+            asked = one.start.tobytes() if given else b""
+            outcome = SolveRecord(plan, one.T.tobytes(), kinds, asked, out[k].copy(), 0.0)
             for step in plan.improving:
                 outcome = step(outcome)
             out[k] = outcome.row

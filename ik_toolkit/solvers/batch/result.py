@@ -82,8 +82,8 @@ class BatchResult(ReadOnly):
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
             # There is no pair if the colliding obstacle has been moved away since.
             touching = next(iter(model.collisions(self.q[k])), None)
-        nothing = np.empty(0)  # A batch keeps neither targets nor starts.
-        return Result(SolveRecord(self.plan, nothing, self.kinds, nothing, b"", row, 0.0, collision=touching))
+        # A batch keeps neither targets nor starts.
+        return Result(SolveRecord(self.plan, b"", self.kinds, b"", row, 0.0, collision=touching))
 
     @property
     def position_only(self) -> bool:

@@ -125,7 +125,7 @@ def _beside(of: SolveRecord, name: str) -> SolveRecord:
     made = _run(of, plan)
     if not made.row[AT.iterations]:  # a solve from the answer itself has nothing to show
         start = robot.random_q(np.random.default_rng(0))
-        made = _run(of._replace(start=start[None], q0=start.tobytes()), plan)
+        made = _run(of._replace(q0=start.tobytes()), plan)
     return made
 
 
