@@ -7,7 +7,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.records import ANSWER, AT
+from ik_toolkit.kernel.records import ANSWER, AT, PAST
 from ik_toolkit.kernel.search import entry
 from ik_toolkit.solvers.rules.jacobian import LM
 from ik_toolkit.testing import CLAUSES, cases, check_solver
@@ -88,7 +88,7 @@ class Faulty(NamedTuple):
         def loop(chain, T, Q0, out, orders):
             solve(chain, T, Q0, out, orders)
             filled = len(T) * (ANSWER + robot.n)
-            spoil(out[:filled].reshape(len(T), -1), T, Q0, out[filled:].reshape(-1, 2 + robot.n))
+            spoil(out[:filled].reshape(len(T), -1), T, Q0, out[filled:].reshape(-1, PAST + robot.n))
 
         return loop
 

@@ -31,7 +31,7 @@ def test_what_happens_before_it_is_not_judged(arm, line):
     at_once = ik.track(arm, line, "cv", q0=off, on_limit="leave")
     assert at_once.status == TrackStatus.LEFT and not at_once.success and at_once.settle == 0.0
     assert at_once.outside()[0] and not at_once.outside()[-1]
-    assert "give it time to get there with settle" in at_once.message and " after " not in at_once.message.split(";")[1]
+    assert "give it time to settle" in at_once.message and " after " not in at_once.message.split(";")[1]
     late = ik.track(arm, line, "cv", q0=off, settle=0.02, on_limit="leave")
     assert late.status == TrackStatus.LEFT and not late.outside()[late.t < 0.02].any() and late.outside()[2]
     assert "samples after 0.02 s" in late.message and "It begins off the reference" not in late.message

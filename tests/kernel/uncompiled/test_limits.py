@@ -117,11 +117,6 @@ def test_turns_of_an_answer():
     parts = np.array([0.1 + TAU - 6.0, 0.2 - 2 * TAU + 12.0, 6.5 - TAU, 0.4])
     want = (parts**2 / np.array([1.0, 2.0, 1e-12, 4.0])).sum()
     assert limits.distance(a, b, w, ends) == pytest.approx(want, rel=1e-12)
-    far = np.array([0.0, 0.0, 0.0, 0.0])
-    assert limits.other_end(far, np.array([3.0, 9.0, 3.2, 9.0]), ends) == 2
-    assert limits.other_end(far, np.array([3.2, 9.0, 3.2, 9.0]), ends) == 0
-    assert limits.other_end(far, np.array([3.0, 9.0, -3.0, 9.0]), ends) == -1
-    assert limits.other_end(far, np.array([-3.2, 9.0, -3.0, 9.0]), ends) == 0
 
 
 def standing(q, slopes, J=None, ee=1.0):

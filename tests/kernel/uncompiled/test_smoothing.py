@@ -166,7 +166,7 @@ def test_objectives_and_where_they_fall(kind):
     ref = rng.uniform(chain.lower, chain.upper)
     box = box_of(chain.lower / chain.unit, chain.upper / chain.unit, [1, 0] + [1] * (n - 2))
     x = q / chain.unit
-    span = (chain.upper - chain.lower) / chain.unit
+    span, weights = (chain.upper - chain.lower) / chain.unit, rng.uniform(0.2, 3.0, chain.n)
 
     def volume(y):
         J = arms.jacobian(rows, base, tip, y * chain.unit, 1e-5)[: 3 if kind == POSITION else 6]
@@ -176,12 +176,12 @@ def test_objectives_and_where_they_fall(kind):
     def value(what, y):
         p.desk.q[:] = y
         p.jacobian(p.evaluate(p.desk.q))
-        return null_space.objective(p, what, ends, box, ref)
+        return null_space.objective(p, what, ends, box, ref, weights)
 
     middle = 0.5 * (chain.lower + chain.upper) / chain.unit
     counted = np.array([box.counted(i) for i in range(n)])
     assert value(MID_RANGE, x) == pytest.approx((counted * 0.5 * ((x - middle) / span) ** 2).sum())
-    assert value(REFERENCE, x) == pytest.approx((counted * 0.5 * ((x - ref / chain.unit) / span) ** 2).sum())
+    assert value(REFERENCE, x) == pytest.approx((counted * 0.5 * (x - ref / chain.unit) ** 2 / weights).sum())
     assert value(MANIPULABILITY, x) == pytest.approx(-volume(x), rel=1e-6)
     z = np.empty(n)
     for what, goal in ((MID_RANGE, middle), (REFERENCE, ref / chain.unit)):
