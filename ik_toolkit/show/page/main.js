@@ -35,7 +35,7 @@ function paint() {
 }
 
 const UNITS = [["m", 1], ["mm", 1e-3], ["\u00b5m", 1e-6], ["nm", 1e-9]];
-const metres = (x, [unit, size] = UNITS.find((one) => x >= one[1]) ?? UNITS[3]) => `${Number((x / size).toPrecision(3))} ${unit}`;
+const metres = (x, [unit, one] = UNITS.find((other) => x >= other[1]) ?? UNITS[3]) => `${Number((x / one).toPrecision(3))} ${unit}`;
 const degrees = (x) => `${((180 * x) / Math.PI).toFixed(1)}\u00b0`;
 const bars = data.joints.map((joint, k) => { // a slider a joint: what fills it
   const row = $("bar").content.cloneNode(true).firstElementChild, [name, input, value] = row.children;

@@ -139,7 +139,7 @@ function freed(robot, q, targets, along) {
   return plus(along, normal(J, [...q.keys()], 1e-10, lost), -1);
 }
 // Whether joints can move with the tips held: by the rank of the Jacobian, whose rows may be zero or depend on each other.
-export const loose = (robot, q, targets) => q.some((_, j) => length(freed(robot, q, targets, q.map((_, k) => Number(k === j)))) > 1e-3);
+export const loose = (robot, q, targets) => q.some((_, j) => length(freed(robot, q, targets, q.map((__, k) => Number(k === j)))) > 1e-3);
 
 // A step of `size` in the null space, in the direction nearest `along` (n), with the tips held. Gives q and the direction.
 export function glide(robot, q, targets, along, size) {
