@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from .errors import InvalidOption, InvalidTarget
@@ -28,6 +29,11 @@ def _size(value: float, units: str, digits: int) -> str:
     if 0.0 < rounded < 1e-2 * size:
         return f"under 0.01 {unit}"
     return f"{figure(value / size, digits)} {unit}"
+
+
+def equations(values: Mapping[str, float], digits: int = 5) -> str:
+    """Write numbers by name: 'kp = 42.748, kd = 4.3499'."""
+    return ", ".join(f"{name} = {value:.{digits}g}" for name, value in values.items())
 
 
 def length(metres: float, digits: int = 3) -> str:

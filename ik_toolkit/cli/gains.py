@@ -5,7 +5,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption, InvalidTarget
-from ..text import parameter
+from ..text import equations, parameter
 from .command import command, option, options
 from .options import JsonOutput, RobotOptions, assignments, joint_vector
 from .output import facts, notice, show, write_json
@@ -45,29 +45,26 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
     from ..servo.stability import check_gains
 
     arm = robot.load(robot.choose_tips())
-    path = None
+    along_path: dict[str, Any] = {}
     if asked.shape is not None:
         if not isinstance(arm, Robot):
             raise InvalidOption("gains are judged along the path of one tip; choose it with --tip")
-        path = asked_path(arm, asked, joint_vector(arm, asked.q0, "--q0", robot.deg), {}, 1e-3).reference
-    more = {"delay": late.delay, "noise": late.noise, **chosen(asked)}  # This refuses a rate of 0.
-    check = check_gains(asked.method, 1.0 / asked.rate, **_path(arm, path), **more)
+        path = asked_path(arm, asked, joint_vector(arm, asked.q0, "--q0", robot.deg), {}, 1e-3)
+        along_path = {"robot": arm, "path": path.reference}
+    used = chosen(asked)  # This refuses a rate of 0.
+    check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
     write_json({"robot": arm.name, **vars(check), "along": along}, out.as_json)
     if not out.as_json:
         show(facts({
             "robot": arm.name,
-            "method": f"{check.method}, " + ", ".join(f"{name} = {value:.5g}" for name, value in chosen(asked).items()),
+            "method": f"{check.method}, {equations(used)}",
             "stability": judged(check),
-            "best at rest": ", ".join(f"{name} = {value:.5g}" for name, value in check.suggestion.items()),
+            "best at rest": equations(check.suggestion),
         }))  # fmt: skip
     notice(check.message)
     if not check.stable:
         raise typer.Exit(1)
-
-
-def _path(arm: Any, path: Any) -> dict[str, Any]:
-    return {} if path is None else {"robot": arm, "path": path}
 
 
 def chosen(asked: PathOptions) -> dict[str, float]:

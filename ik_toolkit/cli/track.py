@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from ..text import angle, duration, figure, length, parameter
+from ..text import angle, duration, equations, figure, length, parameter
 from .command import command, flag, option, options
 from .gains import GAINS, along_the_path, judged
 from .options import CollisionOptions, RobotOptions, SceneOutput, assignments, joint_vector
@@ -186,7 +186,7 @@ def _run(arm: Any, asked: TrackOptions, path: Asked, own: set[str], more: dict[s
 def _show(result: Any, arm: Any, path: Asked, deg: bool, check: Any) -> None:
     figures = result.figures
     of_angle = math.degrees(1.0) if deg else 1.0
-    gains = ", ".join(f"{name} = {value:.5g}" for name, value in result.options.items())
+    gains = equations(result.options)
     steps = len(result.t) - 1
     tried = f", {duration(result.searched)} of trying other runs" if result.searched > result.elapsed else ""
     show(

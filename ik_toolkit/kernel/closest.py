@@ -12,6 +12,7 @@ from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, inline
 from .checks import CONVERGED
 from .limits import hold
+from .linalg import row_product
 from .null_space import REFERENCE, make_bounds, move
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Ends, Orders, copy, read
@@ -44,21 +45,12 @@ def weighed(p, e, factor):
 
 
 @inline
-def down(J, error, i):
-    """Return by how much the squared error falls, halved, as joint i moves: the slope, negated."""
-    total = 0.0
-    for k in range(error.shape[0]):
-        total += J[i, k] * error[k]
-    return total
-
-
-@inline
 def held_wrongly(s, error, weights, box):
     """Return whether the joints held by a step, although the error falls away from their limits, have the steeper slopes."""
     free, wrong = 0.0, 0.0
     for i in range(s.q.shape[0]):
         if weights[i] > 0.0:
-            g = down(s.J, error, i)
+            g = row_product(s.J, i, error)
             if s.w[i] > 0.0:
                 free += g * g
             elif g > 0.0 if s.q[i] <= box.lower(i) else g < 0.0:
@@ -83,7 +75,7 @@ def step_down(p, error, damping, weights, box, pressed):
         pressed = held_wrongly(s, error, weights, box)
     if pressed:
         for i in range(s.q.shape[0]):
-            g, w = down(s.J, error, i), weights[i]
+            g, w = row_product(s.J, i, error), weights[i]
             s.w[i] = 0.0 if (s.q[i] <= box.lower(i) and g <= 0.0) or (s.q[i] >= box.upper(i) and g >= 0.0) else w
         p.toward(error, damping)
     size = 0.0
@@ -141,13 +133,15 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
             row[ANSWER + i] = best[i] * full.unit(i)
         if e.good:
             row[AT.status] = CONVERGED
+    return value
 
 
 @cached
 def approach_target(rows, ends, T, row, orders, n, length, steps):
     """Lower the error of a failed search; q, errors and number of evaluations in its result `row` are replaced.
 
-    Where the descent reaches the target, the row's status becomes CONVERGED.
+    Returns the squared error of that q, in which a position error of `length` is worth one radian. Where the descent reaches
+    the target, the row's status becomes CONVERGED.
 
     Args:
         rows: (L, 10) of the chain or tree.
@@ -160,5 +154,6 @@ def approach_target(rows, ends, T, row, orders, n, length, steps):
         steps: Highest number of evaluations.
     """
     block = np.empty(space(n, 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
-    descend_on_views(view(rows), view(ends), view(T), view(row), view(orders), n, length, steps, view(block))
+    value = descend_on_views(view(rows), view(ends), view(T), view(row), view(orders), n, length, steps, view(block))
     keep(block)
+    return value

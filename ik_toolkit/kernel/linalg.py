@@ -93,6 +93,15 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
         dq[i] = w[i] * s
 
 
+@inner
+def row_product(J, i, e):
+    """Return the product of row i of J (n, m) with e (m,): for errors e, how fast half their square falls as joint i moves."""
+    total = 0.0
+    for k in range(e.shape[0]):
+        total += J[i, k] * e[k]
+    return total
+
+
 @inline
 def jacobi(a, b, g):
     """Return the cosine and sine of the Jacobi rotation that makes two columns orthogonal.

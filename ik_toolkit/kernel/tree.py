@@ -15,7 +15,7 @@ from .algebra import V3, at3, put3, put_axes, rotation_at
 from .checks import ORTHONORMAL, rigid
 from .counted_error import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
 from .kinematics import aim, jacobian_rate, room
-from .linalg import damped_stack, pseudo_inverse_step
+from .linalg import damped_stack, pseudo_inverse_step, row_product
 from .problem import (
     GOAL,
     Desk,
@@ -145,10 +145,7 @@ class TreeProblem(NamedTuple):
             put3(y, h + 3, angular * vector_ratio(int(self.tasks[h // 6, WHAT.kind]), angular.square()))
 
     def slope(self, look, i):
-        total = 0.0
-        for k in range(self.desk.e.shape[0]):
-            total += self.desk.J[i, k] * self.desk.e[k]
-        return total
+        return row_product(self.desk.J, i, self.desk.e)
 
     def norm(self, look, weight):
         total = 0.0

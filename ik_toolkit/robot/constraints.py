@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError
-from ..text import angle, length
+from ..text import angle, equations, length
 from .formats.mimic import mimic_limits
 from .probe import JointPath, limits
 
@@ -327,7 +327,7 @@ def _state(constraint: Constraint, open_by: str, moved: Sequence[tuple[str, floa
 
     open_by: text that says how far it is violated, '' if it is kept, 'unknown' if it cannot be computed.
     """
-    values = ", ".join(f"{name} = {value:.6g}" for name, value in moved)
+    values = equations(dict(moved), 6)
     if open_by == "unknown":
         return "may not be kept: a tendon around a shape is not computed here"
     if open_by:

@@ -15,7 +15,7 @@ joints turn back (they went too far) or the error does not fall, and lowered whi
 import math
 
 from ..compile.jit import inner
-from ..kernel.linalg import cholesky
+from ..kernel.linalg import cholesky, row_product
 from .laws import CLIP, STATE, apply, gram, natural
 from .null_space_motion import weigh
 from .singular_directions import GAIN
@@ -160,9 +160,7 @@ def brake(s, limits, mu, h):
     """
     n, m = s.J.shape
     for i in range(n):
-        slope = 0.0
-        for k in range(m):
-            slope += s.J[i, k] * s.e[k]
+        slope = row_product(s.J, i, s.e)
         stopped = s.roof[i] <= 0.0 if slope > 0.0 else s.floor[i] >= 0.0
         for k in range(m):
             s.V[i, k] = 0.0 if stopped else s.J[i, k]

@@ -11,7 +11,7 @@ The matrices hold at rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/d
 border can diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along the path
 (orbit_stability.py).
 
-If joint values are measured, the error is late and noisy, while rates and earlier commands stay the tracker's own.
+If measured joint values are fed back directly, the error is late and noisy, while rates and earlier commands are not.
 `delayed_matrix` adds the earlier positions to the state.
 """
 
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InvalidOption, near_match
+from ..text import equations
 from ..validate import number, one_of, positive
 
 if TYPE_CHECKING:
@@ -281,8 +282,8 @@ def check_gains(
     Args:
         method: Name of the method.
         h: Sample time [s].
-        delay: Age of the measured joint positions in samples, as `Tracker.update(q=...)` gets them (20 ms at h = 0.01
-            s: 2; fractions allowed).
+        delay: Age in samples of measured joint positions that are fed back directly (20 ms at h = 0.01 s: 2; fractions
+            allowed). `Tracker.update(q=...)` takes the delay out before, see `JointObserver`.
         noise: RMS of the noise on a measured position [rad or m]; the message tells the resulting RMS of the joints.
         robot: A Robot; with path, the gains are judged along this path as well, by the growth of a small error over it,
             or over a lap if it is closed.
@@ -339,7 +340,7 @@ def check_gains(
         if rescued or (judged == "unstable" and verdict == "stable"):
             top, verdict = (longest, verdict) if rescued else (h, judged)
             longest = _longest_along(lambda h: along(h, gains).factor, top, path.duration)
-            tries = [", ".join(f"{name} = {value:.5g}" for name, value in best.items())]
+            tries = [equations(best)]
             tries = tries if along(h, best).factor < 1.0 else []
             tries += [f"a rate above {1.0 / longest:.4g} Hz"] if longest > 0.0 else []
             message += f" There {' or '.join(tries)} is stable." if tries else ""
@@ -368,7 +369,7 @@ def _longest_along(
 
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
     """Return a sentence on gains or a sample time that would work."""
-    words = " Try " + ", ".join(f"{name} = {value:.5g}" for name, value in best.items())
+    words = f" Try {equations(best)}"
     if method == "aa":  # method aa is marginal even with its best gains
         out = " aad removes that eigenvalue at the same accuracy."
         return f"{words} with aad, which removes aa's eigenvalue -1." if delay else out

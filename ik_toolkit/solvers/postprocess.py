@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
+from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, TOO_FAR, UNREACHABLE
 from ..kernel.records import ANSWER, AT, MISS, PAST
 from ..robot.pose import check_target
 from .options import OBJECTIVES
@@ -56,7 +56,8 @@ def finish_failure(outcome: Any) -> Any:
     """Finish a search that has not converged."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
-    finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
+    if outcome.row[AT.status] != TOO_FAR:  # which a control loop may meet at every step, and nothing finishes it
+        finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
 
 
@@ -74,7 +75,7 @@ def finish_failures(
     LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then the default
     search descends to the closest configuration near its own.
     """
-    for k in np.flatnonzero(np.isin(rows[:, AT.status], ended)):
+    for k in np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1)):
         at, row = start[k : k + 1] if len(start) > 1 else start, rows[k]
         if row[AT.status] == LIMIT_BLOCKED and plan.options.limits:
             if plan.unlimited.solve(T[k : k + 1], kinds, at, given)[AT.status] != CONVERGED:
@@ -98,15 +99,15 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
     misses = row[ANSWER + robot.n :].reshape(-1, MISS)
     beyond = misses[:, 2].copy()  # The column of distances proven out of reach is kept.
     length, least = o.length_scale or robot.reach, np.inf
+    targets, orders = T.reshape(-1, 4, 4), plan.orders(kinds, given)
     for q in begins:
         steps = int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations]))
         if steps < 2:
             break
         made = row.copy()
         made[ANSWER : ANSWER + robot.n] = q
-        approach_target(*plan.chain[:2], T.reshape(-1, 4, 4), made, plan.orders(kinds, given), robot.n, length, steps)
+        left = approach_target(*plan.chain[:2], targets, made, orders, robot.n, length, steps)
         row[AT.evaluations] = made[AT.evaluations]
-        left = _size(made, robot.n, length)
         if left < least or made[AT.status] == CONVERGED:
             least = left
             row[:] = made
@@ -115,14 +116,6 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
     misses[:, 2] = beyond
     if row[AT.status] == LIMIT_BLOCKED and not robot.at_limits(row[ANSWER : ANSWER + robot.n]):
         row[AT.status] = STALLED
-
-
-def _size(row: np.ndarray, n: int, length: float) -> float:
-    """Return the squared error of a row (width,), in which a position error of `length` [m] is a radian."""
-    each = (
-        row[ANSWER + n :].reshape(-1, MISS)[:, :2] if len(row) > ANSWER + n else row[[AT.position, AT.rotation]][None]
-    )
-    return float(((each / (length, 1.0)) ** 2).sum())
 
 
 def extend(outcome: Any) -> Any:

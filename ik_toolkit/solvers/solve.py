@@ -221,8 +221,10 @@ def is_auto(solver: Any) -> bool:
 
 def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
     """Return the closed form that fits the robot and alone has a parameter that `options` names, or None."""
-    names = options.keys() - set(NAMES) - set(find_row(GENERAL).load()._fields)
-    fitting = [name for kind in (POSE, POSITION) if names and (name := fits(robot, kind))]
+    names = options.keys() - {*NAMES, "tolerance", *find_row(GENERAL).load()._fields}
+    if not names:
+        return None
+    fitting = (name for kind in (POSE, POSITION) if (name := fits(robot, kind)))
     return next((name for name in fitting if names & set(find_row(name).load()._fields)), None)
 
 
