@@ -70,6 +70,19 @@ def test_reference_objective_pulls_towards_q0():
         assert closer >= 10
 
 
+def test_reference_objective_ends_where_no_self_motion_is_nearer():
+    """At the end the gradient of the weighted distance has no part along the self-motion, unless a limit is in the way."""
+    robot, weights, seen = robots.load("planar_3r"), np.array([0.2, 1.0, 5.0]), 0
+    for q in robots.sample(robot, 40, seed=34)[0]:
+        q0 = 0.5 * (q + robot.home)
+        found = ik.solve(robot, robot.fk(q).translation, "lm", q0=q0, objective="reference", joint_weights=weights)
+        if found.success and not found.limited_joints:
+            along = np.linalg.svd(robot.jacobian(found.q)[:2])[2][2]  # the direction of the self-motion
+            assert abs(along @ ((found.q - q0) / weights)) < 1e-3
+            seen += 1
+    assert seen > 10
+
+
 def test_closest_is_nearest_among_all_branches():
     robot = robots.load("locked")  # six joints: isolated solutions, all known from the closed form
     Q, T = robots.sample(robot, 40, seed=33)

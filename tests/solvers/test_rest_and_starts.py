@@ -41,9 +41,23 @@ def test_more_attempts_never_solve_fewer(given):
     assert solved == sorted(solved) and solved[0] < solved[-1], solved
 
 
-def test_without_q0_answers_lie_near_home():
-    """Half of the starts lie in half the range, and near ones count a little more: 1.3 times the least was measured here."""
-    robot = robots.load("hydrolek_7w")
+def test_the_last_attempt_is_not_given_up_early():
+    """It solves what an attempt that is the only one solves from the same start."""
+    robot, seen = robots.load("locked"), 0
+    for T in robots.sample(robot, 300, seed=14)[1]:
+        both = ik.solve(robot, T, "lm", restarts=1, history=True)
+        if both.restarts:
+            start = both.history["q"][np.flatnonzero(both.history["attempt"] == 1)[0]]
+            alone = ik.solve(robot, T, "lm", q0=start, restarts=0)
+            assert both.success or not alone.success
+            seen += alone.success
+    assert seen > 50
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "planar_3r"])
+def test_without_q0_answers_lie_near_home(name):
+    """Half of the starts lie in half the range, and near ones count a little more: 1.1 times the least was measured."""
+    robot = robots.load(name)
     Q = robot.home + 0.4 * (robot.random_q(np.random.default_rng(13), 300) - robot.home)
     T = np.array([robot.fk(q).homogeneous for q in Q])
 
@@ -52,7 +66,7 @@ def test_without_q0_answers_lie_near_home():
 
     free, nearest = ik.solve_batch(robot, T, "lm"), ik.solve_batch(robot, T, "lm", q0=robot.home, closest=True)
     assert free.success.all() and nearest.success.all()
-    assert far(free) <= 1.4 * far(nearest), (far(free), far(nearest))
+    assert far(free) <= 1.2 * far(nearest), (far(free), far(nearest))
 
 
 def test_largest_move_and_its_notice():
