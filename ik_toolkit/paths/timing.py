@@ -18,8 +18,8 @@ from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 GRID = 200  # least number of grid points of the time law of a smooth piece
-FINER = 3  # largest number of times that the grid is doubled while limits are exceeded between points
-TOO_FAST = 1.02  # The grid is doubled if a limit is exceeded by more than this factor between two grid points.
+TOO_FAST = 1.001  # Below this factor the whole piece is slowed down instead.
+LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
 MOST_SAMPLES = 1e7  # largest number of samples of a trajectory, so that a far too high rate is an error
 NOWHERE = np.full(2, np.nan)  # NaN as the place of both ends of a free motion, which is nowhere among the poses
@@ -232,24 +232,34 @@ def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], 
     """
     knots = found.knots
     piece = Piece(knots, found.cubics, knots, knots, knots, found.at)
-    between = max(1, math.ceil(GRID / (len(knots) - 1)))
-    for _ in range(FINER + 1):
-        grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
-        top = np.full(len(grid), np.inf)
-        if tip_speed < math.inf:
-            top = tip_speed / np.maximum(_tip_rates(robot, piece, grid), 1e-9)
-        _, slope, bend = piece.curve(grid)
+    between = max(2, math.ceil(GRID / (len(knots) - 1)))
+    grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
+    _, slope, bend = piece.curve(grid)
+    top = _ceiling(robot, piece, grid, tip_speed)
+    for _ in range(LOWERED):
         speed, _ = time_law(slope, bend, grid, *limits, top=top, start=0.0, end=0.0)
         made = piece._replace(s=grid, speed=speed, t=times_of(grid, speed))
-        factor = _excess(made, limits)
-        if factor <= TOO_FAST:
+        excess = _excess(made, limits)
+        if excess.max() <= TOO_FAST:
             break
-        between *= 2
-    return made.slower(factor)
+        around = np.maximum(np.append(excess, 1.0), np.append(1.0, excess))
+        top = np.where(around > 1.0, np.minimum(top, speed / around), top)
+    return made.slower(float(excess.max()))
 
 
-def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
-    """Return the factor (1 or more) by which a piece must be slowed down to keep its joint limits at every instant.
+def _ceiling(robot: Joints, piece: Piece, grid: np.ndarray, tip_speed: float) -> np.ndarray:
+    """Return the highest ds/dt at grid points (G,) for which no tip exceeds `tip_speed` [m/s] there or half way to the next."""
+    if tip_speed == math.inf:
+        return np.full(len(grid), np.inf)
+    middle = _tip_rates(robot, piece, 0.5 * (grid[1:] + grid[:-1]))
+    rates = np.max([_tip_rates(robot, piece, grid), np.append(middle, 0.0), np.append(0.0, middle)], axis=0)
+    return tip_speed / np.maximum(rates, 1e-9)
+
+
+def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the factors (G-1,), 1 or more, by which each grid interval of a piece exceeds its joint limits somewhere.
+
+    A piece that is slowed down as a whole by the largest of them keeps its limits at every instant.
 
     Between two grid points the squared path speed is linear in s and the curve is cubic, so joint accelerations are
     quadratic in s. So their extrema, and their zeros, where joint speeds are extreme, are known in closed form.
@@ -275,7 +285,7 @@ def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
     inside = [motion(np.clip(np.nan_to_num(share), 0.0, 1.0)) for share in shares]
     speeds = np.abs([dq0, dq1, *(one[0] for one in inside)]) / limits[0]
     gains = np.abs([first, last, *(one[1] for one in inside)]) / limits[1]
-    return max(1.0, (1.0 + ROUNDED) * max(float(speeds.max()), math.sqrt(float(gains.max()))))
+    return np.maximum(1.0, (1.0 + ROUNDED) * np.maximum(speeds, np.sqrt(gains)).max(axis=(0, 2)))
 
 
 def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> Piece:

@@ -96,6 +96,23 @@ def test_the_tip_keeps_its_speed_where_limits_allow(count):
     assert abs(fast.duration / path.retime(acceleration=1.0).duration - 1.0) < 1e-3 and len(fast.slower) == 1
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("acceleration", [0.05, 1.0])
+def test_a_sharp_corner_slows_the_tip_down_only_near_it(seed, acceleration):
+    """Two straight joint motions with a corner between them: elsewhere either a limit or the tip speed is reached."""
+    robot, asked, rng = motions.load("hydrolek_7w"), 0.05, np.random.default_rng(seed)
+    a, b, c = robot.lower + (robot.upper - robot.lower) * (0.3 + 0.4 * rng.random((3, robot.n)))
+    Q = np.concatenate([np.linspace(a, b, 60), np.linspace(b, c, 60)[1:]])
+    made = ik.solve_path(robot, [robot.fk(q) for q in Q], q0=a).retime(acceleration=acceleration, tip_speed=asked)
+    t = np.linspace(0.0, made.duration, 4000)
+    q, _, ddq = made.at(t)
+    speed = np.linalg.norm(np.diff([robot.fk(one).translation for one in q], axis=0), axis=1) / np.diff(t)
+    used = np.abs(ddq).max(axis=1)[1:] / acceleration
+    assert speed.max() < 1.002 * asked and used.max() < 1.0 + 1e-6
+    near = np.abs(np.interp(t[1:], made.t, made.place) - 59.0) < 5.0
+    assert (np.maximum(speed / asked, used)[~near] < 0.97).mean() < 0.005
+
+
 def test_mistakes_are_named():
     robot = motions.load("planar_2r")
     path = ik.solve_path(robot, [robot.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])])
