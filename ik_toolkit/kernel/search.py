@@ -59,7 +59,7 @@ class Endings(NamedTuple):
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged
     far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
-    rest: float = 1e-12  # largest move of a joint [rad or kernel units] in a step that counts as none
+    rest: float = 1e-9  # largest move of a joint [rad or kernel units] in a step that counts as none
 
 
 END = Endings()
