@@ -65,8 +65,8 @@ def check(
     moving = ~cut & np.isfinite(curve[1:] + curve[:-1]).all(axis=1)
     deviation[~moving], turn[~moving] = np.nan, np.nan
     if collision is None:
-        return Continuity(deviation, turn, lacking=lacking)
-    return Continuity(deviation, turn, *find_contacts(collision, curve, at, moving), lacking=lacking)
+        return Continuity(deviation, turn, lacking)
+    return Continuity(deviation, turn, lacking, *find_contacts(collision, curve, at, moving))
 
 
 def densify(

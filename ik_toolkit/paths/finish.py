@@ -249,10 +249,10 @@ def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
     proof = Continuity(
         np.where(next_to, proof.deviation[kept[:-1]], np.nan),
         np.where(next_to, proof.turn[kept[:-1]], np.nan),
+        np.where(next_to, proof.lacking[:, kept[:-1]], 0.0),
         proof.clearance,
         tuple(one._replace(place=x) for one in proof.contacts for x in where([one.place])),
         tuple(where(proof.unproven)),
-        None if proof.lacking is None else np.where(next_to, proof.lacking[:, kept[:-1]], 0.0),
     )
     found = found._replace(q=found.q[asked], tracks=found.tracks[asked], breaks=sorted(broken))
     return ProvenMotion(found, q, motion.curve[kept], places[kept], proof, where(motion.leaps))
