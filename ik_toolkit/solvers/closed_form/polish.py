@@ -145,10 +145,3 @@ def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
         if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r]:
             return position, rotation, evaluations
     return np.inf, np.inf, evaluations
-
-
-@cached
-def polish_rows(rows, ends, opt, T, Q, steps, errors):
-    """Polish Q (K, n) for T (4, 4) in place; errors (K, 2) receives both errors [m], [rad] of each."""
-    for k in range(Q.shape[0]):
-        errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps, np.inf)
