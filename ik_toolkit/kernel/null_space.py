@@ -164,10 +164,9 @@ def objective(p, what, ends, box, ref, weights):
 
 @spliced
 def downhill(p, what, ends, box, ref, value, z):
-    """Write to z (n,) the direction in which the objective falls from p.desk.q, where it has the given value.
+    """Write to z (n,) a direction in which the objective, whose value at p.desk.q is given, falls.
 
-    For the two objectives that are distances this is the whole Newton step, as they and the projection measure moves alike.
-    The Jacobian at p.desk.q is computed again.
+    For an objective that is a distance this is the full Newton step. The Jacobian at p.desk.q is computed again.
     """
     q = p.desk.q
     n = q.shape[0]

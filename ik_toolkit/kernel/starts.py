@@ -43,7 +43,7 @@ class StartTable(NamedTuple):
     features: Array  # (FEATURES * tips, N + PAD) features of the seeds, see `chain.table`
     score: Array  # (N,) squared distance of each configuration from the target
     val: Array  # (BEST,) the least score of each group
-    best: Array  # (BEST,) for one tip indices of the starts, for several tips of the groups, nearest first
+    best: Array  # (BEST,) nearest first: indices of the starts (one tip) or of the groups (several tips)
     choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
     state: Array  # (1,) state of the random sequence that gives the later starts

@@ -108,7 +108,8 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
     for k in range(last - 1, -1, -1):
         h, top, by = steps[k], z[k], -1
         # The bounds on u = d2s/dt2 are kept in the form low - low_z z <= u <= high - high_z z.
-        # The first pair keeps z at the end of the interval between 0 and z[k + 1], the second keeps |u| <= gain.
+        # The first pair keeps z + 2 h u, the z at the end of the interval, between 0 and z[k + 1].
+        # The second pair keeps |u| <= gain.
         low[0], low_z[0], low_by[0] = 0.0, 0.5 / h, -1
         high[0], high_z[0], high_by[0] = 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
         low[1], low_z[1], low_by[1] = -gain, 0.0, -1

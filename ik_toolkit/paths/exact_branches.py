@@ -20,7 +20,8 @@ from ..solvers.closed_form.geometry import Screws, read_screws
 PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
 # Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
 DOUBTFUL = 1e-7
-EXACT = 1e-5  # largest pose error of a solution [m, or in rotation matrix entries]; descriptions are rounded
+# largest pose error of a solution [m, or in rotation matrix entries]; not smaller, because robot files hold rounded numbers
+EXACT = 1e-5
 
 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -25,7 +25,7 @@ CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, mor
 
 @inline
 def shortest_difference(d, endless):
-    """Return a joint value or difference d, less its full turns [rad] if endless > 0."""
+    """Return a joint value or difference d [rad]; if endless > 0, moved by full turns into the range from -pi to pi."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 

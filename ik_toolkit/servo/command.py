@@ -229,7 +229,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
-        # method cv extrapolates from its previous command, which gets the same rates along removed directions
+        # Method cv extrapolates from the command stored in own.memory, so that gets the rates of s.x along lost directions.
         if law.code == CV:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_wishes(law, s, given, ratio, h, own.memory)

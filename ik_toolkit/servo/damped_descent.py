@@ -34,7 +34,9 @@ TURNS, FORGOTTEN = 2.0, 0.1  # reversals of joints that make an arm count as stu
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
 # factors of the share (in mu) when joints turn back, when the error does not fall, and when it falls
 TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
-FLOOR = 0.25  # after joints turned back, least share over the raised one: twice the share found too small
+# After joints turned back: the least share, as a fraction of the share just raised. With TURNED = 8 it is twice the one
+# that was too small.
+FLOOR = 0.25
 FADING = 0.3  # [s] time constant with which the raised least share fades
 BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 

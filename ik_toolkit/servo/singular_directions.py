@@ -214,9 +214,9 @@ def mode_speed(s, mode, gain, h, limits, near, away):
 
 @inline
 def judge_modes(law, task, look, s, limits, h, own, heavy):
-    """Decide on all singular directions (singular_step.py).
+    """Choose for each singular direction whether it leaves the task, and the joint rate along it (see `mode_speed`).
 
-    Return whether the target is out of reach along one of them.
+    Returns whether the target is out of reach along one of them.
     """
     n, m = s.J.shape
     rate, away, state = own.motion[1], own.away, own.state

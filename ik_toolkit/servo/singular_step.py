@@ -367,11 +367,11 @@ def along_lost(V, lost, xk, x, speeds):
 
 @inner
 def down_slopes(W, V, sigma, pull, x, speeds):
-    """Set the component of x (n,) across a replaced direction V_k to reduce the error, or to 0 if `speeds` is 0.
+    """Set the rates x (n,) along slope_k to pull[k] slope_k, which reduces the error, or to 0 if `speeds` is 0.
 
-    It is along sigma_k v_k less the part along V_k, by which `bent_direction` has replaced v_k.
-
-    pull (m,): rates along it. It takes effect gradually while sigma_k grows from half of WEAK.lost to WEAK.lost.
+    slope_k is the part of sigma_k v_k perpendicular to V_k, the direction that replaces v_k (see `bent_direction`).
+    pull (m,): rates per unit of slope_k; where it is 0 the rates stay. The change is faded in while sigma_k grows from
+    half of WEAK.lost to WEAK.lost.
     """
     for r in range(pull.shape[0]):
         share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)

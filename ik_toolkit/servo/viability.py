@@ -36,7 +36,8 @@ ROUNDING = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding
 SPARE = 1e-13
 NOISE = 1e-12  # [rad or arm reaches] a joint beyond a viable state by more counts as recovering
 UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
-SHARE = 0.1  # share of the speed limit, or of 1 rad/s (arm reach/s) if less, at which a joint returns inside
+# A joint outside its limits returns at no more than this share of its speed limit, or of 1 rad/s (arm reach/s) if less.
+SHARE = 0.1
 SWING = 0.05  # share of the speed limit above which a motion counts for detecting oscillation
 # A joint oscillates once it has reversed SWINGING times in a row, each within WINDOW [s] of the last; HOLD [s] ends it.
 # For comparison: scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.

@@ -46,7 +46,7 @@ class Carried(NamedTuple):
     memory: Array  # memory of the tracking method or of the solver's rule
     swings: Array  # (3, n) detection of oscillating joints, see `viability.watch`
     away: Array  # (n,) direction in which joints leave a singular (straight) pose
-    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py), zeros before one
+    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros until there is one
     state: Array  # numbers kept between steps, in the layout of `laws.State`
     active: Array  # (n,) int8: joints in the active set of `constrain`
     kept: Array  # (rows,) int8: inequalities in the active set of `constrain`

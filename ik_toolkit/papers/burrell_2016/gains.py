@@ -67,9 +67,9 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
 
 
 def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Return for each point (N, 3) the least of the distances EDGE (N,) [m] at which a point around it is out of reach.
+    """Return for each point (N, 3) the smallest of the distances EDGE [m] at which a point around it is out of reach.
 
-    If all of those points are in reach, the result is twice the largest distance.
+    If all points around it are in reach, it is twice the largest distance.
     """
     axis = np.array([-1.0, 0.0, 1.0])
     directions = np.array([(x, y, z) for x in axis for y in axis for z in axis if x or y or z])

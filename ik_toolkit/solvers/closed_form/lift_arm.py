@@ -100,10 +100,10 @@ def lift_limits(p, box):
 
 @inner
 def choose_lift(p, P, box, spans):
-    """Return the lift [m] to try first and the number of feasible intervals, which spans (2, 2) receives.
+    """Return the lift [m] to try first and the number of feasible intervals, whose ends are written to spans (2, 2).
 
-    A number of 0 means that no lift inside limits reaches the target, so the nearest is returned; -1: the lift is not
-    free or its first choice is feasible.
+    If the number is 0, no lift inside the limits reaches the target, and the nearest one is returned. If it is -1, no
+    intervals were needed: the arm has no lift, its lift is given, or the reference lift is feasible and is to be kept.
     """
     a4, a6 = p[A4], p[A6]
     i = int(p[LIFT])
@@ -231,7 +231,7 @@ def shared_range(box, i, j, shift, slope):
 
 @inline
 def set_free(p, up, x, row):
-    """Set theta_1 of a level arm (6,) to that of the joint value x; theta_4 follows."""
+    """Set theta_1 in the angles `row` (6,) of a level arm to what joint value x gives; theta_4 keeps its sum or difference."""
     turned = p[JOINTS + 1] * x + p[JOINTS + 2] - row[0]
     row[0] += turned
     row[2] += up * turned
