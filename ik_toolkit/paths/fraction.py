@@ -55,7 +55,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
 
         def step(s: float) -> np.ndarray | None:
             T = interpolate_poses(p.poses, np.array([np.interp(s, way, np.arange(len(way)))]), p.kinds)
-            row = p.single.solve(T if p.robot.by_tip else T[:, 0], p.kinds, q[None], True)
+            row = p.single.solve(T.reshape(-1, *p.robot.pose_shape), p.kinds, q[None], True)
             new = row[ANSWER : ANSWER + p.robot.n].copy()
             near = (np.abs(new - q) <= p.most * p.unit).all()
             free = search.collides is None or not search.collides(new)

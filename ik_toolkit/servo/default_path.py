@@ -161,15 +161,12 @@ def paths(
             frame.
         rest: Other arguments of `draw`.
     """
-    T: Any = robot.fk(q)
-    if not robot.by_tip:
-        return _drawn(T.homogeneous, kind, size, axis, free, rest)
-    made = {}
+    T, made = robot.each_tip(robot.fk(q)), {}
     for tip in robot.tips:
         held = tip in relative and relative[tip] in T
         at = T[relative[tip]].actInv(T[tip]) if held else T[tip]
         made[tip] = _drawn(at.homogeneous, "line" if held else kind, 0.0 if held else size, axis, free, rest)
-    return made
+    return robot.for_tips(made)
 
 
 def _drawn(at: np.ndarray, kind: str, size: float, axis: Any, free: bool, rest: Mapping[str, Any]) -> Reference:

@@ -265,9 +265,9 @@ class Run:
         from ..paths.solve_path import solve_path
 
         some = np.unique(np.linspace(0, len(samples.T) - 1, min(len(samples.T), MOST_POSES)).astype(int))
-        poses = samples.T[some] if robot.by_tip else samples.T[some, 0]
+        poses = samples.T[some, :, :3, 3] if self.references[0].position_only else samples.T[some]
         found = solve_path(
-            robot, poses[..., :3, 3] if self.references[0].position_only else poses, q0=self.q0, reconfigurations="none",
+            robot, robot.for_tips({tip: poses[:, f] for f, tip in enumerate(robot.tips)}), q0=self.q0, reconfigurations="none",
             max_step=STRIDE, position_tolerance=EXACT, orientation_tolerance=EXACT, **self.counts,
         )  # fmt: skip
         every = np.arange(len(samples.T))

@@ -84,9 +84,7 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
     if options.get("free_turn") is not None:
         raise InvalidOption("an axis target frees the turn about its axis; leave free_turn out")
     made = {tip: [one.T_base_tip for one in columns[tip]] if tip in axes else column for tip, column in columns.items()}
-    if robot.by_tip:
-        return made, {**options, "free_turn": axes}
-    return made[robot.tips[0]], {**options, "free_turn": axes[robot.tips[0]]}
+    return robot.for_tips(made), {**options, "free_turn": robot.for_tips(axes)}
 
 
 def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
