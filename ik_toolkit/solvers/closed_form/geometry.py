@@ -69,14 +69,14 @@ class Branches(NamedTuple):
 class Screws(NamedTuple):
     """The joint axes of a chain at q = 0 in base axes."""
 
-    turns: np.ndarray  # Whether each joint turns (n,).
+    turns: np.ndarray  # (n,) whether each joint is revolute
     axis: np.ndarray  # Unit direction of each axis (n, 3).
     point: np.ndarray  # The point (n, 3) [m] of a revolute joint's axis that is nearest the tip.
     T: np.ndarray  # The pose T_base_tip (4, 4) [m].
 
 
 def read_screws(chain: Chain) -> Screws | str:
-    """Return the joint screws at q = 0, or the reason why there are none: a coordinate drives several joints (mimic)."""
+    """Return the joint screws at q = 0, or the reason (text) why there are none: one coordinate drives several joints (mimic)."""
     if not chain.plain:
         return "it has mimic joints"
     # `evaluate` is not compiled, so recognising a robot compiles nothing.
@@ -88,7 +88,7 @@ def read_screws(chain: Chain) -> Screws | str:
 
 
 def angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Return the angle [rad] that turns direction `start` into `end` about `axis`; all are unit vectors, both across the axis."""
+    """Return the angle [rad] about `axis` that rotates `start` into `end`; unit vectors, the last two perpendicular to `axis`."""
     return math.atan2(float(axis @ np.cross(start, end)), float(start @ end))
 
 
@@ -122,7 +122,7 @@ def clamp(x, low, high):
 
 @inline
 def legal_start(ends, opt, q0):
-    """Return whether a start (n,), if there is one, is finite and, if limits count, inside them [rad or m]."""
+    """Return whether the start q0 (n,) [rad or m] is finite and, if limits count, inside them; True if no start is given."""
     o = read(Orders, opt)
     return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
 
@@ -143,10 +143,10 @@ def copy_limits(ends, opt, q0, box):
 
 @inline
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
-    """Evaluate q with the kernel's forward kinematics and write the result row, whose errors and status are of that evaluation.
+    """Evaluate q (n,) [rad or m] by the kernel's forward kinematics; write its errors and the status to the result row `out`.
 
-    `broken` is by how much the best branch exceeds a limit; `gap` how far [m] the target is out of reach with its
-    orientation kept; `slack` how much of that [m] the orientation's tolerance may make up for. `goal` (12,), `joints`
+    `broken` is by how much the best branch exceeds a limit. `gap` is how far [m] the target is out of reach with its
+    orientation kept, and `slack` how much of `gap` [m] the orientation tolerance may make up for. `goal` (12,), `joints`
     and `trig` are scratch, see `kinematics.room`.
     """
     n = box.shape[1]

@@ -24,13 +24,14 @@ from .reach import (
 # From LIFT on, the lift has its index in q (-1: none), sign, choice and given value.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
-SCAN = 12  # number of lifts tried in each feasible interval if no branch at the first is inside limits
-# If 33 lifts of a branch all exceed limits, minima of the excess are searched for between them.
+SCAN = 12  # number of lifts tried in each feasible interval if no branch at the first lift is inside the limits
+# A branch is tried at 33 lifts. If all exceed limits, minima of the excess are searched for between these lifts.
 WINDOWS = 33
 # The golden section takes 64 steps, after which it is at rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
 TURNS = 8  # number of full turns considered either way; joints with wider limits count as endless
-# An arm is level (axes 1 and 4 parallel) if tool z's slope, and the forearm's error over its length, are below 1e-9.
+# An arm counts as level (axes 1 and 4 parallel) if the component of the wrist's z axis along axis 1, and the miss of
+# `level_arm` over the arm's length a4 + a6, are below this.
 LEVEL = 1e-9
 
 
@@ -49,7 +50,10 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q with lift d and `angles` (6,) on turns in limits nearest the reference box[2]; return excess, distance."""
+    """Fill q (n,) with lift d and `angles` (6,), each on the full turn inside its limits nearest the reference box[2].
+
+    Returns the largest limit excess [rad or m] and the weighted squared distance from the reference.
+    """
     worst, distance = 0.0, 0.0
     for k in range(6):
         i = int(p[JOINTS + 3 * k])
@@ -74,9 +78,9 @@ def near_angles(p, box, near):
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d that is nearest inside the limits, or else exceeds them least.
+    """Fill best (n,) with the branch at lift d that is inside the limits and nearest the reference, or exceeds them least.
 
-    The wrist point is first moved to the nearest reachable one. Returns limit excess and distance.
+    The point of the wrist pose P is first moved to the nearest reachable one. Returns limit excess and distance.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -131,9 +135,10 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Return how a lift whose limits keep it from the target is stopped: lift, gap and missing stroke [m].
+    """Return lift, gap and missing stroke [m] of a lift whose limits keep the arm from the target.
 
-    It is the limit nearest a lift that would reach, with gap 0; if no lift would, d and gap are returned with stroke 0.
+    If a lift beyond the limits reaches the target, these are the limit nearest to such a lift, a gap of 0, and the
+    distance between the two. Otherwise d and gap are returned, with a stroke of 0.
     """
     low, high = lift_limits(p, box)
     least = np.inf
@@ -173,10 +178,10 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search every branch over the feasible lifts for windows inside all limits, however narrow.
+    """Search the feasible lifts for windows, however narrow, in which a branch is inside all limits.
 
-    Such a window lies at a minimum of the largest limit excess; each minimum is approached by golden section until it
-    is zero or as small as it gets. Returns the least limit excess.
+    The largest limit excess of a branch, as a function of the lift, has a minimum in such a window. Each minimum is
+    approached by golden section until the excess is 0 or no longer falls. Returns the least limit excess.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
@@ -213,9 +218,9 @@ def narrow_windows(p, P, box, near, spans, broken, row, q, best):
 
 @inline
 def coupled(p, up, row):
-    """Return how a level arm (6,) couples its joints i and j, which turn theta_1 and theta_4: q_j = base + slope q_i.
+    """Return i, j, base and slope of the coupling q_j = base + slope q_i in a level arm with the angles `row` (6,).
 
-    The sum or difference theta_4 - up theta_1 is given by the pose.
+    Joints i and j turn theta_1 and theta_4. The pose determines theta_4 - up theta_1, where up is 1 or -1.
     """
     sign, sign4 = p[JOINTS + 1], p[JOINTS + 7]
     base = sign4 * (row[2] - up * row[0] + up * p[JOINTS + 2] - p[JOINTS + 8])
@@ -231,7 +236,7 @@ def shared_range(box, i, j, shift, slope):
 
 @inline
 def set_free(p, up, x, row):
-    """Set theta_1 in the angles `row` (6,) of a level arm to what joint value x gives; theta_4 keeps its sum or difference."""
+    """Set theta_1 of a level arm with the angles `row` (6,) by the joint value x, and theta_4 so that the pose is kept."""
     turned = p[JOINTS + 1] * x + p[JOINTS + 2] - row[0]
     row[0] += turned
     row[2] += up * turned
@@ -239,10 +244,10 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, nearest the reference in limits.
+    """Set theta_1 and theta_4 of a level arm with the angles `row` (6,) to the pair in limits nearest the reference.
 
-    theta_4 = constant + up theta_1, where up is 1 or -1. If no pair is inside limits, the one that exceeds them least
-    is taken.
+    The pose determines theta_4 - up theta_1, where up is 1 or -1. If no pair is inside the limits, the one that exceeds
+    them least is taken.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -262,10 +267,10 @@ def meet_limits(p, box, up, row):
 
 @inner
 def pick_level(p, P, d, free, box, near, row, q, best):
-    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) of least limit excess, then the nearest.
+    """Fill best (n,) with the level arm (axes 1 and 4 parallel) of least limit excess; of several, the nearest to the reference.
 
-    Returns its limit excess, or infinity if the pose has no level arm. With `free` the lift may be chosen, otherwise
-    it is d.
+    Returns its limit excess, or infinity if no level arm reaches the pose P. If `free`, each arm takes the lift that it
+    needs, otherwise lift d.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]
