@@ -184,7 +184,7 @@ class Tracks:
     """
 
     def __init__(self, problem: Problem, most: int, threads: int, seed: int) -> None:
-        """Start without tracks; most: their largest number, seed: of the random starts."""
+        """Start without tracks; most: the largest number of tracks, seed: number that fixes the random starts."""
         self.problem, self.most, self.threads = problem, most, threads
         self.rng = np.random.default_rng(seed)
         self.size = 0

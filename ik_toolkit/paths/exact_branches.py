@@ -53,7 +53,7 @@ def _parallel(axes: np.ndarray) -> bool:
 
 
 def _meeting(s: Screws, reach: float) -> np.ndarray | None:
-    """Return the point (3,) [m] at q = 0 where axes 5 and 6 meet, None if they do not; reach [m]: the arm's."""
+    """Return the point (3,) [m] at q = 0 where axes 5 and 6 meet, None if they do not; reach: the arm's reach [m]."""
     across = np.cross(s.axis[4], s.axis[5])
     size = np.linalg.norm(across)
     if size < PARALLEL or abs((s.point[5] - s.point[4]) @ across) > PARALLEL * reach * size:
@@ -100,7 +100,7 @@ def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.nda
 
 
 def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the joints k, k + 1, k + 2, whose axes are parallel, for the motion E (N, 4, 4) from q = 0 that they make.
+    """Solve the joints k, k + 1, k + 2, whose axes are parallel, so that they make the displacements E (N, 4, 4) from q = 0.
 
     Returns the solutions (N, 2, 3) [rad], NaN where none exists, and where (N,) their number is beyond doubt.
     """

@@ -1,7 +1,7 @@
 """The degrees of freedom of an arm's tips: with fewer than the targets need, interpolated poses cannot be followed.
 
-Between two poses that it reaches, such an arm moves as near to the interpolated poses as it can. The error that it
-cannot avoid is not counted there against the path tolerance; at the poses themselves every error counts.
+Between two poses that it reaches, such an arm moves as near to the interpolated poses as it can. Between the poses, the
+error that it cannot avoid is not counted against the path tolerance. At the poses themselves every error counts.
 """
 
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ class Freedom(NamedTuple):
     """Which components of the targets of a path the joints can change.
 
     rank: number of independent components of the targets that the joints can move (generic rank of the task Jacobian).
-    lacks: whether that is too few to follow the interpolated poses between two poses.
+    lacks: whether this rank is too low to follow the interpolated poses between two poses.
     """
 
     rank: int
@@ -30,7 +30,7 @@ class Freedom(NamedTuple):
 
 
 def freedom(plan: Any, kinds: tuple) -> Freedom:
-    """Return what the joints of a plan, but for those of weight 0, can do about targets of these kinds, one per tip."""
+    """Return the Freedom that a plan's joints, without those of weight 0, have for targets of these kinds (one per tip)."""
     key = "freedom", kinds
     if key not in plan.memo:
         plan.memo[key] = _freedom(plan, kinds)

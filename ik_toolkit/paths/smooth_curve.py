@@ -137,7 +137,7 @@ def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tup
 
 
 def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return the place among the poses of each row of a spline: where the tips are nearest the chord there.
+    """Return the place among the poses of each row of a spline: the point of the chord that is nearest the tips.
 
     rows (K, n) [rad or m]: the spline at the ends of all parts; at (M,): places of the rows that were interpolated;
     parts (M-1,): number of parts between two of these. The result (K,) never decreases.
@@ -162,7 +162,7 @@ def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np
 
 
 def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Return at which of the poses T (N, F, 4, 4) a tip's path turns by more than CORNER (N,); never at the ends."""
+    """Return whether (N,) a tip's path turns by more than CORNER at each of the poses T (N, F, 4, 4); False at both ends."""
     found = np.zeros(len(T), dtype=bool)
     for f, kind in enumerate(kinds):
         chords = np.diff(T[:, f, :3, 3], axis=0)
@@ -208,10 +208,11 @@ class Arcs:
 
     @functools.cached_property
     def _splines(self) -> list[tuple[int, int, int, np.ndarray, Any, Any]]:
-        """Return the splines between two corners, which are the poses a and b.
+        """Return the splines of each tip, from every corner or end of the path to the next.
 
-        Of each: a, b, the tip's index, the tip's path length (b - a + 1,) [m] at the poses, and the splines of position
-        and rotation (None if only the position counts) over that length.
+        Each entry is: the numbers a and b of the poses at the two corners, the tip's index, the tip's path length
+        (b - a + 1,) [m] at these poses, and the splines of position and of rotation (None if only the position counts)
+        over that length.
         """
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline
