@@ -31,7 +31,8 @@ PATIENCE = 2  # the search ends after this many successive rounds of further anc
 # The first search keeps a margin of NEAR [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
 # This margin makes it easy to prove the motion between poses free of contact.
 NEAR = 0.003
-PROBES = 9  # A gap is a run of poses without tracks; after this many of its poses had no solution, the others are given up.
+# A gap is a run of poses without tracks. After this many of its poses had no solution, the others are given up.
+PROBES = 9
 LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.
 
 

@@ -90,7 +90,7 @@ class Options:
 
     @property
     def budget(self) -> int | None:
-        """FK evaluations of one run of the kernel; with a timeout this is a slice, after which it runs again with more."""
+        """FK evaluations of one run of the kernel; with a timeout this is a first slice, and the kernel runs again with more."""
         return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 

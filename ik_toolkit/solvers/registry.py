@@ -30,8 +30,8 @@ class Length(NamedTuple):
     """How long a search continues by default.
 
     `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair:
-    known starts, second pair: q0 and random starts). From the attempt `patience` after q0's, each has twice the
-    iterations and is given up later.
+    known starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given
+    up later from attempt number `patience` on (the attempt from q0 is not counted).
     """
 
     iterations: int = 1000  # largest number of iterations of an attempt
@@ -211,7 +211,7 @@ def list_rows() -> tuple[Row, ...]:
 
 @functools.cache  # cached, because listing installed packages takes milliseconds
 def registered() -> dict[str, Row]:
-    """Return the registry rows of other packages' solvers by name, without unusable ones, of which a warning tells."""
+    """Return the registry rows of other packages' solvers by name; unusable ones are left out with a warning."""
     import importlib.metadata
 
     found: dict[str, tuple[Row, str]] = {}

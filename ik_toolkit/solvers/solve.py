@@ -171,7 +171,7 @@ def require_robot(robot: Any) -> None:
 
 
 def narrowed_for(robot: Any, options: Any) -> Any:
-    """Return the robot to solve for: a variant if `limits` narrows its limits, which the options then have as True."""
+    """Return the robot to solve for: a variant with narrower limits if the option `limits` gives any; it is then set to True."""
     limits = options.get("limits", True)
     if limits is True or limits is False:
         return robot
@@ -220,7 +220,7 @@ def is_auto(solver: Any) -> bool:
 
 
 def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
-    """Return the closed form that fits the robot and alone has a parameter that `options` names, or None."""
+    """Return a closed form that fits the robot and has a parameter in `options` that the general search lacks, or None."""
     names = options.keys() - {*NAMES, "tolerance", *find_row(GENERAL).load()._fields}
     if not names:
         return None

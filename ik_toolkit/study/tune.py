@@ -201,10 +201,10 @@ def tune(
         solver: Name of the solver.
         position_only: Tune for positions instead of poses.
         method: 'cma' (CMA-ES) or 'pso' (particle swarm).
-        maps: Number of starts of a solver with maps (default: its own). 1 tunes the published structure (a, B and the start, with C
-            fixed, without loss), more tune starts whose maps are designed.
-        initial: The rule to start from. One with maps keeps its structure (a, B, C, literal delay); with several starts each B is
-            searched between the given one and its own.
+        maps: Number of starts of a solver with maps (default: its own). With 1, the published structure is tuned: a, B and the
+            start (C is fixed without loss). With more, the starts are tuned, and the map of each is designed.
+        initial: The rule to start from. One with maps keeps its structure (a, B, C, literal delay); with several starts, each B is
+            searched between the given one and the one designed for its start.
         targets: Number of training targets.
         held_out: Number of sets of 1000 fresh targets for the final score.
         generations: Highest number of generations.
@@ -358,7 +358,10 @@ def check_record(file: Path) -> None:
 
 
 class _Record:
-    """The costs of every generation, kept in a file; a resumed search reads them if its first candidates are the same."""
+    """The costs of every generation, kept in a file.
+
+    A resumed search reads the costs instead of computing them. It must propose the same first candidate in each generation.
+    """
 
     def __init__(self, file: str | Path | None, key: str) -> None:
         self.file, self.key = None if file is None else as_path(file, "checkpoint"), key

@@ -1,4 +1,4 @@
-"""Fig. 4 of Burrell et al. (2016) at a goal that behaves like the published one, which is out of reach; a search finds it."""
+"""Fig. 4 of Burrell et al. (2016). The published goal is out of reach, so a search finds a goal that behaves like it."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..report import Report
 from .figures import draw_existence
 from .published import PAPER_OPTIONS, TO_PAPER
 
-CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and number of the best of them, compared at every gain
+CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and number of the best of them that are tried at every gain
 
 
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:

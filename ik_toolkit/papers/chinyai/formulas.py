@@ -92,7 +92,7 @@ def closed_form_all(X, l1, l2, out):
 
 @cached
 def newton_all(X, l1, l2, Q0, kind, clip, out):
-    """Solve targets X (N, 2) from Q0 (1 or N, 2) by `newton`; out (N, 4) receives angles, count and |error|."""
+    """Solve targets X (N, 2) from Q0 (1 or N, 2) by `newton`; out (N, 4) receives angles, number of steps and |error|."""
     tolerance = TOLERANCE * (l1 + l2)
     for i in range(X.shape[0]):
         q = Q0[i if Q0.shape[0] > 1 else 0]

@@ -97,7 +97,7 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system on a path, with the number of steps of a run and its start for an initial error (actual - target)."""
+    """A system on a path: number of steps of a run, function from a task position to q, initial error (actual - target)."""
 
     system: System
     path: Path

@@ -128,7 +128,7 @@ def recognise(chain: Chain) -> Fit:
 def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Write for each target the branch inside the limits nearest the start in Q0, or how far the target is from having one.
 
-    The arguments are those of `kernel.search.entry`.
+    `protocol.ClosedForm.loop` describes the arguments.
     """
     n = seeds.shape[1]
     p = opt[WEIGHTS + n :]
@@ -258,5 +258,5 @@ class Inspection(NamedTuple):
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled function that solves, called as `kernel.search.entry`."""
+        """Return the compiled function that solves."""
         return solve_inspection

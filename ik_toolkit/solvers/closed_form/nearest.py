@@ -17,7 +17,7 @@ SAMPLE = 64  # number of branches asked for from a continuous family
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:
-    """Return a solve function, called like `kernel.search.entry`, that chooses among the branches listed by `form.every`.
+    """Return a solve function (see `protocol.ClosedForm.loop`) that chooses among the branches listed by `form.every`.
 
     If it fails, nothing is proven about the target.
     """

@@ -101,7 +101,7 @@ def nearest_on_limits(p, x, y, box, q, best):
 def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     """Write for each target the branch inside the limits nearest the start in Q0, or how far the target is from having one.
 
-    The arguments are those of `kernel.search.entry`.
+    `protocol.ClosedForm.loop` describes the arguments.
     """
     n = 2
     p = opt[WEIGHTS + n :]
@@ -188,5 +188,5 @@ class Planar2R(NamedTuple):
         return derive_planar(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled function that solves, called as `kernel.search.entry`."""
+        """Return the compiled function that solves."""
         return solve_planar
