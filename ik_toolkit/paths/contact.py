@@ -29,7 +29,7 @@ EACH, AT_LEAST = 30, 20_000
 
 
 class Margins:
-    """Tests at which distance, the margin, the pairs of shapes of a CollisionModel stay apart.
+    """Collision tests of a CollisionModel in which a pair of shapes counts as touching if it is nearer than its margin.
 
     arms (n, pairs): lever arms, by how much a pair's distance changes at most per unit of each joint [m/rad or m/m]
     size (pairs,): longest lever arm of each pair [m]; a pair's margin is a margin factor [rad] times its size
@@ -38,7 +38,7 @@ class Margins:
     """
 
     def __init__(self, collision: Any, stroke: np.ndarray) -> None:
-        """Compute the arms for a CollisionModel; stroke (n,): largest |q| along the motion, which lengthens arms."""
+        """Compute the arms for a CollisionModel; stroke (n,): largest |q| along the motion (a prismatic joint lengthens arms)."""
         self.collision = collision
         self.arms = _arms(collision, stroke)
         self.size = np.maximum(self.arms.max(axis=0, initial=0.0), FLOOR)

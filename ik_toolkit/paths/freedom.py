@@ -57,7 +57,7 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
     own = max((rank(one.reshape(-1, len(moving))) for one in J), default=0)
     everywhere = np.moveaxis(J, 0, 2).reshape(len(blocks), 3, -1)
     # Planar arms, gantries and SCARA arms can move in the same directions everywhere, with uncoupled rotations.
-    # Interpolating between two poses of such an arm therefore takes no direction in which it cannot move.
+    # Interpolation between two poses of such an arm therefore needs no direction in which the arm cannot move.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows
     plain = all(kind in (POSE, POSITION, FREE) for kind in kinds) and not counts_in_part(kinds, plan.options)

@@ -38,7 +38,7 @@ class Problem:
     endless (n,): whether a joint is revolute without limits
     turning: indices of revolute joints with limits whose range exceeds a full turn
     redundant: whether there are more joints than the targets need, so that solutions are not isolated
-    room (3, n): limits in the search; without redundancy `turning` joints have none, as turns are chosen later
+    room (3, n): limits in the search; if not `redundant`, `turning` joints have none, as their turns are chosen later
     """
 
     def __init__(

@@ -89,8 +89,8 @@ class Search:
         """Take the options of a search.
 
         model: a CollisionModel or None; q0, q_end (n,) [kernel units] or None: start and end of the path, or
-        configurations near which it starts and ends; seed: of the random starts; progress: function of a share and a
-        text.
+        configurations near which it starts and ends; seed: number that fixes the random starts; progress: function of a
+        share (0 to 1) and a text.
         """
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
         self.collides: Any = None

@@ -34,7 +34,7 @@ def shortest_difference(d, endless):
 def step(Q, t, a, u, b, most, endless, price, near, enough):
     """Return the cost of the joint move from track a at pose t to track b at pose u; infinite if `enough` or more.
 
-    A joint that moves further than `most` (n,) makes the cost infinite if near > 0, and adds price[2, 0] if near is 0.
+    If a joint moves further than `most` (n,), the cost is infinite if near > 0; if near is 0, price[2, 0] is added once.
     Other arguments are those of `link_layers`.
     """
     total, over = 0.0, 0.0
@@ -52,7 +52,7 @@ def step(Q, t, a, u, b, most, endless, price, near, enough):
 
 @inner
 def barred(blocked, low, high, a, b):
-    """Return whether the step from track a to track b is among the excluded steps blocked[low:high]."""
+    """Return whether the step from track a to track b is one of the excluded steps blocked[low:high], see `link_layers`."""
     for k in range(low, high):
         if blocked[k, 1] == a and blocked[k, 2] == b:
             return True
@@ -61,7 +61,7 @@ def barred(blocked, low, high, a, b):
 
 @inner
 def window(keys, size, low):
-    """Return the first index at which the ascending keys[:size] are not below `low` (binary search)."""
+    """Return the index of the first of the ascending keys[:size] that is not below `low`, or `size` (binary search)."""
     a, b = 0, size
     while a < b:
         m = (a + b) // 2

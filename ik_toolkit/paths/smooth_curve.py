@@ -94,10 +94,10 @@ def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.nda
 def _judged(
     plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at: np.ndarray
 ) -> tuple[Curve, np.ndarray]:
-    """Return the spline through the rows `curve` (M, n) [rad or m], and where (M-1,) it is not acceptable.
+    """Return the spline through the rows `curve` (M, n) [rad or m], and whether (M-1,) it fails between two rows.
 
-    Between two rows it is not acceptable if a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or if
-    the motion is not proven free of contact. at (M,): places of the rows among the poses.
+    It fails if a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or if the motion is not proven free of
+    contact. at (M,): places of the rows among the poses.
     """
     robot = plan.robot
     knots = coordinate(curve, robot.chain.unit)

@@ -89,7 +89,7 @@ def solve_path(
             1 deg, or twice the tolerances at the poses if that is more.
         avoid_collisions: as for `solve`.
         reconfigurations: 'fewest', 'none', or the largest number of changes of branch.
-        seed: of the random starts.
+        seed: number that fixes the random starts.
         threads: number of threads; default all cores.
         progress: function (fraction, text) that is called regularly.
         options: as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.

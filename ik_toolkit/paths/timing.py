@@ -23,7 +23,7 @@ LOWERED = 8  # largest number of times that the path speed is lowered where limi
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
 MOST_SAMPLES = 1e7  # largest number of samples of a trajectory, so that a far too high rate is an error
 NOWHERE = np.full(2, np.nan)  # NaN as the place of both ends of a free motion, which is nowhere among the poses
-KEPT = 0.99  # A tip speed counts as the one asked for from this share of it on.
+KEPT = 0.99  # A tip counts as keeping the speed asked for if it has at least this share of it.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
 TOLD = 3  # largest number of places that a message lists
 
@@ -152,7 +152,7 @@ def _pieces(
 
     The result is one smooth curve if there is one within the bounds `allowed` (2, N-1) [m], [rad] on leaving the
     chords. Else the run is divided at its corners, and a part without corners becomes straight lines from row to row.
-    limits: joint speeds and accelerations (n,); tip_speed [m/s]. Returns of each piece its verified Curve (None if
+    limits: joint speeds and accelerations (n,); tip_speed [m/s]. Returns for each piece its verified Curve (None if
     straight), its timed Piece, and its rows.
     """
     if run.stop - run.start < 2:

@@ -142,7 +142,7 @@ class Plan:
         return found
 
     def _ends(self) -> np.ndarray:
-        """Return the `ends` of the chain with limits as the options want them."""
+        """Return the `ends` of the chain with the joint limits and the wrapping that the options ask for."""
         chain, n = self.robot.chain, self.robot.n
         ends = chain.ends
         if not self.options.limits:

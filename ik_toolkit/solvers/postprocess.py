@@ -1,9 +1,9 @@
 """The steps that finish an answer: each takes a SolveRecord and returns it, changed or not.
 
-A failure is finished first (`finish_failure`): by what its timeout still allows, the test whether limits are the cause, and
-the descent to the closest configuration. `plan.improving` are the steps that may replace a converged q (collisions,
-objective), of single calls and of batches. `plan.steps` are all steps of a single call: history, improving, and the check by
-Pinocchio.
+A failure is finished first (`finish_failure`): the search continues as far as its timeout allows, a test shows whether limits
+are the cause, and q descends to the closest configuration. `plan.improving` are the steps that may replace a converged q
+(collisions, objective), in single calls and in batches. `plan.steps` are all steps of a single call: history, improving, the
+check by Pinocchio, and the test of the description's constraints.
 """
 
 from collections.abc import Callable
@@ -158,7 +158,7 @@ def record(outcome: Any) -> Any:
 
 
 def improve(outcome: Any) -> Any:
-    """Move a solution in the null space; q and its errors are replaced by better ones that were evaluated."""
+    """Improve the objective of a solution by motion in the null space; the row gets the better q and its evaluated errors."""
     from ..kernel.null_space import refine
 
     plan, row = outcome.plan, outcome.row
@@ -179,7 +179,7 @@ def confirm(outcome: Any) -> Any:
     if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
         return outcome
     if kinds == (POSE,):
-        # A rotation given with few digits is replaced by the nearest exact one, because its angle is as inexact.
+        # A target rotation with few digits is replaced by the nearest exact one: the angle left to it is just as inexact.
         mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)

@@ -2,8 +2,8 @@
 
 A rule is one step of an iterative method; the search does everything else (kernel/search.py). A closed form lists the
 branches of one target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or
-`@closed_form`, which add what the class leaves out. Nothing else in the toolkit asks for a solver by its name or class:
-it asks these calls, or the registry row (`registry.Row`), which says what must be known without importing the class.
+`@closed_form`, which add what the class leaves out. The rest of the toolkit never tests a solver's name or class. It uses
+these calls, or the registry row (`registry.Row`), which says what must be known without importing the class.
 """
 
 import inspect

@@ -43,8 +43,8 @@ class Solver(ReadOnly):
 
     Args:
         robot: A Robot, or a Tree (several tips solved together).
-        solver: Name, rule class or instance. 'auto' uses a closed form for the kinds of target that it solves exactly,
-            or the one whose parameter is given, otherwise the search; `result.solver` names the one used.
+        solver: Name, rule class or instance. 'auto' uses a closed form if one fits the robot and the kind of target, or
+            if one of its parameters is given; otherwise the search. `result.solver` names the one used.
         options: Options (see `Options`), and parameters of the rule.
 
     Attributes:

@@ -16,7 +16,7 @@ from ..kernel.records import POINTS
 
 @dataclass(frozen=True)
 class Parameter:
-    """One declared parameter: lower and upper end (scalars or arrays of one shape), log scale or not, unit, where to start."""
+    """One parameter to tune: its lower and upper end and initial value (of one shape), unit, and whether its scale is log."""
 
     name: str
     low: Any

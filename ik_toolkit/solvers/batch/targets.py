@@ -143,7 +143,7 @@ def _plain(target: Any, base: str) -> np.ndarray:
 
 
 def _numbers(targets: Any) -> np.ndarray:
-    """Return targets as an array of real numbers (see `errors.floats`), a view if they are one."""
+    """Return targets as an array of real numbers (see `errors.floats`), without a copy if they are one already."""
     if masked(targets):
         raise InvalidTarget("targets must be numbers, and some of these are masked")
     if isinstance(targets, AxisTarget):

@@ -57,7 +57,7 @@ class Branches(NamedTuple):
 
     q: np.ndarray  # (K, n) the branches [rad or m], on the full turns nearest the reference
     broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
-    marks: np.ndarray  # Signs (K, 3) of shoulder, elbow and wrist.
+    marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
     complete: bool  # Whether these branches are proven to be all.
     words: str  # Part of the message that says where the branches are, such as ' at lift 0.2 m'.
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
@@ -99,7 +99,10 @@ def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 @shared
 def legal_turn(angle, low, high, near):
-    """Return angle + k 2 pi inside [low, high] nearest to `near`, and by how much [rad] it is outside (0: inside)."""
+    """Return the angle moved by full turns into [low, high] and, of several such values, the one nearest `near`.
+
+    Also returns by how much [rad] the result is outside the limits (0: inside), if no full turn puts it inside.
+    """
     x = angle + TAU * np.rint((near - angle) / TAU)
     if x > high + SNAP:
         x -= TAU * math.ceil((x - high - SNAP) / TAU)

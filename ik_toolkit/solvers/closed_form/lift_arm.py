@@ -152,9 +152,10 @@ def stopped_at(p, P, box, d, gap, spans):
 
 @inner
 def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
-    """Try a few feasible lifts for a branch inside limits; best receives the nearest, or the one of least excess.
+    """Try SCAN lifts in each feasible interval, a row of `spans`, and fill best (n,) with the best branch of all.
 
-    Lifts are closer together at the ends of an interval, where the angles change fastest. Returns the limit excess.
+    That is the branch inside the limits nearest the reference, or else the one of least limit excess, which is returned.
+    Lifts are closer together at the ends of an interval, where the angles change fastest.
     """
     least, nearest = np.inf, np.inf
     for k in range(spans.shape[0]):
@@ -170,7 +171,10 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 
 @inner
 def at_turn(p, P, k, span, turn, box, near, row, q):
-    """Fill q with branch k at the share (1 - cos(turn)) / 2 of a span of lifts; return limit excess and distance."""
+    """Fill q (n,) with branch k at a lift of the interval `span`; return its limit excess and distance from the reference.
+
+    turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval.
+    """
     d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
     return joint_values(p, row, d, box, q)
@@ -178,10 +182,11 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search the feasible lifts for windows, however narrow, in which a branch is inside all limits.
+    """Search the feasible intervals of lifts (rows of `spans`) for windows: parts in which a branch is inside all limits.
 
-    The largest limit excess of a branch, as a function of the lift, has a minimum in such a window. Each minimum is
-    approached by golden section until the excess is 0 or no longer falls. Returns the least limit excess.
+    A window may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
+    minimum is approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of
+    least excess, and returns this excess.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
@@ -229,7 +234,10 @@ def coupled(p, up, row):
 
 @inline
 def shared_range(box, i, j, shift, slope):
-    """Return the range of q_i with q_i and q_j = shift + slope q_i (slope +-1) inside limits; empty if low > high."""
+    """Return the ends of the range of q_i in which q_i and q_j = shift + slope q_i are inside their limits; slope is 1 or -1.
+
+    The range is empty if its first end is above its second.
+    """
     a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
     return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
 

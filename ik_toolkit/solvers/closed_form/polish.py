@@ -21,9 +21,9 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
     """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits by at most `steps` damped Newton steps.
 
     The errors count in units of their tolerances, so that a step into both tolerances is preferred to a smaller error
-    of one. `fixed` is the place of a joint that is not moved, or -1; `most` is the number of evaluations allowed (inf:
-    any). It stops when both errors are a thousandth of their tolerances. Returns both errors of q [m], [rad] (inf if it
-    was not evaluated) and the evaluations made.
+    of one. `fixed` is the index of a joint that is not moved, or -1; `most` is the number of evaluations allowed (inf:
+    any). The steps end when both errors are at most a thousandth of their tolerances. Returns both errors of q [m],
+    [rad] (inf if q was not evaluated) and the number of evaluations made.
     """
     n = q.shape[0]
     return newton(make_serial(rows, ends, opt[HEAD:], n, read(Orders, opt)), np.empty(n), opt, T, q, fixed, steps, most)

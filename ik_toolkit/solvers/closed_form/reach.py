@@ -316,7 +316,7 @@ def depressed_roots(p, q):
 
 @shared
 def reach_edge(P, a4, a6, outside, inside):
-    """Return the lift between an unreachable and a reachable one where the reach margin vanishes, on the reachable side."""
+    """Return the lift at the edge of the reach between `outside` (P unreachable) and `inside` (reachable); P is reachable there."""
     for _ in range(60):
         middle = 0.5 * (outside + inside)
         if inspection_margin(P, middle, a4, a6) >= 0.0:

@@ -29,7 +29,7 @@ SAME = 1e-6
 def explain_result(result: Any) -> Explanation:
     """Explain a result.
 
-    Raises InvalidTarget for one that keeps no target (a row of a batch), MissingExtra if sympy is not installed.
+    Raises InvalidTarget for a result that keeps no target (a row of a batch), MissingExtra if sympy is not installed.
     """
     of = result._of
     if not of.T.size:
@@ -40,7 +40,7 @@ def explain_result(result: Any) -> Explanation:
     if form is not None:
         solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
-        if not solution.steps:  # EAIK's branches, without steps, match only roughly
+        if not solution.steps:  # EAIK shows no steps, and some of its branches do not match
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
         chosen = _nearest(robot, solution.branches, q)

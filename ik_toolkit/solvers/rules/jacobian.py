@@ -11,7 +11,7 @@ from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # least damping; J J' of a planar arm has no inverse
+FLOOR = 1e-12  # least damping, because J J' of a planar arm has no inverse
 
 
 def negative(name: str, value: Any) -> str:
@@ -147,7 +147,7 @@ class Transpose(NamedTuple):
 class Inverse(NamedTuple):
     """The compiled step of Newton-Raphson; it has a field because numba passes no NamedTuple without one."""
 
-    least: float  # Jacobian rows with only smaller entries do not count
+    least: float  # a row of the Jacobian whose entries are all below this does not count as a row of the task
 
     def step(self, p, e):
         s = p.desk

@@ -25,7 +25,7 @@ ROUNDING = 1e-14
 class Gains(NamedTuple):
     """The compiled step of PID with its gains in kernel units.
 
-    Its state holds the sum of error norms, the last norm, and whether there was one.
+    Its memory holds the sum of the error norms so far, the last error norm, and whether there is a last one.
     """
 
     kp: float
@@ -106,7 +106,7 @@ class PID(NamedTuple):
 
     @classmethod
     def preset(cls, name: str | Path) -> "PID":
-        """Make the rule with published or tuned gains, by name or path of a file.
+        """Make the rule with published or tuned gains, given by the name of a preset or the path of a preset file.
 
         Raises InvalidOption listing the presets.
         """

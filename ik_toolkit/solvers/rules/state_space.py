@@ -145,7 +145,7 @@ class StateSpace(NamedTuple):
 
     @classmethod
     def preset(cls, name: str | Path) -> "StateSpace":
-        """Make the rule with published or tuned matrices, by name or path of a file.
+        """Make the rule with published or tuned matrices, given by the name of a preset or the path of a preset file.
 
         Raises InvalidOption listing the presets.
         """
