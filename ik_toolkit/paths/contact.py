@@ -133,7 +133,8 @@ def find_contacts(
         sag: (M-1, n) upper bound on each joint's deviation from the straight line between two rows; default 0.
 
     Returns:
-        The proven clearance [m] (0: not proven), contacts (at most one per segment), and places not proven free.
+        The proven clearance [m] (0: not proven), contacts (one per row, or per segment between rows without contact, at
+            most), and places not proven free.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)

@@ -358,10 +358,7 @@ def check_record(file: Path) -> None:
 
 
 class _Record:
-    """The costs of every generation, kept in a file.
-
-    A resumed search reads the costs instead of computing them. It must propose the same first candidate in each generation.
-    """
+    """The costs of every generation, kept in a file; a resumed search that proposes the same candidates reads them from there."""
 
     def __init__(self, file: str | Path | None, key: str) -> None:
         self.file, self.key = None if file is None else as_path(file, "checkpoint"), key

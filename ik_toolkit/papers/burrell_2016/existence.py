@@ -83,14 +83,14 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
 def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int = 0) -> float:
     """Return the distance [m] from a point (3,) to the nearest tip that a search finds.
 
-    It makes random moves of decreasing size from the nearest of 200,000 random configurations.
+    From the nearest `starts` of 200,000 random configurations it makes random moves of decreasing size.
     """
     rng = np.random.default_rng(seed)
     Q = robot.random_q(rng, 200_000)
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
     best = np.argsort(far)[:starts]
     Q, far = Q[best], far[best]
-    for width in np.geomspace(0.3, 1e-6, 60):  # `width` is the largest move of a joint [rad or m].
+    for width in np.geomspace(0.3, 1e-6, 60):  # `width` is the standard deviation of a move [rad or m].
         tries = np.clip(Q[:, None] + width * rng.standard_normal((starts, 64, robot.n)), robot.lower, robot.upper)
         away = np.linalg.norm(robot.chain.forward(tries.reshape(-1, robot.n))[0][:, :3, 3] - point, axis=1)
         away = away.reshape(starts, -1)

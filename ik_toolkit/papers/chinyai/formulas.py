@@ -108,7 +108,7 @@ def closed_form_numpy(x: float, y: float, l1: float, l2: float) -> tuple[np.ndar
 
 
 def newton_numpy(x: float, y: float, l1: float, l2: float, t1: float, t2: float) -> np.ndarray:
-    """Iterate by eqs. (6) to (9) in numpy."""
+    """Return the angles (2,) where Newton-Raphson by eqs. (6) to (9) ends from t1, t2, computed in numpy."""
     theta, goal = np.array([t1, t2]), np.array([x, y])
     for _ in range(ITERATIONS):
         s1, s12 = np.sin(theta[0]), np.sin(theta.sum())

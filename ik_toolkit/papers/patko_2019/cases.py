@@ -163,7 +163,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
 
     It is the spectral radius of the product of the matrices that carry a disturbance over each step of the exact
     motion; h is adjusted to divide the lap. The first two readings of method aa zigzag about that motion, so their
-    growth is measured.
+    factor comes from disturbed runs (`measured_growth`).
     """
     if key in MEASURED:
         return measured_growth(case, gains, key, lap)

@@ -118,9 +118,8 @@ class StateSpace(NamedTuple):
 
     The error e = target - actual is in base axes [m, rad], orientation as a rotation vector. Joints saturate at their
     limits; the state is not changed. If q0 is given, each step uses the map of the start nearest the current q. Without
-    any matrix, the solver is designed: 128 starts are spread over the workspace, and each has D = kappa times a damped
-    inverse of the mean Jacobian around it. Source: Burrell et al. (2016), eqs. (14)-(15); several maps, feedthrough and
-    design are ours.
+    any matrix, the solver is designed: 128 starts are spread over the workspace, and each has D = kappa times a damped inverse
+    of the mean Jacobian around it. Source: Burrell et al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
 
     Args:
         A: State matrix (m, m).
