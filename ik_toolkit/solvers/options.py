@@ -17,7 +17,7 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SLICE = 256  # number of evaluations in the first slice of a timed solve, about 0.25 ms; the clock is read after each slice
+SLICE = 256  # evaluations in the first slice of a timed solve, about 0.25 ms; after each slice the clock is read
 FOLLOW = 0.5  # follow=True allows each joint to move this far [rad or arm reaches]
 # The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}

@@ -193,8 +193,8 @@ def tune(
 ) -> TuneResult:
     """Search the parameters and starts of a solver for the fewest failures, and keep the best rule on fresh targets.
 
-    The cost of a candidate is its failure rate, plus a tenth of the remaining error (over the length scale), plus 0.02 times the
-    mean iterations / max_iterations. A seed gives the same result again, unless `seconds` ends the search. Ctrl-C ends it too.
+    The cost of a candidate is its failure rate, plus a tenth of the error that failures leave (over the length scale), plus 0.02
+    times mean iterations / max_iterations. A seed gives the same result again, unless `seconds` ends the search. Ctrl-C ends it too.
 
     Args:
         robot: The robot. All tips of a Tree are solved together, and the error of a target is the largest of them.
