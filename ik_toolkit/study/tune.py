@@ -194,7 +194,7 @@ def tune(
     """Search the parameters and starts of a solver for the fewest failures, and keep the best rule on fresh targets.
 
     The cost of a candidate is its failure rate, plus a tenth of the error that failures leave (over the length scale), plus 0.02
-    times mean iterations / max_iterations. A seed gives the same result again, unless `seconds` ends the search. Ctrl-C ends it too.
+    times mean iterations / max_iterations. A seed gives the same result again, unless `seconds` or Ctrl-C ends the search.
 
     Args:
         robot: The robot. All tips of a Tree are solved together, and the error of a target is the largest of them.

@@ -47,7 +47,7 @@ def _arm(parameters: bytes) -> Any:
 
 
 def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return all of EAIK's solutions (K, 6) [rad] for the pose T (4, 4).
+    """Return all of EAIK's solutions (K, 6) [rad] for the pose T (4, 4); p: the parameters that `recognise_six_axes` found.
 
     Solutions that EAIK flags as inexact are kept, because the flag is set on exact ones, too.
     """
@@ -63,7 +63,8 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 def joint_values(angles, box, q):
     """Fill q (6,) with `angles` (6,) [rad], each on the full turn inside its limits that is nearest the reference box[2].
 
-    Returns the largest limit excess [rad] and the weighted squared distance from the reference.
+    box (4, 6): see `geometry.copy_limits`. Returns the largest limit excess [rad] and the weighted squared distance from
+    the reference.
     """
     worst, distance = 0.0, 0.0
     for i in range(N):

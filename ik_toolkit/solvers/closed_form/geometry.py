@@ -132,7 +132,7 @@ def legal_start(ends, opt, q0):
 
 @inline
 def copy_limits(ends, opt, q0, box):
-    """Fill box (4, n): lower limits, upper limits, reference configuration [rad or m], distance weights."""
+    """Fill the rows of box (4, n): lower limits, upper limits, reference (q0, or else home) [rad or m], distance weights."""
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)
     for i in range(n):

@@ -37,7 +37,7 @@ LEVEL = 1e-9
 
 @shared
 def wrist_pose(p, T, P):
-    """Fill P (12: rotation by rows, point [m]) with the wrist pose of T (4, 4) in shoulder axes."""
+    """Fill P (12: rotation by rows, point [m]) with the wrist pose of T (4, 4) in shoulder axes; p: the arm's parameters."""
     for r in range(3):
         b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
         m0 = b0 * T[0, 0] + b1 * T[1, 0] + b2 * T[2, 0]
@@ -52,7 +52,8 @@ def wrist_pose(p, T, P):
 def joint_values(p, angles, d, box, q):
     """Fill q (n,) with lift d and `angles` (6,), each on the full turn inside its limits nearest the reference box[2].
 
-    Returns the largest limit excess [rad or m] and the weighted squared distance from the reference.
+    p: the arm's parameters; box (4, n): see `copy_limits`. Returns the largest limit excess [rad or m] and the weighted
+    squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for k in range(6):
@@ -71,7 +72,7 @@ def joint_values(p, angles, d, box, q):
 
 @inline
 def near_angles(p, box, near):
-    """Fill near (6,) with the angles theta of the reference configuration, which are used where an angle is free."""
+    """Fill near (6,) with the angles theta of the reference configuration box[2], which are used where an angle is free."""
     for k in range(6):
         near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
 
@@ -80,7 +81,8 @@ def near_angles(p, box, near):
 def pick(p, P, d, box, near, moved, sols, q, best):
     """Fill best (n,) with the branch at lift d that is inside the limits and nearest the reference, or exceeds them least.
 
-    The point of the wrist pose P is first moved to the nearest reachable one. Returns limit excess and distance.
+    The point of the wrist pose P is first moved to the nearest reachable one. Returns limit excess and distance. near
+    (6,): angles used where one is free; moved, sols and q are scratch.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -95,7 +97,7 @@ def pick(p, P, d, box, near, moved, sols, q, best):
 
 @inline
 def lift_limits(p, box):
-    """Return the lowest and highest lift [m] that the limits allow, along the shoulder's own axis."""
+    """Return the lowest and highest lift [m] that the joint's limits in `box` allow, counted along the shoulder's own axis."""
     i = int(p[LIFT])
     if p[LIFT + 1] > 0.0:
         return box[0, i], box[1, i]
@@ -106,8 +108,9 @@ def lift_limits(p, box):
 def choose_lift(p, P, box, spans):
     """Return the lift [m] to try first and the number of feasible intervals, whose ends are written to spans (2, 2).
 
-    If the number is 0, no lift inside the limits reaches the target, and the nearest one is returned. If it is -1, no
-    intervals were needed: the arm has no lift, its lift is given, or the reference lift is feasible and is to be kept.
+    A lift is feasible if the wrist pose P is in reach from it. If the number is 0, no lift inside the limits is feasible,
+    and the one that comes nearest is returned. If it is -1, no intervals were needed: the arm has no lift, its lift is
+    given, or the reference lift is feasible and is to be kept.
     """
     a4, a6 = p[A4], p[A6]
     i = int(p[LIFT])

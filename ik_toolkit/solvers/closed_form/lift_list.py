@@ -48,7 +48,8 @@ LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # bits for what leaves an angle free 
 def every_branch(p, T, box, lifts, out, broken):
     """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return their number.
 
-    broken (8 K,) receives by how much each branch exceeds a joint limit.
+    broken (8 K,) receives by how much each branch exceeds a joint limit. p: the arm's parameters; box (4, n): see
+    `geometry.copy_limits`.
     """
     near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
     near_angles(p, box, near)

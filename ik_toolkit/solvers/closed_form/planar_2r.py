@@ -66,7 +66,8 @@ def nearest_on_limits(p, x, y, box, q, best):
     """Fill best (2,) with the configuration inside the limits whose tip is nearest (x, y), if no branch is inside them.
 
     One joint is then at a limit. If it is joint 1, the tip moves on an arc about the elbow; if it is joint 2, on an arc
-    about the base. The arc's nearest point lies in the direction of (x, y) from its centre, or is an end of the arc.
+    about the base. The arc's nearest point lies in the direction of (x, y) from its centre, or is an end of the arc. p:
+    the arm's parameters; box (4, 2): see `copy_limits`; q (2,) is scratch.
     """
     a, b = p[L1], p[L2]
     miss = np.inf
@@ -162,8 +163,8 @@ class Planar2R(NamedTuple):
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all branches of the point of T (4, 4).
 
-        If the links fold back onto the base, the first joint is free and `count` of its values are listed. box (4, 2)
-        has limits, reference and weights (see geometry.copy_limits).
+        If the links fold back onto the base, the first joint is free and `count` of its values are listed. p: the arm's
+        parameters; box (4, 2): limits, reference and weights (see geometry.copy_limits).
         """
         q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
         found, folded = list_planar(p, T, box, q, broken, marks)

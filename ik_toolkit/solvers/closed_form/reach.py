@@ -72,7 +72,7 @@ def planar_branches(x, y, l1, l2, near, sols):
 
 @inline
 def to_plane(p, T):
-    """Return the position of T (4, 4) in the arm's plane, x and y [m], and its distance [m] from the plane."""
+    """Return the position of T (4, 4) in the arm's plane, x and y [m], and its distance [m] from it; p: the arm's parameters."""
     x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
     y = p[3] * T[0, 3] + p[4] * T[1, 3] + p[5] * T[2, 3] + p[10]
     z = p[6] * T[0, 3] + p[7] * T[1, 3] + p[8] * T[2, 3] + p[11]
@@ -83,7 +83,7 @@ def to_plane(p, T):
 def joint_values(p, angles, box, q):
     """Fill q (2,) with theta_1 and theta_2 (`angles`), each on the full turn inside its limits nearest the reference box[2].
 
-    Returns the largest limit excess [rad] and the weighted squared distance from the reference.
+    p: the arm's parameters. Returns the largest limit excess [rad] and the weighted squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for i in range(2):
