@@ -174,9 +174,10 @@ def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
 
 
 def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Return how far [m] and [rad] (2, N-1) an arc through the poses T (N, F, 4, 4) leaves each chord.
+    """Return how far [m] and [rad] (2, N-1) a smooth curve through the poses T (N, F, 4, 4) leaves each chord.
 
-    An arc ends at a corner. kinds: a target kind per tip; tips whose kind is FREE are left out.
+    That is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: a target kind per tip; tips
+    whose kind is FREE are left out.
     """
     found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)
     for f, kind in enumerate(kinds):

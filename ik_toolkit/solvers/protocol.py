@@ -42,7 +42,7 @@ class Asked:
 
     @property
     def position_only(self) -> bool:
-        """Whether no tip has a target orientation."""
+        """Whether the target of every tip is a position."""
         return all(kind == POSITION for kind in self.kinds)
 
     @property

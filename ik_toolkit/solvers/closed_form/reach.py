@@ -72,7 +72,7 @@ def planar_branches(x, y, l1, l2, near, sols):
 
 @inline
 def to_plane(p, T):
-    """Return the position of T (4, 4) in the arm's plane, x and y [m], and its distance [m] from it; p: the arm's parameters."""
+    """Return x and y [m] of the position of T (4, 4) in the arm's plane, and its distance [m] from the plane; p: parameters."""
     x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
     y = p[3] * T[0, 3] + p[4] * T[1, 3] + p[5] * T[2, 3] + p[10]
     z = p[6] * T[0, 3] + p[7] * T[1, 3] + p[8] * T[2, 3] + p[11]
@@ -339,7 +339,7 @@ def keep_interval(out, count, a, b, low, high):
 
 @shared
 def lift_intervals(P, a4, a6, low, high, out):
-    """Fill out (2, 2) with the lifts inside [low, high] from which P is reachable, ascending; return their number (0, 1 or 2).
+    """Fill out (2, 2) with the intervals of lifts, inside [low, high], from which P is reachable; return how many (0 to 2).
 
     P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide
     the lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to
