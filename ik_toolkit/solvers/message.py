@@ -226,9 +226,9 @@ def too_few_joints(result: Any) -> str:
 
 
 def position_alone(result: Any, turned: bool) -> str:
-    """Return a sentence on whether a pose's position can be reached without its orientation, or how nearly; or ''.
+    """Return a sentence that a pose's position can be reached, and how far off the nearest orientation found there is; or ''.
 
-    turned: whether another sentence tells the orientation error.
+    turned: whether another sentence already tells the orientation error, which is then left out.
     """
     of = result._of
     if of.kinds != (POSE,) or not of.T.size or of.plan.options.in_part:

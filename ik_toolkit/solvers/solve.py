@@ -171,7 +171,7 @@ def require_robot(robot: Any) -> None:
 
 
 def narrowed_for(robot: Any, options: Any) -> Any:
-    """Return the robot to solve for: a variant with narrower limits if the option `limits` gives any; it is then set to True."""
+    """Return the robot to solve for; if the option `limits` gives narrower limits, a variant with these (`limits` becomes True)."""
     limits = options.get("limits", True)
     if limits is True or limits is False:
         return robot

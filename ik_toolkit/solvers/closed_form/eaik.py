@@ -20,7 +20,7 @@ H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
 def recognise_six_axes(chain: Chain) -> Fit:
-    """Recognise an arm by its axes at q = 0."""
+    """Return how EAIK fits a chain, which depends on the chain's axes at q = 0."""
     if chain.n != N:
         return no_fit(f"it has {chain.n} joints on the path, not 6")
     screws = read_screws(chain)

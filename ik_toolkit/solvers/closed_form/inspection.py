@@ -63,7 +63,7 @@ CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
 
 
 def recognise(chain: Chain) -> Fit:
-    """Recognise the arm by its joint axes."""
+    """Return how the closed form fits a chain, which depends on the chain's joint axes."""
     if chain.n not in (6, 7):
         return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 revolute joints (or these 6)")
     screws = read_screws(chain)

@@ -35,7 +35,7 @@ STEPS = 8  # number of Newton steps that correct a branch if axes are only nearl
 
 
 def recognise_planar(chain: Chain) -> Fit:
-    """Recognise the arm by its joint axes."""
+    """Return how the closed form fits a chain, which depends on the chain's joint axes."""
     if chain.n != 2:
         return no_fit(f"it has {chain.n} joints on the path, not 2")
     screws = read_screws(chain)
