@@ -98,7 +98,7 @@ class Problem:
         return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Return Q (m, n) [kernel units] with joints that can make a full turn on the turn nearest the middle of their limits."""
+        """Return Q (m, n) [kernel units]; each joint that can make a full turn is moved to the turn nearest its mid-range."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False

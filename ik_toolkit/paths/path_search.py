@@ -319,7 +319,7 @@ class Search:
             self.lower_bound = len(self.found.breaks)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Return which of the solutions Q (N, K, n) [kernel units] lie on some track (N, K), full turns aside."""
+        """Return whether (N, K) each of the solutions Q (N, K, n) [kernel units] lies on a track; full turns are ignored."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):

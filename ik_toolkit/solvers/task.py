@@ -56,9 +56,9 @@ def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
 
 
 def relatives(robot: Any, o: Options) -> tuple[int, ...]:
-    """Return the number of the tip that each tip's target is relative to, -1 for the base.
+    """Return for each tip the index of the tip that its target is relative to, or -1 for the base.
 
-    Raises InvalidOption: unknown tips, circles.
+    Raises InvalidOption for unknown tips, and for tips that are relative to each other in a circle.
     """
     if o.relative_to is None:
         return (-1,) * len(robot.tips)

@@ -44,8 +44,8 @@ def nearest_of(form: Any, robot: Any) -> Callable:
 def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
     """Polish the branches Q (K, n) of the target T (4, 4), choose one, and write it to the result row `out`.
 
-    Of the branches within the tolerances, the one nearest the start q0 (or home if none is given) is chosen. If there is
-    none, the branch with the smallest error is. steps, fixed: as in `polish`.
+    Of the branches within the tolerances, the one nearest the start q0 (or home if no q0 is given) is chosen. If no branch
+    is within them, the one with the smallest error is chosen. steps, fixed: as in `polish`.
     """
     n = Q.shape[1]
     if not legal_start(ends, opt, q0):

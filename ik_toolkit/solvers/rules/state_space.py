@@ -350,7 +350,7 @@ def _plain(rule: StateSpace, n: int) -> tuple[float, np.ndarray]:
 
 
 def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
-    """Return starts to tune; the map of each is the damped inverse of the Jacobian averaged around it, times one loop gain."""
+    """Return the space of starts to tune; a start's map is the damped inverse of the Jacobian averaged around it, times kappa."""
     starts = spread_starts(robot, position_only, maps)
 
     def make(values: dict[str, Any]) -> StateSpace:
@@ -366,7 +366,7 @@ def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
 
 
 def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
-    """Return several starts to tune with A = a I, C = -0.05 I and the literal delay.
+    """Return the space of several starts to tune, for rules with A = a I, C = -0.05 I and the literal delay.
 
     Each start's B lies between the given one (share 0) and the one designed for that start (share 1).
     """
