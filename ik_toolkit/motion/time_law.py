@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.jit import cached
 
-# Half width [samples] of the moving average of s, ds/dt and d2s/dt2; the tip would err where d2s/dt2 jumps.
+# Half width [samples] of the moving average of s, ds/dt and d2s/dt2. Without it the tip would err where d2s/dt2 jumps.
 ROUNDED = 2
 TINY = 1e-12  # a joint with |dq/ds| below this times (1 + |d2q/ds2|) does not limit the acceleration d2s/dt2
 
@@ -118,7 +118,7 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
         for i in range(n):
             for at in range(2):
                 b = bend[k + at, i]
-                # At the end of the interval (at = 1) z is z + 2 h u, which adds 2 h q'' to the factor of u.
+                # At the end of the interval (at = 1) z has become z + 2 h u, which adds 2 h q'' to the factor of u.
                 g = slope[k + at, i] + at * 2.0 * h * b
                 if abs(g) <= TINY * (1.0 + abs(b)):
                     if abs(b) * top > acceleration[i]:

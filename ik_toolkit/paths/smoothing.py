@@ -181,7 +181,8 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
 
     rows, ends, orders: arrays of a Plan; T (N, ...): the targets; fixed (N,): poses whose joints do not move;
     first, second, rounding: as in `cost_of`; longest (n,) [rad or m]: largest joint step between neighbouring poses;
-    steps: largest number of Gauss-Newton steps. Writes to good (N,) whether each pose was on its target at first.
+    steps: largest number of Gauss-Newton steps. Writes to good (N,) whether each pose was brought onto its target before
+    the first step.
     """
     N, n = Q.shape
     o = read(Orders, orders)

@@ -18,12 +18,12 @@ from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 GRID = 200  # least number of grid points of the time law of a smooth piece
-TOO_FAST = 1.001  # Below this factor the whole piece is slowed down instead.
+TOO_FAST = 1.001  # A piece that exceeds its limits by no more than this factor is slowed down as a whole.
 LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
 MOST_SAMPLES = 1e7  # largest number of samples of a trajectory, so that a far too high rate is an error
 NOWHERE = np.full(2, np.nan)  # NaN as the place of both ends of a free motion, which is nowhere among the poses
-KEPT = 0.99  # A tip speed counts as the one asked for from this share of it on.
+KEPT = 0.99  # A tip counts as keeping the speed asked for if it has at least this share of it.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
 TOLD = 3  # largest number of places that a message lists
 
@@ -85,7 +85,7 @@ def through(
     """Return the motion through configurations Q (N, n) [rad or m], straight in the joints, at rest at each one.
 
     `place` of the result counts configurations. Limits, rate and errors are as in `PathResult.retime`. With a
-    CollisionModel as `collision` it goes around what is in the way, or ends where no way was found.
+    CollisionModel as `collision` the motion goes around obstacles, or ends where no way around was found.
     """
     limits, rate = _limits(robot, velocity, acceleration), positive(rate, "rate [1/s]")
     rows = np.array([robot.check_q(q) for q in Q])
@@ -107,7 +107,10 @@ def through(
 
 
 def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.ndarray]:
-    """The pieces that last, or one that does not, and the times (N,) [s] of their samples."""
+    """Return the pieces that take time, or the first one if none does, and the times (N,) [s] of their samples.
+
+    Raises InvalidOption if there would be too many samples.
+    """
     pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
     total = sum(piece.duration for piece in pieces)
     if total * rate > MOST_SAMPLES:
@@ -149,7 +152,7 @@ def _pieces(
 
     The result is one smooth curve if there is one within the bounds `allowed` (2, N-1) [m], [rad] on leaving the
     chords. Else the run is divided at its corners, and a part without corners becomes straight lines from row to row.
-    limits: joint speeds and accelerations (n,); tip_speed [m/s]. Returns of each piece its verified Curve (None if
+    limits: joint speeds and accelerations (n,); tip_speed [m/s]. Returns for each piece its verified Curve (None if
     straight), its timed Piece, and its rows.
     """
     if run.stop - run.start < 2:
@@ -198,7 +201,7 @@ def _slower(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tup
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint limits of speed and of acceleration, each (n,), per s and s^2 [rad or m].
+    """Return the joint limits (n,) of speed [rad/s or m/s] and of acceleration [rad/s^2 or m/s^2].
 
     velocity: one number, one per joint, or None for the robot's own; acceleration: one number or one per joint. Raises
     InvalidOption, naming the joint.
@@ -248,7 +251,7 @@ def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], 
 
 
 def _ceiling(robot: Joints, piece: Piece, grid: np.ndarray, tip_speed: float) -> np.ndarray:
-    """Return the highest ds/dt at grid points (G,) for which no tip exceeds `tip_speed` [m/s] there or half way to the next."""
+    """Return the highest ds/dt (G,) at which no tip exceeds `tip_speed` [m/s] at a grid point and half way to its neighbours."""
     if tip_speed == math.inf:
         return np.full(len(grid), np.inf)
     middle = _tip_rates(robot, piece, 0.5 * (grid[1:] + grid[:-1]))
@@ -257,12 +260,12 @@ def _ceiling(robot: Joints, piece: Piece, grid: np.ndarray, tip_speed: float) ->
 
 
 def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the factors (G-1,), 1 or more, by which each grid interval of a piece exceeds its joint limits somewhere.
+    """Return for each grid interval of a piece the factor (G-1,), 1 or more, by which it is too fast for the joint limits.
 
-    A piece that is slowed down as a whole by the largest of them keeps its limits at every instant.
+    A piece that is slowed down as a whole by the largest factor keeps its limits at every instant.
 
     Between two grid points the squared path speed is linear in s and the curve is cubic, so joint accelerations are
-    quadratic in s. So their extrema, and their zeros, where joint speeds are extreme, are known in closed form.
+    quadratic in s. Their extrema, and their zeros (at which joint speeds are extreme), therefore have a closed form.
     """
     k = np.searchsorted(piece.knots, 0.5 * (piece.s[1:] + piece.s[:-1]), side="right") - 1
     step, squares = np.diff(piece.s), piece.speed**2

@@ -57,7 +57,7 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
     if limited:
         low, high = robot.lower[turning], robot.upper[turning]
         near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
-        near = np.clip(near, low, high)  # adding a full turn rounds
+        near = np.clip(near, low, high)  # rounding in the line above may exceed a limit
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
     orientation = None if all(kind in SPOKEN for kind in kinds) else out[:, AT.rotation]
@@ -150,7 +150,7 @@ def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) 
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Return which joints (n,) may be moved by full turns, and whether only inside limits."""
+    """Return whether (n,) each joint may be moved by full turns, and whether it must stay inside its limits when moved."""
     robot = plan.robot
     if not plan.options.limits and robot.chain.plain:  # full turns may be added to every angle
         return ~robot.slides, False

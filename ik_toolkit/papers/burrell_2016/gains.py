@@ -1,4 +1,4 @@
-"""The gains of IK-PID in Burrell et al. (2016): how many points a poor tuning reaches, and where those lie that it loses."""
+"""The gains of IK-PID in Burrell et al. (2016): how many points poor gains reach, and where the points lie that good ones lose."""
 
 from typing import Any
 
@@ -47,7 +47,7 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
 
 
 def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> None:
-    """Add a table of where the goals lie that the published gains lose, compared with goals that they reach."""
+    """Add a table of how near the workspace's edge the goals lie that the published gains lose, and those that they reach."""
     good = _solved(robot, points, PID.preset("burrell-2016"), q0)
     lost = points[~good]
     reached = points[good][: 2 * len(lost)]
