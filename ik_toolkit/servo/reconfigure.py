@@ -327,8 +327,8 @@ class Reconfiguration:
     ) -> bool:  # fmt: skip
         """Step q and rate (n,) in place by h [s] towards the goal; return False, with nothing moved, if there is no goal any more.
 
-        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma, late: as
-        in `travel`. code (n,) receives the bits of the limits that held joints back.
+        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma, late:
+        as in `travel`. code (n,) receives the bits of the limits that held joints back.
         """
         goal, near = self.goal, ARRIVED
         if goal is None or locked(limits):
