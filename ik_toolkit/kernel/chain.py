@@ -114,8 +114,8 @@ class Chain(NamedTuple):
     seeds: np.ndarray  # (256, n) configurations to start from
     features: np.ndarray  # (13, 272) features of the seeds, by which the seeds nearest a target are found, see `table`
     unit: np.ndarray  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
-    lower: np.ndarray  # (n,) limits [rad or m]
-    upper: np.ndarray  # (n,) limits [rad or m]
+    lower: np.ndarray  # (n,) lower limits [rad or m]
+    upper: np.ndarray  # (n,) upper limits [rad or m]
     turns: np.ndarray  # (n,) 1 if a coordinate may wrap by full turns, else 0
     scale: float  # kernel unit of length [m]
     reach: float  # longest distance of the tip from the first joint [m]
@@ -151,7 +151,8 @@ def start_range(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the range, lower and upper ends (n,) [kernel units], from which starts are drawn: the limits where both exist.
 
-    Without limits it is one turn for a turning joint, two kernel units for a slide; so for a wrapping joint wider than TURNING.
+    Without limits the range is one turn for a turning joint, and two kernel units for a slide. It is also one turn for a joint that
+    may wrap and whose limits are wider apart than TURNING.
     """
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
@@ -190,7 +191,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Return a lower bound on the distance of a chain's end from its foot: the longest of `parts` less all others of `rest`."""
+        """Return a lower bound on the distance of a chain's end from its foot: the longest part less the sum of all others."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -310,8 +311,8 @@ class TreeChain(NamedTuple):
     seeds: Array
     features: Array  # (F, 13, N + PAD) features of the seeds, by which those nearest a target are found, see `table`
     unit: Array  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
-    lower: Array  # (n,) limits [rad or m]
-    upper: Array  # (n,) limits [rad or m]
+    lower: Array  # (n,) lower limits [rad or m]
+    upper: Array  # (n,) upper limits [rad or m]
     scale: float  # kernel unit of length [m]
 
     plain = False  # Row i of a chain need not belong to coordinate i, because no chain has all coordinates.

@@ -119,8 +119,8 @@ class Serial(NamedTuple):
     def best_move(self, look, i, least):
         """Return the move of coordinate i alone that minimises the error.
 
-        It is exact if only the position counts and the joint turns, else it minimises the linearised error. It is 0 if the
-        coordinate hardly changes the error: `least` bounds the squared length of its Jacobian column, or the like.
+        The move is exact if only the position counts and the joint turns, else it minimises the linearised error. It is 0 if a
+        measure of the coordinate's effect on the error is at most `least`.
         """
         linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
         kind = int(self.task[WHAT.kind])

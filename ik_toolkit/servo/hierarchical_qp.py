@@ -63,7 +63,7 @@ def violated(p):
 
 @inline
 def wrong_most(p):
-    """Return the number of the active constraint whose multiplier has the most wrong sign, or NONE."""
+    """Return the number of the active constraint whose multiplier is furthest on the wrong side of zero (`wrong`), or NONE."""
     u, r = p.u, p.r
     worst, which = 0.0, NONE
     for i in range(p.size):
@@ -200,9 +200,9 @@ def go(now, new, count, t, dt):
 
 @inline
 def move_on(p, newest):
-    """Move all multipliers towards those just found, until that of a constraint other than `newest` becomes zero.
+    """Move all multipliers towards the new ones, until the multiplier of a constraint other than `newest` becomes zero.
 
-    Returns the number of that constraint, or NONE if there is none.
+    Returns the number of this constraint, or NONE if no multiplier becomes zero on the way; then nothing is moved.
     """
     u, r, n = p.u, p.r, p.size
     t, dt, blocking = 2.0, 0.0, NONE

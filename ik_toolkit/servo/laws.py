@@ -25,12 +25,12 @@ AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # readings 1, 2, 3 of dJ/dt in eq
 # A step begins at the target's rate, at a given rate, after an earlier command, or without one (after motion led by other code).
 MOVING, GIVEN, RUNNING, READY = range(4)
 FINE, NOT_FINITE, RUNAWAY = range(3)
-SINGLE = 1e-24  # a row of J is motionless if its entry of JJ' is below this share of the largest
+SINGLE = 1e-24  # A row of J counts as zero if its diagonal entry in JJ' is below this share of the largest entry.
 # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
 FAR = 0.25
-SLUGGISH = 0.1  # a joint is slow if its speed limit is below this share of the fastest joint's
+SLUGGISH = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
 AT = 1e-9  # [rad or arm reaches] distance within which a joint counts as at its limit
-REGION = 2.0  # the pseudo-inverse is damped where the smallest singular value is below REGION * damping
+REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value is below REGION * damping.
 
 
 class State(NamedTuple):

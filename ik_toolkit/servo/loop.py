@@ -159,8 +159,8 @@ def clip_rates(law, s, still, h, memory, code):
 def judge(wanted, h, p, state):
     """Return whether the loop ends because of the commanded rates, and whether the arm brakes; to brake, the rates become 0.
 
-    The loop ends if the rates are not finite, or in mode CLIP if they exceed p.runaway. If p.runaway is infinite, the arm brakes
-    instead.
+    The arm brakes if p.brake is set, or if the rates are not finite and p.runaway is infinite. Otherwise the loop ends if the rates
+    are not finite, or in mode CLIP if the mean joint move exceeds p.runaway.
     """
     largest = 0.0
     for k in range(wanted.shape[0]):

@@ -27,7 +27,7 @@ PRESSED = 0.1  # [s] after which inequalities that keep errors within slack are 
 
 @inline
 def reflect(flip, y):
-    """Mirror the rotation components of y (m,), three per tip, in place, so that a free turn becomes the last one.
+    """Mirror the rotation components of y (m,), three per tip, in place, so that a free turn becomes the last of the three.
 
     flip (F, 3): the unit normal of the mirror plane of each tip, zero for a tip without a free turn.
     """
@@ -168,7 +168,10 @@ class Secondary(Holds):
         limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
 
     def side(self, away: np.ndarray) -> None:
-        """Write to away (n,) to which side joints leave a straight pose: 1, -1 or 0 (not named) as `elbow` says, without it 1."""
+        """Write to away (n,) to which side joints leave a straight pose.
+
+        Without the option `elbow` it is 1 for all joints. With it, it is 1 or -1 for the joints that are named, and 0 for others.
+        """
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:

@@ -8,8 +8,8 @@ limit and every small motion increases the error. The solver's attempts from oth
 for the same target, and the arm moves there in joint space, leaving the path of its tip.
 
 When to search: only after limits or a singular pose (not a speed limit) have kept the error from falling for a while,
-or at once for a target that jumped to where the solver does not get from the present joint values. A search is spread
-over several updates so that none takes much longer; after one that finds nothing there is a pause.
+or at once for a target that jumped to a place that the solver does not reach from the present joint values. A search is
+spread over several updates so that none takes much longer; after a search that finds nothing there is a pause.
 
 When to move: the tip leaves its target on the way, and the target may return to where it can be reached. So the arm waits until
 the error, summed over time [m s], has cost as much as the move would. The total cost is then at most twice that of the best choice
@@ -59,7 +59,7 @@ class Taken(NamedTuple):
 
 
 class Postures:
-    """Finds joint values [kernel units] that reach targets, whose kinds `ready` is told before."""
+    """Finds joint values [kernel units] that reach targets; `ready` must be told the kinds of the targets first."""
 
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
         """Prepare the solver; options: say which errors count; speed (n,): joint speed limits [kernel units per s]."""

@@ -283,7 +283,7 @@ def check_gains(
         method: Name of the method.
         h: Sample time [s].
         delay: Age of measured joint positions that are fed back directly, in samples (20 ms at h = 0.01 s are 2 samples;
-            fractions are allowed). It is 0 for `Tracker.update(q=...)`, which takes the delay out, see `JointObserver`.
+            fractions are allowed). Leave it 0 for `Tracker.update(q=...)`, which takes the delay out, see `JointObserver`.
         noise: RMS of the noise on a measured position [rad or m]; the message tells the resulting RMS of the joints.
         robot: A Robot. With `path`, the gains are also judged along this path, by the growth of a small error over the path,
             or over a lap if the path is closed.

@@ -22,7 +22,7 @@ class Standards(NamedTuple):
     # A joint counts as at rest below this share of its speed limit (of 1 rad/s or 1 reach/s if it has none).
     at_rest: float = 1e-3
     # A joint slower than this share of its speed limit does not move at all: for an error worth reporting (`position`), even a gain
-    # of 0.1/s would ask for a speed of 1e-4.
+    # of 0.1/s would ask for a share of about 1e-4.
     resting: float = 1e-6
     falling: float = 0.2  # The tip comes nearer if the error falls by this share of what feedback would remove.
     still: float = 1e-3  # The tip hardly comes nearer if a step removes less than this share of the error.

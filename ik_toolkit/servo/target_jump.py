@@ -1,6 +1,6 @@
 """A target that jumped and stands: the tip moves there in a straight line, or the joints move together if faster.
 
-The feedback of a method closes an error in proportion. Inside joint limits that loses time twice: the tip slows down
+The feedback of a method closes an error in proportion to its size. Inside joint limits that loses time twice: the tip slows down
 long before its target, and a straight line of the tip can be a long way for the joints, or end where no joint can go
 on. So if an error hardly falls although the target stands, joint values are solved for at once, for the target and for
 points on the straight line before it. The line is taken unless it needs more than STRAIGHT times as long as moving all

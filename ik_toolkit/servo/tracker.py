@@ -61,8 +61,8 @@ class Tracker(CopiesViews, ReadOnly):
             obstacles, and takes no step after which it could not stop before a static one (BLOCKED).
         reconfigure: Only with "direct". Move in joint space to another posture if only that reaches the target
             (RECONFIGURING): at once if the target rests, else when the error has cost as much as the move. Not with a locked joint.
-        straight: Only with "direct". To a target that jumped and stands, the tip moves straight, or in joint space if the line
-            takes more than `straight` times as long (inf: only if there is no line).
+        straight: Only with "direct". To a target that jumped and stands, the tip moves straight. If that takes more than `straight`
+            times as long as a direct joint move, this move is made instead (inf: only if there is no straight line).
         delay, noise: Age [samples] and standard deviation [rad or arm reaches] of measured joints, see JointObserver.
         options: Options of the method, and mask, slack, free_turn, frame, relative_to as in `ik.solve`.
 
