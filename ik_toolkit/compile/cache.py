@@ -1,4 +1,4 @@
-"""A cache of compiled kernels on disk that is never stale or half written, and no error if the disk is full or damaged.
+"""A cache of compiled kernels on disk that is never stale or half written, and raises no error if the disk is full or damaged.
 
 numba's own cache has three faults. It watches only the file of the cached function; it keeps all kernels of a function in one
 index, which two processes may overwrite for each other; and a damaged file makes it raise an error. Here each kernel is one file,
@@ -122,7 +122,7 @@ def folder() -> Path | None:
 
 
 def open_to_others(path: Path) -> str:
-    """Return the reason why other users (not root) may have written a file, or files in a folder; '' if they cannot."""
+    """Return why other users (not root) may have written a file, or files in a folder; '' if none of them can have."""
     try:
         return _open_to_others(os.stat(path))
     except OSError:
@@ -164,7 +164,7 @@ def content(path: Path) -> bytes:
 
 
 def damaged(function: Any) -> tuple[Path | None, list[Path]]:
-    """Return the top folder of the kernels on disk, given a cached function, and the damaged files in it."""
+    """Return the top folder of the kernels on disk, and the damaged files in it; function: any function with a cache."""
     cache = getattr(function, "_cache", None)
     if not isinstance(cache, DiskCache):
         return None, []

@@ -42,9 +42,9 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write to goal (GOAL,) where the target that `link` ties to another tip is while the other tip is at `pose` (12).
+    """Write to goal (GOAL,) the present pose of a target that moves with another tip, as `link` (LINK,) says.
 
-    pose: axes of the other chain's last joint (9), then the tip's position (3).
+    pose (12,): axes of the last joint in the other tip's chain (9), then the position of that tip (3).
     """
     frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
     put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))

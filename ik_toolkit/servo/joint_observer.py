@@ -66,7 +66,7 @@ class JointObserver:
         """Return the bandwidth [rad/s] of the filter at sample time h [s].
 
         A difference e between measurement and estimate accelerates the estimate by bandwidth^2 e, so noise and delay
-        limit it.
+        limit the bandwidth.
         """
         steady = FILTER.steady / ((self.delay + 1) * h)
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
