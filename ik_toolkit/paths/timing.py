@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,34 +40,34 @@ def retime(
     result.raise_for_status()
     row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), result.options)
-    allowed = _allowed(result, path_tolerance)
     made: list[Piece] = []
     missing, stops = "", []
-    runs, deviation, turn, clearance = result.pieces, 0.0, 0.0, math.inf
+    runs, places, count, result = result.pieces, result.at, len(result.q), _without_repeats(result)
+    allowed, deviation, turn, clearance = _allowed(result, path_tolerance), 0.0, 0.0, math.inf
     for k, run in enumerate(runs):
         if k:
             way = connect(robot, result.collision, result.curve[runs[k - 1].stop - 1], result.curve[run.start], seed)
             if way is None:
-                pose = int(result.at[run.start])
+                pose = int(places[run.start])
                 missing = f"it ends at pose {pose - 1}: no collision-free motion to the other branch, at pose {pose}, was found"
                 break
             made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
         for j, (found, piece, rows) in enumerate(_pieces(plan, result, allowed, run, limits, asked)):
-            if j:
-                stops.append(float(result.at[rows.start]))
+            if j and piece.duration:
+                stops.append(float(places[rows.start]))
             off, turned, free = (
                 (*result.deviation, math.inf if result.clearance is None else result.clearance)
                 if found is None
                 else (found.deviation, found.turn, found.clearance)
             )
             deviation, turn, clearance = max(deviation, off), max(turn, turned), min(clearance, free)
-            made.append(piece)
+            made.append(piece._replace(at=np.interp(piece.at, result.at[run], places[run])))
     if not made:  # A path of a single pose has no motion.
-        made = [_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits)]
+        made = [_straight(result.curve[0], result.curve[0], places[[0, 0]], limits)]
     pieces, t = _instants(made, rate)
     total = float(t[-1])
     slow = () if tip_speed is None else _slower(robot, pieces, asked)
-    message = missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
+    message = missing or f"all {count} poses are passed in {total:.4g} s"
     if stops:
         message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
     if tip_speed is not None:
@@ -120,6 +121,20 @@ def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.nda
     return pieces, np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
 
 
+def _without_repeats(result: Any) -> Any:
+    """Return a PathResult without the poses that repeat the pose before, at which the joints stand still.
+
+    Only `targets` (N, F, 4, 4) and `at` (M,) change: a spline over the poses needs a distance between any two of them.
+    """
+    T, q = result.targets, result.q
+    still = (np.abs(np.diff(T, axis=0)).max(axis=(1, 2, 3)) <= LEAST) & (
+        np.abs(np.diff(q, axis=0)).max(axis=1) <= LEAST
+    )
+    kept = np.append(True, ~still)
+    at = np.interp(result.at, np.arange(len(T)), np.cumsum(kept) - 1.0)
+    return replace(result, targets=T[kept], q=q[kept], at=at)
+
+
 def _listed(places: list[Any]) -> str:
     """Return the first TOLD of some places as text, and the number of the others."""
     more = len(places) - TOLD
@@ -159,17 +174,23 @@ def _pieces(
         return []
     found = smooth_curve(plan, result, allowed, run)
     if found is not None:
-        return [(found, _spline(found, plan.robot, limits, tip_speed), run)]
+        curve = Piece(found.knots, found.cubics, found.knots, found.knots, found.knots, found.at)
+        return [(found, _fastest(curve, plan.robot, limits, tip_speed), run)]
     places = np.flatnonzero(corners(result.targets, result.kinds))
     cuts = [int(k) for k in np.searchsorted(result.at, places) if run.start < k < run.stop - 1]
     if cuts:
         bounds = [run.start, *cuts, run.stop - 1]
         parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
         return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
-    return [
-        (None, _straight(result.curve[k], result.curve[k + 1], result.at[k : k + 2], limits), slice(k, k + 2))
-        for k in range(run.start, run.stop - 1)
+    rows = [slice(k, k + 2) for k in range(run.start, run.stop - 1)]
+    lines = [
+        _straight(result.curve[k], result.curve[k + 1], result.at[two], limits) for k, two in enumerate(rows, run.start)
     ]
+    slow = [
+        one if tip_speed == math.inf or not one.duration else _fastest(one, plan.robot, limits, tip_speed)
+        for one in lines
+    ]
+    return [(None, one, two) for one, two in zip(slow, rows, strict=True)]
 
 
 def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
@@ -228,15 +249,19 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 
 
 # ------------------------------------------------------------------------------------------------------------- the times
-def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
-    """Return the time-optimal motion along a curve, from rest to rest; limits also hold between the grid points.
+def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
+    """Return a piece with its time-optimal law, from rest to rest; limits also hold between the grid points.
 
     limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
     """
-    knots = found.knots
-    piece = Piece(knots, found.cubics, knots, knots, knots, found.at)
+    knots = piece.knots
     between = max(2, math.ceil(GRID / (len(knots) - 1)))
     grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
+    # From rest to a low tip speed takes a small part of the first interval, within which the acceleration is constant.
+    nearer = 4.0 ** -np.arange(1.0, 8.0)
+    grid = np.unique(
+        np.concatenate([grid, grid[0] + nearer * (grid[1] - grid[0]), grid[-1] - nearer * (grid[-1] - grid[-2])])
+    )
     _, slope, bend = piece.curve(grid)
     top = _ceiling(robot, piece, grid, tip_speed)
     for _ in range(LOWERED):
@@ -301,7 +326,8 @@ def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.nda
     length = float(np.abs(way).max())
     if length <= LEAST:
         still = np.zeros(2)
-        return Piece(np.array([0.0, 1.0]), np.zeros((4, 1, len(a))), still, still, still, at)
+        cubics = np.stack([0.0 * a, 0.0 * a, 0.0 * a, a])[:, None]
+        return Piece(np.array([0.0, 1.0]), cubics, still, still, still, at)
     slope = way / length
     moving = np.abs(slope) > 0.0
     top, gain = (float((limit[moving] / np.abs(slope[moving])).min()) for limit in limits)
