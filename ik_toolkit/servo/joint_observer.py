@@ -8,11 +8,11 @@ assumed: at a constant rate it then takes the additional lag for an offset, and 
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption, whole
+from ..errors import InvalidConfiguration, InvalidOption, whole
 from ..validate import number
 
 
@@ -29,6 +29,17 @@ class Filter(NamedTuple):
 
 
 FILTER = Filter()
+
+
+def read_measured(robot: Any, q: Any) -> np.ndarray:
+    """Return measured joints (n,) [kernel units], which may not be finite. Raises InvalidConfiguration for a wrong size."""
+    try:
+        found = robot.check_q(q, "q")
+    except InvalidConfiguration:
+        found = robot.read_q(q, "q")[0]
+        if np.isfinite(found).all():
+            raise
+    return found / robot.chain.unit
 
 
 class JointObserver:
@@ -50,6 +61,9 @@ class JointObserver:
         self.offset, self._rate = np.zeros(n), np.zeros(n)
         self._sent: deque[np.ndarray] = deque(maxlen=self.delay + 1)
         self._unheard = 0  # number of coming samples whose measurements may still answer to commands from before a jump
+        self.far: Any = None  # the last measurement, if it was too far from its command to be believed
+        self.doubts = 0  # number of such measurements in a row
+        self.confirmed = False  # whether the last two of them agree: the joints are there
         self.used = False  # whether joints have been measured; from then on the estimate is the command plus the offset
 
     def reset(self, *, jumped: bool = False) -> None:
@@ -60,6 +74,7 @@ class JointObserver:
         """
         self.offset[:], self._rate[:] = 0.0, 0.0
         self._sent.clear()
+        self.far, self.doubts, self.confirmed = None, 0, False
         self._unheard, self.used = 2 * (self.delay + 1) if jumped else 0, jumped
 
     def bandwidth(self, h: float) -> float:
@@ -77,15 +92,24 @@ class JointObserver:
         if self._unheard:
             self._unheard -= 1
 
-    def take(self, measured: np.ndarray, h: float) -> float:
+    def take(self, measured: np.ndarray, h: float, most: float, limits: np.ndarray) -> float:
         """Take the joints measured now (n,) [kernel units], after `send` has been called for this sample; h [s]: sample time.
 
-        Returns the largest difference between the measured joints and the command they answer to.
+        Returns the largest difference between the measured joints and the command they answer to, infinite if a number is not
+        finite. A measurement whose difference is above `most` is not believed until the next one agrees with it, and never
+        if it is outside the limits (rows lower and upper, (2+, n)) by more than `most`.
         """
         if self._unheard:
             return 0.0
-        self.used = True
         w, apart = self.bandwidth(h), measured - self._sent[0]
+        largest = float(np.abs(apart).max())
+        if not largest <= most:  # The comparison is false for NaN.
+            agree = self.far is not None and np.abs(measured - self.far).max() <= most
+            inside = (measured >= limits[0] - most) & (measured <= limits[1] + most)
+            self.confirmed = bool(agree and inside.all())
+            self.far, self.doubts = measured, self.doubts + 1
+            return largest if largest < math.inf else math.inf
+        self.far, self.doubts, self.confirmed, self.used = None, 0, False, True
         self._rate += h * w * (w * (apart - self.offset) - 2.0 * self._rate)
         self.offset += h * self._rate
-        return float(np.abs(apart).max())
+        return largest

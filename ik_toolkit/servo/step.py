@@ -190,7 +190,9 @@ class Step:
             move = self.q[i] - o.before[i] * o.by.robot.chain.unit[i]
             parts.append(f"joint {o.by.robot.joint_names[i]} moved {move:.3g} in one step")
         if status is StepStatus.HELD:
-            what = "the step is not finite" if o.finite else "the target is not finite"
+            doubt = "the measured joints leap about, or are outside their limits"
+            doubted = o.lag > 1.0 and not o.resynced
+            what = "the target is not finite" if not o.finite else doubt if doubted else "the step is not finite"
             return "; ".join([*parts, f"{what}: braking and holding"])
         if status is StepStatus.FOLLOWING_ERROR:
             parts.append("the measured joints are far from the commanded ones")

@@ -19,7 +19,7 @@ from . import laws, viability
 from .adapters import bind
 from .collision_guard import ROWS, Guard
 from .constrained_step import DIRECT, LEAVE
-from .joint_observer import FILTER, JointObserver
+from .joint_observer import FILTER, JointObserver, read_measured
 from .laws import CLIP
 from .methods import Method
 from .motion_limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
@@ -206,8 +206,9 @@ class Tracker(CopiesViews, ReadOnly):
             twist: Twist of the target at that time, (6,) or (3,), base axes, for several tips (F, 6) or a dict; default
                 from the last two targets.
             acceleration: Acceleration of the target at that time, in the same form; default 0.
-            q: Joint values (n,) as measured now, from which a filter estimates the joints (JointObserver). If they are off by
-                more than `resync` from the command they answer to, the tracker restarts from them, at rest (JUMPED).
+            q: Joint values (n,) as measured now, from which a filter estimates the joints (JointObserver). A measurement that is
+                off by more than `resync` from the command it answers to is left out (FOLLOWING_ERROR). If the next one agrees
+                with it, the tracker restarts from there, at rest (JUMPED); else, or outside the limits, it brakes (HELD).
 
         For a target that is not finite the arm brakes (HELD). Raises InvalidTarget for a wrong shape, InvalidOption for
         a dt that is not positive or is too long, InvalidConfiguration for a wrong q.
@@ -220,17 +221,16 @@ class Tracker(CopiesViews, ReadOnly):
             self.prepare(stream.kinds or (POSITION,) * stream.tips)
         (observer := self._observer).send(before := self._q.copy())
         if q is not None:
-            found = self.robot.check_q(q, "q")
-            lag = observer.take(found / self.robot.chain.unit, dt) / self.resync
-            if resynced := lag > 1.0:
-                self._begin(found, np.zeros(self.robot.n), jumped=True)
+            lag = observer.take(read_measured(self.robot, q), dt, self.resync, self._limits) / self.resync
+            if resynced := observer.confirmed:
+                self._begin(observer.far * self._units[0], np.zeros(self.robot.n), jumped=True)
         if not self._late:  # Only the first step assigns: an assignment to a sealed object takes half a microsecond.
             self._late = LATE * dt
         h = dt / (parts := parts_of_step(dt, self._late))
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
             if observer.used:
                 self._settings.measured[:] = self._q + observer.offset
-            self._step(part, h, not finite, observer.used)
+            self._step(part, h, not finite or observer.doubts > 1, observer.used)
         if observer.used:
             self._error[:] = self.error_at(self._q + observer.offset, self.stream.last_of(part), h)
         code, lost = self._code.copy(), self._out.S[0]

@@ -94,14 +94,40 @@ def test_measurements_in_some_samples_only():
 
 
 @pytest.mark.parametrize("true", [0, 2, 4])
-def test_one_measurement_far_off_is_one_jump(true):
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_measurements_far_off_are_one_jump_at_most(true, length):
     """The measurements after a jump are of before it: compared with what was commanded since, each would cause another."""
     robot = robots.load("planar_3r")
     tracker, real, jumps, step = ik.Tracker(robot, q0=START), [START] * (true + 1), 0, None
     path = targets(robot, 1500)
     for k, target in enumerate(path):
-        step = tracker.update(target, H, q=real[-1 - true] + 0.3 * (k == 200))
+        step = tracker.update(target, H, q=real[-1 - true] + 0.3 * (200 <= k < 200 + length))
         real.append(step.q)
         jumps += step.status is StepStatus.JUMPED
-    assert jumps == 1
+    assert jumps == (length > 1)
     assert np.linalg.norm(robot.fk(step.q).translation - path[-1]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "length"),
+    [("zeros", 1), *[(wrong, length) for wrong in ("spike", "degrees", "huge", "nan") for length in (1, 20)]],
+)
+def test_wrong_measurements_move_nothing_beyond_a_limit(wrong, length):
+    """One sample is left out. Several that do not agree, are not finite or are outside the limits make the arm hold."""
+    robot = ik.Robot.load("ur5")
+    q0, rng = np.array([0.3, -1.2, 1.6, -1.9, -1.57, 0.2]), np.random.default_rng(0)
+    goal, tracker, h = robot.fk(q0), ik.Tracker(robot, q0=q0), 0.001
+    for k in range(60):
+        before, q = tracker.q, q0 + 1e-5 * rng.standard_normal(6)
+        bad = 20 <= k < 20 + length
+        if bad:
+            q = {
+                "spike": q + rng.uniform(0.5, 1.0, 6) * (-1.0) ** k, "zeros": 0.0 * q,
+                "degrees": np.degrees(q), "huge": 1e30 * q, "nan": np.nan * q,
+            }[wrong]  # fmt: skip
+        step = tracker.update(goal, h, q=q)
+        assert (np.abs(step.q - before) <= robot.velocity_limits * h * (1.0 + 1e-9)).all() and not robot.outside(step.q)
+        if bad:
+            assert step.status in (StepStatus.FOLLOWING_ERROR, StepStatus.HELD)
+            assert k == 20 or "measured joints" in step.reason
+    assert np.abs(step.q - q0).max() < 1e-3 and step.status is StepStatus.OK

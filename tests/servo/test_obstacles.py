@@ -335,6 +335,7 @@ def test_measured_into_a_contact_it_holds():
     robot, model, q = ball_in_the_way(0.3)
     tracker = ik.Tracker(robot, q0=q, avoid_collisions=model)
     there = next(x for a in np.linspace(0.2, 1.5, 30) if model.collides(x := q + np.array([a, 0.0])))
+    assert tracker.update(robot.fk(q).translation, 0.01, q=there).status is StepStatus.FOLLOWING_ERROR
     one = tracker.update(robot.fk(q).translation, 0.01, q=there)
     assert one.status is StepStatus.JUMPED and np.array_equal(one.q, there) and not one.rate.any()
     two = tracker.update(robot.fk(q).translation, 0.01, q=there)

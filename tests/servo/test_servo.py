@@ -193,11 +193,13 @@ def test_a_measured_arm_is_followed_from_where_it_is(panda):
     step = tracker.update(goal, 0.01, q=step.q + 0.06)
     assert step.status is StepStatus.FOLLOWING_ERROR and "measured" in step.reason
     there = step.q + 0.3
+    assert tracker.update(goal, 0.01, q=there).status is StepStatus.FOLLOWING_ERROR
     step = tracker.update(goal, 0.01, q=there)
     assert step.status is StepStatus.JUMPED and "restarted" in step.reason
     assert (np.abs(step.q - there) <= panda.velocity_limits * 0.01 * (1 + 1e-9)).all()
     assert tracker.update(goal, 0.01, q=Q0).status is not StepStatus.JUMPED  # measured before the jump
     tracker.reset(there)
+    tracker.update(goal, 0.01, q=there - 0.3)
     step = tracker.update(np.full((4, 4), np.nan), 0.01, q=there - 0.3)
     assert step.status is StepStatus.HELD and "restarted" in step.reason and "target is not finite" in step.reason
     with pytest.raises(InvalidConfiguration, match="q"):
