@@ -1,14 +1,14 @@
 """Poses from CSV, NPZ or JSON files: positions with or without rotations, and with times where requested.
 
-CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or three angles, and t [s] where times are requested, in any
-order; other columns are ignored. The angles are roll,pitch,yaw about x, y and z (also called rx,ry,rz), or a,b,c one after
-another; see `Convention`. Columns are separated by commas, semicolons or tabs; where not by commas, decimals may be written
-with a comma. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times also `targets` (N,
-4, 4) or (N, 3). JSON: an object with lists under these names, or just a list of targets.
+CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or three angles, and t [s] where times are requested, in any order.
+Other columns are ignored, unless they have names of a rotation. The angles are roll,pitch,yaw about x, y and z (also called
+rx,ry,rz), or a,b,c one after another; see `Convention`. Columns are separated by commas, semicolons or tabs; where not by commas,
+decimals may be written with a comma. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times
+also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists under these names, or just a list of targets.
 
-For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or
-(N, 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without
-data is free.
+For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or (N,
+3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without data
+is free.
 """
 
 import csv
@@ -23,7 +23,7 @@ import numpy as np
 
 from ..errors import FEW_TURNS, InvalidOption, InvalidTarget, doubt_angles, near_match
 from ..files import NAMES, NUMBERS, check_arrays, read_json, without_mark
-from .rotation import euler_matrix
+from .rotation import euler_matrix, rotation_columns
 
 LINES = 16384  # number of rows read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
@@ -254,6 +254,13 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
             f"'{file}' has the columns {', '.join(turned)}: say with --euler about which axes the angles turn, such as zyx (URDF's "
             f"roll, pitch, yaw are {','.join(kinds[1])})"
         )
+    if not turned:
+        unread = rotation_columns([name.removeprefix(prefix) for name in header if name not in needed])
+        if unread or given.euler is not None:
+            said = f"the columns {', '.join(unread)} are not read" if unread else "no column has the angles of --euler"
+            raise InvalidTarget(
+                f"'{file}': {said}; the first line must be {forms}, or with --euler {first},{','.join(kinds[2])}"
+            )
     order = given.euler or "zyx"
     if turned in kinds[1:3]:
         if len({*order}) < 3:

@@ -69,6 +69,14 @@ def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
     return made
 
 
+def rotation_columns(names: Sequence[str]) -> list[str]:
+    """Return those of some names of columns, in lower case, that other programs use for a rotation."""
+    parts = ("roll", "pitch", "yaw", "rot", "quat", "euler", "orient")
+    groups = ("w p r", "u v w", "alpha beta gamma", "phi theta psi", "q0 q1 q2 q3", "q1 q2 q3 q4")
+    found = [name for name in names if any(part in name for part in parts)]
+    return found + next((group.split() for group in groups if {*group.split()} <= {*names}), [])
+
+
 def matrix_rpy(R: np.ndarray) -> np.ndarray:
     """Return roll, pitch, yaw [rad] of a rotation (3, 3), with yaw = 0 if pitch is +-90 degrees.
 

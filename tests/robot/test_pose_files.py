@@ -37,6 +37,10 @@ REFUSED = {
     "x\ty\tz\n0.5\t1\n": "line 2: 2 columns, fewer",
     "x,y,z\n0.5;1;0\n": "line 2: 1 columns, fewer",
     "x,y,z,rx,ry,rz\n0,0,0,1,0,0\n": "columns rx, ry, rz: say with --euler about which axes the angles turn",
+    "x,y,z,w,p,r\n0,0,0,1,0,0\n": "the columns w, p, r are not read; the first line must be x,y,z, x,y,z,qx",
+    "x,y,z,roll_deg,pitch_deg\n0,0,0,1,0\n": "the columns roll_deg, pitch_deg are not read",
+    "x,y,z,q1,q2,q3,q4\n0,0,0,1,0,0,0\n": "the columns q1, q2, q3, q4 are not read",
+    "x,y,z,Rot_X\n0,0,0,1\n": "the columns rot_x are not read",
     "x,y,z,a,b,c\n0,0,0,1,0,0\n": "columns a, b, c: say with --euler",
     "x,y,z,roll,pitch\n0,0,0,1,0\n": "has the columns roll, pitch; the first line must be",
 }
