@@ -72,7 +72,13 @@ def retime(
         message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
     if tip_speed is not None:
         ranges = [f"{a:.4g} to {b:.4g}" for a, b in slow]
-        message += f"; the tip keeps {asked:.4g} m/s" + (f" but from pose {_listed(ranges)}" if slow else "")
+        on_path = [piece for piece in pieces if not np.isnan(piece.at).any()]
+        fastest = max(
+            (float((piece.speed * _tip_rates(robot, piece, piece.s)).max()) for piece in on_path), default=0.0
+        )
+        kept = f"; the tip keeps {asked:.4g} m/s" + (f" but from pose {_listed(ranges)}" if slow else "")
+        never = f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
+        message += kept if fastest >= KEPT * asked else never
     safe = None if result.collision is None else clearance
     return Trajectory(
         robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces, result.collision,

@@ -94,6 +94,7 @@ def test_the_tip_keeps_its_speed_where_limits_allow(count):
     assert (speed[np.isfinite(place)] > 0.98 * asked).all() and np.isfinite(place).mean() > 0.9
     fast = path.retime(acceleration=1.0, tip_speed=10.0)
     assert abs(fast.duration / path.retime(acceleration=1.0).duration - 1.0) < 1e-3 and len(fast.slower) == 1
+    assert "the limits allow the tip" in fast.message and "at most, not 10 m/s" in fast.message
 
 
 @pytest.mark.parametrize("seed", range(3))

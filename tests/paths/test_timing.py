@@ -16,6 +16,7 @@ from ik_toolkit.paths.contact import connect
 from ik_toolkit.paths.continuity import interpolate_poses
 from ik_toolkit.paths.result import PathStatus
 from ik_toolkit.paths.smooth_curve import sagittas
+from ik_toolkit.paths.timing import through
 
 pytest.importorskip("scipy")
 
@@ -219,3 +220,31 @@ def test_not_even_a_hair_beyond_a_limit():
     Q = np.column_stack([np.linspace(0.1, 0.4, 4), robot.upper[1] - np.array([4e-10, 0.0, 0.0, 4e-10])])
     made = motions.as_result(robot, Q).retime(acceleration=2.0)
     assert (made.at(np.linspace(0.0, made.duration, 500))[0] <= robot.upper).all()
+
+
+def test_only_the_first_of_many_stops_are_listed(monkeypatch):
+    monkeypatch.setattr("ik_toolkit.paths.timing.smooth_curve", lambda *_: None)
+    robot = ik.Robot.load("planar_3r")
+    path = ik.solve_path(robot, [robot.fk(robot.home + k * 0.03).translation for k in range(8)], q0=robot.home)
+    made = path.retime(1.0, acceleration=1.0)
+    assert (
+        f"it stops at pose {made.stops[0]:g}, {made.stops[1]:g}, {made.stops[2]:g} and {len(made.stops) - 3} more"
+        in made.message
+    )
+
+
+def test_a_motion_through_configurations_is_at_rest_at_each():
+    robot = ik.Robot.load("planar_3r")
+    Q = robot.home + np.array([[0.0, 0.0, 0.0], [0.4, -0.2, 0.1], [0.1, 0.3, -0.2]])
+    made = through(robot, Q, 1.0, 2.0)
+    assert made.success and "all 3 configurations" in made.message
+    for k, q in enumerate(Q):
+        t = np.interp(k, made.place, made.t)
+        at, rate, _ = made.at(t)
+        np.testing.assert_allclose(at, q, atol=1e-6)
+        assert np.abs(rate).max() < 5e-3
+    assert np.abs(made.dq).max() <= 1.0 + 1e-9 and np.abs(made.ddq).max() <= 2.0 + 1e-9
+    alone = through(robot, Q[1:2], 1.0, 2.0)
+    assert alone.duration == 0.0 and (alone.q == Q[1]).all()
+    with pytest.raises(InvalidOption, match="no configuration"):
+        through(robot, [], 1.0, 2.0)

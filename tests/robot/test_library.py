@@ -190,3 +190,7 @@ def test_robot_descriptions_from_its_cache(tmp_path, monkeypatch):
     arm.URDF_PATH, arm.MJCF_PATH = None, str(tmp_path / "arm.xml")
     (tmp_path / "arm.xml").write_text("<mujoco/>")
     assert find("robot_descriptions:arm_description").path == tmp_path / "arm.xml"
+
+
+def test_every_robot_by_name_says_what_it_is():
+    assert all(robot.description for robot in list_robots(everything=True))

@@ -43,6 +43,8 @@ def evaluate():
         ("'left' if 'x' in fingers else 'right'", "right"),
         ("1 < 2 < 3 != 4", True),
         ("1 < 2 < 1", False),
+        ("1 or 2", 1),
+        ("0 and 5", 0),
         ("2 < 1 < 3", False),
         ("'%s_%02d' % ('j', 3)", "j_03"),
         ("round(1.23456, 2)", 1.23),

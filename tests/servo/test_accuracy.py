@@ -163,3 +163,11 @@ def test_simulate_stops_when_a_single_joint_runs_away():
     run = simulate(system, path, "cv", 0.1, 20, np.zeros(2), rate0=np.zeros(2), kappa=5.0, runaway=1.0)
     assert "moves a joint by more than 1" in run.stopped and 0.4 < run.t[-1] < 0.7
     assert not simulate(system, path, "cv", 0.1, 20, np.zeros(2), rate0=np.zeros(2), kappa=5.0, runaway=20.0).stopped
+
+
+def test_errors_between_samples_end_with_those_at_the_samples():
+    case = cases.CASES["RR"]
+    run = simulate(case.system, case.path, "cv", 0.01, 50, case.start(case.path(0.0)[0]), kappa=20.0)
+    between = run.between(case.system, lambda t: case.path(t)[0], np.array([0.0, 0.5, 1.0]))
+    np.testing.assert_allclose(between[:, 0], np.linalg.norm(run.error[:-1], axis=1), atol=1e-12)
+    np.testing.assert_allclose(between[:, 2], np.linalg.norm(run.error[1:], axis=1), atol=1e-12)
