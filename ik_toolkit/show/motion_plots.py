@@ -6,28 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from ..robot.joints import Joints
 from ..servo.result import TrackResult
 from ..style import COLOURS, DASHES, GREY, PALE
 from ..text import length
+from .body import skeleton
 from .plots import FLOOR, drawing, literal_text
 
 COLUMNS = 5  # largest number of columns of the legend of joints
-
-
-def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
-    """Return the points (k, 3) [m] of base, joints and tip at q in the base frame: the arm as a polyline."""
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
-    pin.updateFramePlacements(robot.model, data)
-    frames = {f.name: i for i, f in enumerate(robot.model.frames) if f.type != pin.FrameType.JOINT}
-    base = data.oMf[frames[robot.base]].inverse()
-    points = [np.zeros(3)]
-    for name in robot.joint_names:
-        points.append(base.act(data.oMi[robot.model.getJointId(name)].translation))
-    return np.array([*points, robot.fk(q).translation])
 
 
 def plot_track(result: TrackResult, robot: Joints) -> Any:

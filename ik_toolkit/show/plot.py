@@ -18,7 +18,8 @@ from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
-from .motion_plots import plot_motion, plot_track, skeleton
+from .body import skeleton
+from .motion_plots import plot_motion, plot_track
 from .plots import SUFFIXES, convergence, drawing, literal_text, save, tracking_errors
 
 
