@@ -18,6 +18,7 @@ import pinocchio as pin
 from ..errors import MissingExtra, ModelError
 from ..robot.geometry.link_shapes import LinkShape, geometry_model, link_shapes, problems_sentence
 from ..robot.geometry.meshes import Mesh
+from ..robot.geometry.shape import Shape
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
 
@@ -135,7 +136,7 @@ class Body:
             self.frames = self.T_world_base @ np.linalg.inv(base) @ self.frames
         poses = self.frames[[part.joint for part in self.parts]] @ self.mounts
         for k in self.bars:
-            joint, place = self.parts[k].end
+            joint, place = self.parts[k].end or (0, np.zeros(3))
             end = self.frames[joint, :3, :3] @ place + self.frames[joint, :3, 3]
             poses[k] = standing(poses[k, :3, 3], end, self.parts[k].thick)
         return poses
@@ -150,17 +151,21 @@ class Body:
         )
 
     def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Return whether each part (P,) is visibly in different places at two sets of poses (P, 4, 4)."""
-        gap = np.abs(A - B)
-        gap[:, :3, 3] /= self.robot.reach
-        gap[self.bars, :3, :3] /= self.robot.reach
-        return gap.max(axis=(1, 2)) > SEEN
+        """Return whether each part (P,) is visibly in different places at poses (P, 4, 4), or at any of (F, P, 4, 4)."""
+        gap = np.abs(A - B).reshape(-1, len(self.parts), 4, 4)
+        gap[:, :, :3, 3] /= self.robot.reach
+        gap[:, self.bars, :3, :3] /= self.robot.reach
+        return gap.max(axis=(0, 2, 3)) > SEEN
 
-    def bounds(self, q: Any, still: bool = False) -> np.ndarray:
-        """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only."""
+    def bounds(self, q: Any, still: bool = False, world: np.ndarray | None = None) -> np.ndarray:
+        """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only.
+
+        `world` is the pose (4, 4) [m] of the robot's world in another in whose axes the box is.
+        """
+        world = np.eye(4) if world is None else world
         points = [np.zeros((0, 3))]
         moved = {self.model.getJointId(name) for name in self.robot.joint_names}
-        for part, T in zip(self.parts, self.placements(q), strict=True):
+        for part, T in zip(self.parts, world @ self.placements(q), strict=True):
             ends = {part.joint} if part.end is None else {part.joint, part.end.joint}
             if still and any(moved & set(self.model.supports[joint]) for joint in ends):
                 continue
@@ -170,7 +175,7 @@ class Body:
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
         if still and not len(stacked):  # the base has no drawn part, so the model's origin is used
-            stacked = self.T_world_base[None, :3, 3]
+            stacked = (world @ self.T_world_base)[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
 
@@ -219,6 +224,15 @@ def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
             for vertices, faces, c in _smoothed(shape.mesh)
         )
     return (DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity),)
+
+
+def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float) -> DrawnShape:
+    """Triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
+    if shape.kind != "mesh":
+        return DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity)
+    form = shape.form()
+    faces = [[form.tri_indices(k)[i] for i in range(3)] for k in range(form.num_tris)]
+    return DrawnShape(*split_sharp_edges(need_trimesh().Trimesh(form.vertices(), faces)), color, opacity)
 
 
 def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:

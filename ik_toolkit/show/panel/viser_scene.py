@@ -182,8 +182,8 @@ class Stage:
         scene, path = self.client.scene, self.path(f"{copy}/{part.name}")
         handle = None if part.end else scene.add_frame(path, show_axes=False)
         for k, shape in enumerate(part.shapes):
-            own = {"color": tuple(round(255 * c) for c in shape.color)}
-            own["opacity"] = None if shape.opacity >= 1.0 else shape.opacity
+            opacity = None if shape.opacity >= 1.0 else shape.opacity
+            own: dict[str, Any] = {"color": tuple(round(255 * c) for c in shape.color), "opacity": opacity}
             mesh = scene.add_mesh_simple(f"{path}/{k}" if handle else path, shape.vertices, shape.faces, **own | look)
             handle = handle or mesh
         return handle
