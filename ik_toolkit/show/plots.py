@@ -1,7 +1,7 @@
 """Charts in one style, readable in print, in grey and with colour blindness. Each returns a matplotlib Figure.
 
 They are of solves, of tracking runs (the arm along its path, errors, joints and speeds in shares of their limits), of paths and of
-trajectories. Lines differ in dashes as well as in colour, so that nothing depends on colour alone. `save` writes a figure to a file.
+trajectories. Lines differ in dashes as well as in colour, so that nothing depends on colour alone; `save` writes a file.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
