@@ -17,7 +17,7 @@ from ..validate import positive
 from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
 from .body import Body, DrawnShape, drawn_shape, need_trimesh, split_sharp_edges, tube
-from .meshcat_server import write_page
+from .meshcat_server import Window, write_page
 from .scene_state import SceneState, css, read_color, read_opacity, read_text
 
 RED = (0.80, 0.20, 0.15)
@@ -183,7 +183,7 @@ class Scene(SceneState):
             self.window.place(name, self.body.T_world_base @ T)
             self._see(name, self._world(drawn.vertices @ T[:3, :3].T + T[:3, 3]))
         if label:
-            self._say(name, css(color or SLATE), label)
+            self._say(name, css(color or (SLATE if name in self._bodies else OBSTACLE)), label)
         return name
 
     def frame(self, T_base: Any, name: str = "target", size: float | None = None, label: str = "") -> None:
@@ -298,13 +298,31 @@ class Scene(SceneState):
     # ---------------------------------------------------------------------------------------------------- the page
     def html(self) -> str:
         """Return the scene as one self-contained page: a single file that needs no network and opens from disk."""
-        if self.window.about["camera"] is None:
-            self.look()
-        return self.window.html()
+        return self._aimed().html()
 
     def save(self, path: str | Path) -> Path:
         """Write the self-contained page. Raises InvalidOption if the name does not end in .html."""
         return write_page(path, "a scene", self.html)
+
+    def screenshot(self, path: str | Path, size: tuple[int, int] = (1000, 640)) -> Path:
+        """Write the scene as it is now as a .png file of a size [pixels]; no browser is needed.
+
+        Raises InvalidOption if the name does not end in .png, or the size is wrong; MissingExtra without matplotlib.
+        """
+        return animation.write_pictures(path, self._aimed(), size)
+
+    def record(self, path: str | Path, size: tuple[int, int] = (640, 400), pictures: int = 48) -> Path:
+        """Write the animation as a .gif file of at most so many pictures, in its own time; no browser is needed.
+
+        A picture takes about a second. Raises InvalidOption if there is no animation, the name does not end in .gif or another
+        argument is wrong; MissingExtra without matplotlib.
+        """
+        return animation.write_pictures(path, self._aimed(), size, whole(pictures, "pictures", 2))
+
+    def _aimed(self) -> Window:
+        if self.window.about["camera"] is None:
+            self.look()
+        return self.window
 
     def page(self, path: str | Path) -> Path:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
@@ -319,9 +337,7 @@ class Scene(SceneState):
         """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""
         if whole(port, "port", 0) >= 2**16:
             raise InvalidOption(f"port must be between 0 and 65535, not {port}")
-        if self.window.about["camera"] is None:
-            self.look()
-        return self.window.serve(port)
+        return self._aimed().serve(port)
 
     def close(self) -> None:
         """Stop serving the scene."""

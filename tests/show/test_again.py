@@ -293,3 +293,35 @@ def test_two_robots_of_one_model_keep_their_places(arm):
             scene.drawn()[f"{name}/{part.name}"],
             scene.body.T_world_base @ T @ np.linalg.inv(scene.body.T_world_base) @ M,
         )
+
+
+def test_screenshots_and_recordings_are_files(arm, tmp_path):
+    """A picture of every frame that is recorded, in the animation's own time; the scene itself does not move."""
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
+    pytest.importorskip("ik_toolkit.show.picture")
+    Image = pytest.importorskip("PIL.Image")
+    scene = view(load("planar_2r"))
+    with pytest.raises(InvalidOption, match="no animation to record"):
+        scene.record(tmp_path / "a.gif")
+    before = np.asarray(Image.open(scene.screenshot(tmp_path / "a.png", (300, 200))).convert("RGB"))
+    assert before.shape == (200, 300, 3)
+    scene.show([1.0, 0.5])
+    after = np.asarray(Image.open(scene.screenshot(tmp_path / "a.png", (300, 200))).convert("RGB"))
+    assert (before != after).any(axis=2).sum() > 1000
+    scene.animate(np.linspace([0.0, 0.0], [1.0, 0.5], 31), fps=10.0)
+    kept = state(scene)
+    with Image.open(scene.record(tmp_path / "a.gif", (300, 200), pictures=4)) as film:
+        frames, lasts = [], []
+        for k in range(film.n_frames):
+            film.seek(k)
+            lasts.append(film.info["duration"])
+            frames.append(np.asarray(film.convert("RGB")).astype(int))
+    assert lasts == [1000, 1000, 1000, 1500] and state(scene) == kept
+    assert all((np.abs(a - b) > 40).any(axis=2).sum() > 500 for a, b in zip(frames, frames[1:], strict=False))
+    for bad in (dict(path="a.jpg"), dict(path="a.png", size=(0, 5)), dict(path="a.png", size="big"), dict(path=4)):
+        with pytest.raises(InvalidOption):
+            scene.screenshot(**bad)
+    with pytest.raises(InvalidOption, match="pictures must be a whole number"):
+        scene.record(tmp_path / "a.gif", pictures=0)
+    with pytest.raises(InvalidOption, match=r"written as \.gif"):
+        scene.record(tmp_path / "a.mp4")
