@@ -155,6 +155,9 @@ def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None
     rows = rows if many or np.ndim(rows) == 2 else [rows]
     if not len(rows):
         raise InvalidOption("there is nothing to show: the list of configurations is empty")
+    if rows is not what and len(rows) > 1:  # of a result, which may be long
+        robot.check_q(rows[0])
+        return np.array(rows, dtype=float), motion
     return np.array([robot.check_q(getattr(item, "q", item)) for item in rows]).reshape(-1, robot.n), motion
 
 
@@ -244,7 +247,7 @@ def animate(scene: Any, motion: ShownMotion) -> None:
         low, high = np.nanmin(motion.values), np.nanmax(motion.values)
         bands = ", ".join("#" + "".join(f"{round(255 * c):02x}" for c in band) for band in BANDS)
         label = f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}"
-        scene._say("trail/0", f"linear-gradient(90deg, {bands})", label)
+        scene._say("trail/0", (f"linear-gradient(90deg, {bands})", label))
     count = len(motion.q)
     rows = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).astype(int))
     span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
