@@ -1,15 +1,14 @@
 """The 3-D view: robot, ghosts, targets, trails, clouds and animations; live in a browser, in a notebook, or as one file."""
 
 import base64
-import html
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..copying import Unique
-from ..errors import InvalidOption, InvalidTarget, floats
+from ..errors import InvalidOption, floats
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target
 from ..text import angle as in_words
@@ -17,6 +16,7 @@ from ..text import length
 from .animation import MAX_FRAMES, SLATE, animate, motion_of
 from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
+from .notebook import InCell, PageInCell, each_target, numbered
 from .plots import iterates
 
 # Colours of Okabe and Ito (2008), as in the plots.
@@ -35,7 +35,7 @@ def css(color: Sequence[float]) -> str:
     return "#" + "".join(f"{round(255 * c):02x}" for c in color)
 
 
-class Scene(Unique):
+class Scene(InCell, Unique):
     """The drawing of one robot. Poses are in the robot's base axes [m], joint values as in `robot`.
 
     `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.
@@ -49,6 +49,7 @@ class Scene(Unique):
         self._corners: list[np.ndarray] = []
         self._placed: dict[str, np.ndarray] = {}  # poses (P, 4, 4) of the parts of the robot and its copies
         self._legend: list[tuple[str, str]] = []
+        self._grid: list[tuple[str, str]] = []  # the grid's line of the legend, which is the last one
         self._names: list[tuple[str, str, int]] = []
         self.window.say(title=title or robot.name)
         self.say()
@@ -248,8 +249,8 @@ class Scene(Unique):
         at = to + away if eye is None else np.asarray(eye, dtype=float)
         cell = grid_cell(max(radius, 1e-3))
         self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, self.body.floor])
-        grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")
-        self.window.say(legend=[*self._legend, grid])
+        self._grid = [("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")]
+        self.window.say(legend=[*self._legend, *self._grid])
 
     def html(self) -> str:
         """Return the scene as one self-contained page: a single file that needs no network and opens from disk."""
@@ -261,14 +262,18 @@ class Scene(Unique):
         """Write the self-contained page. Raises InvalidOption if the name does not end in .html."""
         return write_page(path, "a scene", self.html)
 
-    def page(self, path: str | Path) -> Path:
+    def page(self, path: str | Path | None = None) -> Any:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
 
-        A result, ghosts or a cloud are left out. Raises InvalidOption if the name does not end in .html.
+        Without a path the page displays itself in the cell of a notebook. A result, ghosts or a cloud are left out. Raises
+        InvalidOption if the name does not end in .html.
         """
         from .live_page import page_html
 
-        return write_page(path, "a live page", lambda: page_html(self.robot, self.body, self.window.about["title"]))
+        def made() -> str:
+            return page_html(self.robot, self.body, self.window.about["title"])
+
+        return PageInCell(made(), self.window) if path is None else write_page(path, "a live page", made)
 
     def serve(self, port: int = 0) -> str:
         """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""
@@ -279,11 +284,6 @@ class Scene(Unique):
     def close(self) -> None:
         """Stop serving the scene."""
         self.window.close()
-
-    def _repr_html_(self) -> str:
-        """Return the output of a notebook cell, which embeds the whole page so that it lives as long as the notebook."""
-        page = html.escape(self.html(), quote=True)
-        return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
 
     # ---------------------------------------------------------------------------------------------- for inspection
     def drawn(self) -> dict[str, np.ndarray]:
@@ -315,10 +315,18 @@ class Scene(Unique):
     def _say(self, color: str, label: str) -> None:
         if (color, label) not in self._legend:
             self._legend.append((color, label))
-            self.window.say(legend=self._legend)
+            self.window.say(legend=[*self._legend, *self._grid])
 
 
-def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
+def view(
+    robot: Joints,
+    what: Any = None,
+    *,
+    target: Any = None,
+    cloud: Any = None,
+    title: str | None = None,
+    live: bool = False,
+) -> Scene:
     """Show a robot in 3-D: at home, at a configuration, or with a result.
 
     A notebook displays the Scene; `.save("x.html")` writes it, `.page("x.html")` with the solvers, `.serve()` serves it.
@@ -329,6 +337,8 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         target: Pose or position [m] in the base frame to mark; for a Tree by tip, or in the order of its tips.
         cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
         title: Title of the page, by default the robot's name.
+        live: Whether the cells of a notebook that show the scene follow `Scene.update` and other changes, over the kernel's own
+            channel (extra 'notebook'); without a channel the scene stays still. See `Scene.on_drag`.
 
     Raises:
         InvalidConfiguration, InvalidTarget, InvalidOption: An argument does not fit the robot.
@@ -364,7 +374,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         scene.say(f"{what.solver}: {what.status.name}", what.message)
     if target is not None:
         size = 0.14 * scene._extent()
-        for k, (tip, T) in enumerate(_each(robot, target).items()):
+        for k, (tip, T) in enumerate(each_target(robot, target).items()):
             scene.frame(T, numbered("target", k), size, label="" if k else "targets" if len(tips) > 1 else "target")
             if len(tips) > 1:
                 scene.name(numbered("target", k), f"target of {tip}")
@@ -372,24 +382,9 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         points, success = cloud if isinstance(cloud, tuple) else (cloud, None)
         scene.cloud(points, success)
     scene.look()
+    if live:
+        scene.connect()
     return scene
-
-
-def numbered(word: str, k: int) -> str:
-    """Return the scene path for tip k, which is the bare word for the first tip."""
-    return f"{word}{k + 1 if k else ''}"
-
-
-def _each(robot: Joints, target: Any) -> dict[str, Any]:
-    """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
-    if isinstance(target, Mapping):
-        robot.check_tips(target)
-        return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
-    if not robot.by_tip:
-        return {robot.tips[0]: target}
-    if len(target) != len(robot.tips):
-        raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
-    return dict(zip(robot.tips, target, strict=True))
 
 
 def _rows(robot: Joints, what: Any) -> np.ndarray:
