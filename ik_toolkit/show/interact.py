@@ -27,6 +27,11 @@ class Interaction:
         self.follow(target)
         scene.on_drag(self.follow)
         scene.look()
+        eye, to, *rest = scene.window.about["camera"]
+        away = [
+            b + 1.35 * (a - b) for a, b in zip(eye, to, strict=True)
+        ]  # further than that, so that there is room to drag
+        scene.window.say(camera=[away, to, *rest])
 
     def follow(self, target: Any) -> None:
         """Solve for a target, and show the answers: the first solver's as the robot, the others' as translucent copies."""

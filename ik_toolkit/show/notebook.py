@@ -296,6 +296,7 @@ class Channel:
         self.widget, self.handle, self.news = connection(self.id), None, threading.Event()
         self.since, self.feed = Feed(window, lambda: None), Feed(window, self.news.set)
         self.widget.on_msg(self._heard)
+        self.feed.take()  # what is there is written into the cell
         threading.Thread(target=self._run, daemon=True, name="ik scene channel").start()
 
     def shown(self) -> None:
