@@ -10,9 +10,10 @@ from ..robot.tree import Tree
 from ..solvers.result import Result
 from ..solvers.solve import Solver
 from ..text import duration, length
-from .notebook import each_target
+from .animation import GHOSTS, SLATE, each_target
 from .plots import iterates
-from .scene import GHOSTS, SLATE, Scene, css, view
+from .scene import Scene, view
+from .scene_state import css
 
 
 class Interaction:
@@ -40,7 +41,7 @@ class Interaction:
             self.results[label] = solver(target, self.q0 if last is None else last.q)
         (_, first), *others = self.results.items()
         with self.scene.window.lock:
-            self.scene.update(first, target)
+            self.scene.update(first.q, target)
             for (label, result), color in zip(others, GHOSTS, strict=False):
                 self.scene.show(result.q, f"with_{label}", color, 0.35, label)
             self.scene.say(*([f"the robot goes with {next(iter(self.results))}"] if others else []))

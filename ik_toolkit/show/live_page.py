@@ -90,8 +90,10 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
                 at(frames[tip].parentJoint, frames[tip].placement * arm.tool) for arm in arms for tip in arm._ids[1:]
             ],
             "parts": [
-                at(place.parentJoint, place.placement) | {"shapes": [next(rest) for _ in part.shapes]}
-                for part, place in zip(body.parts, body.geometry.geometryObjects, strict=True)
+                at(part.joint, part.placement)
+                | {"shapes": [next(rest) for _ in part.shapes], "thick": part.thick}
+                | ({} if part.end is None else {"end": at(part.end.joint, pin.SE3(np.eye(3), part.end.place))})
+                for part in body.parts
             ],
             "handles": dict(zip(tools, rest, strict=True)),
         },

@@ -16,14 +16,14 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, MissingExtra
+from ..errors import InvalidOption, MissingExtra
 from ..robot.joints import Joints
-from ..robot.pose import AxisTarget, check_target
+from .animation import numbered
 from .body import Body, DrawnShape
 from .live_page import thin
 from .meshcat_server import Feed, Window, _packed, viewer_script
@@ -34,32 +34,6 @@ FINENESS = 4096  # vertices in a cell are rounded to the robot's size over this,
 STANDING: dict[str, Any] = {}  # the cell in which each shared part stands, as far as this kernel has put it there
 
 
-def numbered(word: str, k: int) -> str:
-    """Return the scene path for tip k, which is the bare word for the first tip."""
-    return f"{word}{k + 1 if k else ''}"
-
-
-def each_target(robot: Joints, target: Any) -> dict[str, Any]:
-    """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
-    if isinstance(target, Mapping):
-        robot.check_tips(target)
-        return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
-    if not robot.by_tip:
-        return {robot.tips[0]: target}
-    if len(target) != len(robot.tips):
-        raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
-    return dict(zip(robot.tips, target, strict=True))
-
-
-def mark_of(target: Any) -> tuple[Any, np.ndarray, int]:
-    """Return a target, the pose (4, 4) [m] of its mark in base axes, and the shapes that suffice for it; 0: it is drawn anew."""
-    if isinstance(target, AxisTarget):
-        return target, target.T_base_tip, 0
-    array, pose = check_target(target)[0], np.eye(4)
-    pose[:3, 3] = array if array.ndim == 1 else array[:3, 3]
-    return target, pose if array.ndim == 1 else array, 1 if array.ndim == 1 else 7
-
-
 class InCell:
     """What a scene does in a notebook: it displays itself, moves while it is displayed, and passes on dragged targets."""
 
@@ -68,38 +42,7 @@ class InCell:
     window: Window
     channel: "Channel | None" = None
     say: Callable[..., None]
-    show: Callable[..., None]
-    frame: Callable[..., None]
     look: Callable[..., None]
-
-    def update(self, what: Any, target: Any = None) -> None:
-        """Move robot, tips, target and caption together, in every page and cell that shows the scene live.
-
-        Args:
-            what: A configuration q (n,) [rad or m], or a Result, whose status becomes the caption.
-            target: The target as for `view`; by default it stays where it is.
-
-        Raises:
-            InvalidConfiguration, InvalidTarget, FrameNotFound: An argument does not fit the robot.
-        """
-        q = self.robot.check_q(getattr(what, "q", what))
-        targets = {} if target is None else each_target(self.robot, target)
-        marks = {numbered("target", self.robot.tips.index(tip)): mark_of(T) for tip, T in targets.items()}
-        with self.window.lock:  # a page sees all of it or nothing
-            self.window.say(animation=None)
-            for path in {path.split("/")[0] for path in self.window.transforms | self.window.objects}:
-                if path.startswith(("trail", "start")):  # of an earlier solve
-                    self.window.delete(path)
-            self.show(q)
-            for k, T in enumerate(self.body.tips(q)):
-                self.window.place(numbered("tip", k), T)
-            for name, (T, pose, shapes) in marks.items():
-                if shapes == sum(path.startswith(f"{name}/") for path in self.window.objects):
-                    self.window.place(name, self.body.T_world_base @ pose)
-                else:
-                    self.frame(T, name)
-            if hasattr(what, "message"):
-                self.say(f"{what.solver}: {what.status.name}", what.message)
 
     def on_drag(self, call: Callable[[Any], Any]) -> None:
         """Let the targets be dragged in the cells of a live scene; `call` gets what they are then, in the form of `solve`.
@@ -199,14 +142,18 @@ def _shell() -> Any:
 
 def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) -> dict[str, str]:
     """Return a Window whose camera is aimed as outputs of a cell: text/html, image/png (with matplotlib) and text/plain."""
-    robot = {path: command for path, command in window.objects.items() if path.startswith("robot/")}
-    rest = {path for path in (*window.objects, *window.copies, *window.transforms) if path not in robot}
+    robots: dict[str, dict[str, bytes]] = {}
+    for path, command in window.objects.items():
+        if path.count("/") > 1:  # ROBOT/PART/NUMBER
+            robots.setdefault(path.partition("/")[0], {})[path] = command
+    shared = {path for robot in robots.values() for path in robot}
+    rest = {path for path in (*window.objects, *window.copies, *window.transforms) if path not in shared}
     with window.lock:
         blob, about = _packed(_framed(window.snapshot(rest))), _packed(json.dumps(_short(window.about)).encode())
         if channel is not None:
             channel.shown()
     code = (importlib.resources.files("ik_toolkit.show") / "cell" / "scene.js").read_text(encoding="utf-8")
-    parts = [_part(Window()._page(code)), _part(_packed(viewer_script())), *([_meshes(robot)] if robot else [])]
+    parts = [_part(Window()._page(code)), _part(_packed(viewer_script())), *map(_meshes, robots.values())]
     return _bundle(
         parts, {"id": channel.id if channel else uuid.uuid4().hex, "blob": blob, "about": about}, what, window
     )

@@ -18,8 +18,17 @@ from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
-from .motion_plots import plot_motion, plot_track, skeleton
-from .plots import SUFFIXES, convergence, drawing, literal_text, save, tracking_errors
+from .body import skeleton
+from .plots import (
+    SUFFIXES,
+    convergence,
+    drawing,
+    literal_text,
+    plot_motion,
+    plot_track,
+    save,
+    tracking_errors,
+)
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:

@@ -1,7 +1,7 @@
 // The page: its state, the panel beside the picture, and what happens when something is moved.
 import { Robot, inverse, length, moved, plus, point, times } from "./robot.js";
 import { SOLVERS, attempt, glide, look, loose, randoms, solve } from "./solve.js";
-import { Renderer, standing } from "./draw.js";
+import { Renderer, seat, standing } from "./draw.js";
 import { Camera, dragged, handles, under } from "./hand.js";
 
 const FLIGHT = 350, PACE = 60, SEEN = 100, RACE = 12; // [ms] to another posture, [ms] per iteration and iterations shown, attempts
@@ -192,7 +192,7 @@ try {
   matchMedia("(prefers-color-scheme: dark)").onchange = paint;
   const pixels = (p) => camera.screen(moved(shown.base, p));
   const state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
-  window.arm = { robot, renderer, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
+  window.arm = { robot, renderer, seat, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
   play(() => show(q));
   if (parent !== window) inCell((ik) => parent.postMessage({ ik }, "*"));
 } catch (error) {
