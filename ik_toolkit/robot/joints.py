@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import pinocchio as pin
 
+from ..copying import ReadOnly
 from ..errors import (
     FEW_TURNS,
     FrameNotFound,
@@ -20,7 +21,6 @@ from ..errors import (
     whole,
 )
 from ..kernel.records import POINTS
-from ..readonly import ReadOnly
 from .base import Given
 from .configuration import Named, read_configuration, values_by_joint
 from .formats.srdf import Srdf

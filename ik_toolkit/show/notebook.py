@@ -29,9 +29,7 @@ from .live_page import thin
 from .meshcat_server import Feed, Window, _packed, viewer_script
 from .picture import picture, shapes_of
 
-FACES = 16_000  # largest number of triangles of a robot in a cell; a file of its own (`save`) has them all
-FINENESS = 4096  # vertices in a cell are rounded to the robot's size over this, which compresses well and is not seen
-STANDING: dict[str, Any] = {}  # the cell in which each shared part stands, as far as this kernel has put it there
+_standing: dict[str, Any] = {}  # the cell in which each shared part stands, as far as this kernel has put it there
 
 
 class InCell:
@@ -122,16 +120,16 @@ def _missing(key: str) -> bool:
         here = shell.get_parent().get("metadata", {}).get("cellId")
         if _forget not in shell.events.callbacks["pre_run_cell"]:
             shell.events.register("pre_run_cell", _forget)
-    if key in STANDING and "google.colab" not in sys.modules:
+    if key in _standing and "google.colab" not in sys.modules:
         return False
-    STANDING[key] = here
+    _standing[key] = here
     return True
 
 
 def _forget(info: Any) -> None:
     """Forget what stood in the cell that is about to run."""
-    for key in [key for key, cell in STANDING.items() if cell is not None and cell == info.cell_id]:
-        del STANDING[key]
+    for key in [key for key, cell in _standing.items() if cell is not None and cell == info.cell_id]:
+        del _standing[key]
 
 
 def _shell() -> Any:
@@ -198,14 +196,17 @@ def _cell_script() -> str:
 
 
 def _meshes(robot: dict[str, bytes]) -> tuple[str, str]:
-    """Return the drawn parts of a robot with at most FACES triangles, as a part named by what is drawn."""
+    """Return the drawn parts of a robot as a part named by what is drawn, simpler than in a file of its own (`save`).
+
+    It has at most 16,000 triangles; vertices are rounded to 1/4096 of its size, which compresses well and is not seen.
+    """
     whole, small, digest = Window(), Window(), hashlib.sha256()
     whole.objects = robot
     drawn = shapes_of(whole)
     ends = np.array([end for one in drawn.values() for end in (one.vertices.min(axis=0), one.vertices.max(axis=0))])
     size = float(np.linalg.norm(np.ptp(ends, axis=0)))
-    unit = 2.0 ** np.floor(np.log2(max(size, 1e-9) / FINENESS))
-    for (path, one), (vertices, _, faces) in zip(drawn.items(), thin([*drawn.values()], size, FACES), strict=True):
+    unit = 2.0 ** np.floor(np.log2(max(size, 1e-9) / 4096))
+    for (path, one), (vertices, _, faces) in zip(drawn.items(), thin([*drawn.values()], size, 16_000), strict=True):
         rounded = (np.round(vertices / unit) * unit).astype(np.float32)
         small.shape(path, DrawnShape(rounded, faces.astype(np.uint32), one.color, one.opacity))
         digest.update(f"{path} {one.color} {one.opacity}".encode() + rounded.tobytes() + faces.tobytes())
@@ -223,7 +224,7 @@ def _short(about: dict[str, Any]) -> dict[str, Any]:
     if not made:
         return about
     values = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4")
-    unit = 2.0 ** np.floor(np.log2(max(float(np.abs(values).max()), 1e-9) / FINENESS / 4))
+    unit = 2.0 ** np.floor(np.log2(max(float(np.abs(values).max()), 1e-9) / 16_384))
     packed = base64.b64encode((np.round(values / unit) * unit).astype("<f4").tobytes()).decode()
     return {**about, "animation": {**made, "data": packed}}
 

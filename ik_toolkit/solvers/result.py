@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from ..copying import ReadOnly
 from ..errors import NotSolved
 from ..kernel.counted_error import FREE
 from ..kernel.records import ANSWER, AT
-from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from ..text import length

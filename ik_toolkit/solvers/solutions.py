@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..readonly import ReadOnly
+from ..copying import ReadOnly
 from ..robot.robot import Robot
 from .closed_form.geometry import Family
 

@@ -17,7 +17,7 @@ from ..solvers.registry import find_row, list_rows
 from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status, count_statuses
 from ..validate import one_of, solver_list
-from .statistics import wilson
+from .targets import wilson
 
 BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
 NEAR = 0.1  # largest difference, in each joint [rad or m], between start 'near' and a solution

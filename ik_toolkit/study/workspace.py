@@ -20,8 +20,7 @@ from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import count_statuses
 from ..validate import solver_list
-from .statistics import wilson
-from .targets import one_tip, sample_targets, stream_targets
+from .targets import one_tip, sample_targets, stream_targets, wilson
 
 GRID = 24  # number of cells along the longest side of the success map
 ENVELOPE = 100_000  # number of random configurations whose tip positions give the envelope

@@ -25,7 +25,7 @@ from ik_toolkit.show.picture import picture
 
 @pytest.fixture(autouse=True)
 def fresh_notebook():
-    notebook.STANDING.clear()
+    notebook._standing.clear()
 
 
 def pixels(png):

@@ -9,12 +9,12 @@ from chromium import NEEDED, PATIENCE, fresh_page, started
 
 import ik_toolkit as ik
 
-pytestmark = NEEDED
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
 
 from ik_toolkit.show import notebook
 
+pytestmark = NEEDED
 CELLS = 18  # more than the WebGL contexts of a page
 
 
@@ -26,7 +26,7 @@ def browser():
 
 @pytest.fixture(autouse=True)
 def fresh_notebook():
-    notebook.STANDING.clear()
+    notebook._standing.clear()
 
 
 def written(folder, bundles):

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from ...copying import ReadOnly
 from ...errors import IKError, Portable
 from ...kernel.records import ANSWER, AT, MISS
-from ...readonly import ReadOnly
 from ..collision_free import collision_model
 from ..outcome import SPOKEN, SolveRecord
 from ..plan import Plan
