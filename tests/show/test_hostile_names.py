@@ -46,9 +46,33 @@ def test_cells_of_a_notebook(robot):
 def test_every_class_with_html_of_its_own_is_looked_at_here():
     pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
     from ik_toolkit.show.scene import Scene
+    from ik_toolkit.solvers.batch.result import BatchResult
+    from ik_toolkit.solvers.solutions import Solutions
+    from ik_toolkit.study.benchmark import Benchmark
+    from ik_toolkit.study.workspace import Workspace
 
-    public = {c for c in vars(ik).values() if isinstance(c, type)} | {Joints, Result, Scene}
-    assert {c for c in public if "_repr_html_" in vars(c)} == {Joints, Result}
+    results = {BatchResult, Solutions, Benchmark, Workspace, ik.PathResult, ik.Trajectory}
+    public = {c for c in vars(ik).values() if isinstance(c, type)} | {Joints, Result, Scene} | results
+    assert {c for c in public if "_repr_html_" in vars(c)} == {Joints, Result} | results
+
+
+def test_tables_of_results(robot):
+    """Those of robots with names that are no text of ours; Solutions and Trajectory name joints, the others the robot."""
+    robot.name = EVIL[0]
+    poses = robot.chain.forward(robot.random_q(np.random.default_rng(0), 3))[0]
+    line = np.tile(robot.fk(robot.home).homogeneous, (5, 1, 1))
+    line[:, 0, 3] += np.linspace(0.0, 0.01, 5)
+    path = ik.solve_path(robot, line)
+    made = {
+        ik.solve_batch(robot, poses): EVIL[:1],
+        ik.solve_all(robot, poses[0], starts=8): EVIL,
+        path: (),
+        path.retime(1.0, acceleration=1.0): EVIL,
+    }
+    for result, says in made.items():
+        check(result._repr_html_(), tags=["b"], says=says)
+    for study in (ik.benchmark(robot, "lm", targets=3), ik.workspace(robot, targets=20)):
+        check(study._repr_html_(), tags=["b"], says=EVIL[:1])
 
 
 def test_scenes(robot, tmp_path):

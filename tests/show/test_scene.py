@@ -117,7 +117,7 @@ def test_a_solve_becomes_an_animation_of_its_iterates():
     assert np.allclose(poses[0, tip], first.homogeneous[:3], atol=1e-6)
     assert np.allclose(poses[-1, tip], last.homogeneous[:3], atol=1e-6)
     assert made["first"] == made["count"] - 1 and len(made["labels"]) == made["count"]
-    assert made["labels"][0].startswith("evaluation 0: ")
+    assert made["labels"][0].startswith("iteration 0: ")
     assert {"trail", "start/link_1_0"} <= set(scene.drawn())
     assert scene.window.about["lines"][0] == "dls: CONVERGED"
 
