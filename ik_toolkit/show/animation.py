@@ -200,7 +200,7 @@ def draw_solve(scene: Any, result: Any) -> None:
     between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
     frames, labels = [], []
     for k, row in enumerate(rows):
-        text = f"evaluation {row}: {length(float(position[row]))}"
+        text = f"iteration {row}: {length(float(position[row]))}"
         if np.isfinite(angle[row]):
             text += f", {in_words(float(angle[row]))}"
         last = k + 1 == len(rows)

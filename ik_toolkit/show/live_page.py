@@ -164,14 +164,14 @@ def handles() -> dict[str, DrawnShape]:
     return shapes | {"floor": DrawnShape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
 
 
-def thin(shapes: Sequence[DrawnShape], size: float) -> list[Mesh]:
-    """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most MOST_FACES together."""
+def thin(shapes: Sequence[DrawnShape], size: float, most: int = MOST_FACES) -> list[Mesh]:
+    """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most `most` faces together."""
     meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
     cell = FINEST * size
-    while (count := sum(len(faces) for _, _, faces in meshes)) > MOST_FACES:
+    while (count := sum(len(faces) for _, _, faces in meshes)) > most:
         if meshes is not whole:
             # The number of faces falls with the square of the cell size.
-            cell *= max(GROW, np.sqrt(count / MOST_FACES))
+            cell *= max(GROW, np.sqrt(count / most))
         meshes = [merged(*mesh, cell) for mesh in whole]
     return meshes
 

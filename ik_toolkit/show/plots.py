@@ -60,7 +60,7 @@ def save(figure: Any, path: str | Path) -> Path:
 
 
 def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -> Any:
-    """Draw the error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
+    """Draw the error after every iteration of a solve, several solvers side by side, on one logarithmic scale.
 
     The attempt that found the result is drawn up to it, the position [m] as a solid line, the orientation [rad] dashed;
     the other attempts are thin and grey. runs is a Result with history, its history, or a dict label -> either. Labels
@@ -89,7 +89,9 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
             axis.xaxis.get_major_locator().set_params(integer=True)
-            axis.set(xlabel="evaluation", title=literal_text(f"{label}: {len(position) - 1} steps") if label else "")
+            axis.set(
+                xlabel="iteration", title=literal_text(f"{label}: {len(position) - 1} iterations") if label else ""
+            )
         axes[0, 0].set_ylabel("error (log scale)")
         axes[0, 0].legend(loc="best", fontsize=8)
         _title(figure, title)

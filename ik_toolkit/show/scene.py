@@ -1,7 +1,6 @@
 """The 3-D view: robots, ghosts, targets, obstacles, trails, clouds and animations; live, in a notebook, or as one file."""
 
 import base64
-import html
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,11 +12,12 @@ from ..robot.geometry.collision import CollisionModel
 from ..robot.geometry.shape import is_shape
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, as_matrix, check_target
-from ..validate import positive
+from ..validate import positive, switch
 from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
 from .body import Body, DrawnShape, drawn_shape, need_trimesh, split_sharp_edges, tube
 from .meshcat_server import Window, write_page
+from .notebook import InCell, PageInCell
 from .scene_state import Color, SceneState, css, read_color, read_opacity, read_text
 
 RED = (0.80, 0.20, 0.15)
@@ -25,7 +25,7 @@ AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # colours o
 MAX_GHOSTS = 12
 
 
-class Scene(SceneState):
+class Scene(InCell, SceneState):
     """The drawing of a robot and of what is around it. Poses are in the robot's base axes [m], joint values as in `robot`.
 
     Everything has a name, by which it is moved, drawn anew or removed; the scene's robot is "robot", its tip "tip". `names` lists
@@ -309,14 +309,18 @@ class Scene(SceneState):
             self.look()
         return self.window
 
-    def page(self, path: str | Path) -> Path:
+    def page(self, path: str | Path | None = None) -> Any:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
 
-        A result, ghosts or a cloud are left out. Raises InvalidOption if the name does not end in .html.
+        Without a path the page displays itself in the cell of a notebook. A result, ghosts or a cloud are left out. Raises
+        InvalidOption if the name does not end in .html.
         """
         from .live_page import page_html
 
-        return write_page(path, "a live page", lambda: page_html(self.robot, self.body, self.window.about["title"]))
+        def made() -> str:
+            return page_html(self.robot, self.body, self.window.about["title"])
+
+        return PageInCell(made(), self.window) if path is None else write_page(path, "a live page", made)
 
     def serve(self, port: int = 0) -> str:
         """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""
@@ -327,11 +331,6 @@ class Scene(SceneState):
     def close(self) -> None:
         """Stop serving the scene."""
         self.window.close()
-
-    def _repr_html_(self) -> str:
-        """Return the output of a notebook cell, which embeds the whole page so that it lives as long as the notebook."""
-        page, self._inline = html.escape(self.html(), quote=True), True
-        return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
 
     def _target(self, T_base: Any) -> tuple[np.ndarray, bool]:
         """Return a pose (4, 4) or position (3,) [m], and whether it leaves the turn about an axis free. Raises InvalidTarget."""
@@ -361,6 +360,7 @@ def view(
     cloud: Any = None,
     obstacles: Any = None,
     title: str | None = None,
+    live: bool = False,
 ) -> Scene:
     """Show a robot in 3-D: at home, at a configuration, or with a result.
 
@@ -373,6 +373,8 @@ def view(
         cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
         obstacles: CollisionModel whose obstacles and held shapes are drawn; by default that of the result.
         title: Title of the page, by default the robot's name.
+        live: Whether the cells of a notebook that show the scene follow `Scene.update` and all other changes, over the kernel's
+            own channel (extra 'notebook'), and targets can be dragged (`Scene.on_drag`); without a channel the scene stays still.
 
     Raises:
         InvalidConfiguration, InvalidTarget, InvalidOption: An argument does not fit the robot.
@@ -381,4 +383,6 @@ def view(
     scene = Scene(robot, title)
     scene.update(what, target=target, cloud=cloud, obstacles=obstacles)
     scene.look()
+    if switch(live, "live"):
+        scene.connect()
     return scene

@@ -339,7 +339,7 @@ def test_a_scene_that_stands_still_in_a_cell_says_what_to_do(arm, caplog):
     scene = view(arm)
     scene.show(arm.lower)
     assert not caplog.messages
-    assert "srcdoc" in scene._repr_html_()
+    assert "text/html" in scene._repr_mimebundle_()
     scene.show(arm.home)
     scene.show(arm.lower)
     (said,) = caplog.messages
