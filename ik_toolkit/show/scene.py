@@ -289,6 +289,10 @@ class Scene(InCell, SceneState):
         """Write the self-contained page. Raises InvalidOption if the name does not end in .html."""
         return write_page(path, "a scene", self.html)
 
+    def controls(self, shown: bool = True) -> None:
+        """Show or hide meshcat's control panel, in which everything drawn can be hidden and the lights set."""
+        self.window.say(controls=switch(shown, "shown"))
+
     def screenshot(self, path: str | Path, size: tuple[int, int] = (1000, 640)) -> Path:
         """Write the scene as it is now as a .png file of a size [pixels]; no browser is needed.
 

@@ -252,7 +252,7 @@ BAD = [
     lambda s: s.serve("a"), lambda s: s.serve(70_000), lambda s: s.update([NAN] * 6), lambda s: s.update(None, [1.0]),
     lambda s: s.update(None, {"tool": [NAN] * 3}), lambda s: s.update(None, cloud=[1.0]), lambda s: s.update(None, obstacles=4),
     lambda s: s.update(s.robot.home, 5), lambda s: s.update(object()), lambda s: s.converge(s.robot.home),
-    lambda s: s.follow(None), lambda s: s.save("x.png"), lambda s: s.save(5),
+    lambda s: s.controls("yes"), lambda s: s.follow(None), lambda s: s.save("x.png"), lambda s: s.save(5),
 ]  # fmt: skip
 
 
