@@ -1,20 +1,25 @@
 """What a result draws in the scene: a solve, a run, a path or a trajectory, along which the robot moves, and its obstacles."""
 
+import base64
+import copy
 import csv
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
-from ..files import check_arrays, read_json, without_mark
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
+from ..files import as_path, check_arrays, read_json, whole_file, without_mark, write_whole
 from ..robot.joints import Joints
+from ..robot.pose import LAST
 from ..solvers.collision_free import collision_model
 from ..text import angle as in_words
 from ..text import figure, length
 from .body import GREY, drawn_shape
-from .plots import iterates
+from .meshcat_server import ROOT
+from .plots import drawing, iterates
 
 # Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
@@ -150,6 +155,9 @@ def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None
     rows = rows if many or np.ndim(rows) == 2 else [rows]
     if not len(rows):
         raise InvalidOption("there is nothing to show: the list of configurations is empty")
+    if rows is not what and len(rows) > 1:  # of a result, which may be long
+        robot.check_q(rows[0])
+        return np.array(rows, dtype=float), motion
     return np.array([robot.check_q(getattr(item, "q", item)) for item in rows]).reshape(-1, robot.n), motion
 
 
@@ -239,7 +247,7 @@ def animate(scene: Any, motion: ShownMotion) -> None:
         low, high = np.nanmin(motion.values), np.nanmax(motion.values)
         bands = ", ".join("#" + "".join(f"{round(255 * c):02x}" for c in band) for band in BANDS)
         label = f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}"
-        scene._say("trail/0", f"linear-gradient(90deg, {bands})", label)
+        scene._say("trail/0", (f"linear-gradient(90deg, {bands})", label))
     count = len(motion.q)
     rows = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).astype(int))
     span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
@@ -261,6 +269,42 @@ def _coloured(
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
         last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
         scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
+
+
+# ------------------------------------------------------------------------------------------------------------- pictures
+def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> Path:
+    """Write a Window as a .png file of a size [pixels], or its animation as a .gif file of at most `most` pictures."""
+    from .picture import picture
+
+    with drawing():  # says what to install
+        from PIL import Image
+    file, suffix, made = as_path(path, "path"), ".gif" if most else ".png", window.about["animation"]
+    if file.suffix.lower() != suffix:
+        raise InvalidOption(f"the picture is written as {suffix}, not '{file.suffix or file.name}'")
+    pixels = floats(size, "size must be width and height [pixels]", InvalidOption)
+    if pixels.shape != (2,) or not ((pixels >= 16) & (pixels <= 4000) & (pixels % 1 == 0)).all():
+        raise InvalidOption(f"size must be width and height of 16 to 4000 pixels, not {size!r:.60}")
+    wide, high = (int(x) for x in pixels)
+    if not most:
+        write_whole(file, picture(window, (wide, high)))
+        return file
+    if made is None:
+        raise InvalidOption("there is no animation to record: see animate, or show a result with history or a run")
+    poses = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4").reshape(made["count"], -1, 3, 4)
+    rows = np.unique(np.linspace(0, made["count"] - 1, min(most, made["count"])).astype(int))
+    frames, seen = [], copy.copy(window)
+    for row in rows.tolist():
+        moved = {
+            name.removeprefix(ROOT): np.vstack([T, LAST]) for name, T in zip(made["paths"], poses[row], strict=True)
+        }
+        seen.transforms = window.transforms | moved
+        seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}
+        frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
+    lasts = np.diff(rows, append=rows[-1] + 1) / made["fps"] * 1e3  # [ms]
+    lasts[-1] = 1500.0  # [ms] the end is shown for longer
+    with whole_file(file) as stream:
+        frames[0].save(stream, "gif", save_all=True, append_images=frames[1:], duration=lasts.round().tolist(), loop=0)
+    return file
 
 
 # ------------------------------------------------------------------------------------------------------------- read back

@@ -292,27 +292,35 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
     """
     make, model, data = need_trimesh().creation, robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, robot.rest)
-    bar = DrawnShape(*split_sharp_edges(make.cylinder(1.0, segment=((0, 0, 0), (0, 0, 1)), sections=24)), STEEL)
+    unit = split_sharp_edges(make.cylinder(1.0, segment=((0, 0, 0), (0, 0, 1)), sections=24))
+    bar, rod, world = DrawnShape(*unit, STEEL), DrawnShape(*unit, GREY), pin.SE3.Identity()
     parts: dict[Any, BodyPart] = {}
     arms: Any = robot.arms
     for arm in arms:
-        r = max(0.018 * arm.reach, THINNEST)
+        pieces = [*itertools.pairwise(chain_points(arm))]
+        links = [size for a, b in pieces if a.joint == b.joint and (size := float(np.linalg.norm(b.place - a.place)))]
+        r = max(min(0.018 * arm.reach, 0.12 * float(np.mean(links or [arm.reach]))), THINNEST)
         based = {0, *(model.getJointId(name) for name in arm._of_base)} if clothed and arm._of_base else set()
         bare = {*range(model.njoints)} - clothed - based
-        ball = DrawnShape(*split_sharp_edges(make.uv_sphere(radius=1.7, count=(16, 16)), r), JOINT)
+        sphere = split_sharp_edges(make.uv_sphere(radius=1.0, count=(16, 16)), 1.7 * r)
+        ball, knob = DrawnShape(*sphere, JOINT), DrawnShape(sphere[0] / 1.5, sphere[1], STEEL)
         for joint in arm._path.joints:
             if joint in bare and joint in arm._path.owner:
-                parts.setdefault(joint, BodyPart(f"{model.names[joint]}_ball", (ball,), joint, pin.SE3.Identity()))
-        for start, end in itertools.pairwise(chain_points(arm)):
-            joint = max(start.joint, end.joint)
-            if start.joint == end.joint:
-                name, drawn = f"{model.names[joint]}_bar_{arm.tip}", not np.array_equal(start.place, end.place)
-            else:
-                name, drawn = f"{model.names[joint]}_stroke", np.asarray(data.joints[joint].S).reshape(6, -1)[:3].any()
-            if drawn and bare & {start.joint, end.joint}:
-                key = start.joint, end.joint, *start.place, *end.place
-                at = pin.SE3(np.eye(3), start.place)
-                parts.setdefault(key, BodyPart(name, (bar,), start.joint, at, end, r))
+                parts.setdefault(joint, BodyPart(f"{model.names[joint]}_ball", (ball,), joint, world))
+        for start, end in pieces:
+            joint, link = max(start.joint, end.joint), start.joint == end.joint
+            moves = np.asarray(data.joints[joint].S).reshape(6, -1)[:3].any() if not link else True
+            if not bare & {start.joint, end.joint} or not moves or (link and np.array_equal(start.place, end.place)):
+                continue
+            name, at = model.names[joint], pin.SE3(np.eye(3), start.place)
+            key = start.joint, end.joint, *start.place, *end.place
+            if link:
+                parts.setdefault(key, BodyPart(f"{name}_bar_{arm.tip}", (bar,), joint, at, end, r))
+            else:  # the rod of a slide, between its joint and a knob on the parent's link
+                foot = min(start, end)
+                parts.setdefault(key, BodyPart(f"{name}_stroke", (rod,), start.joint, at, end, 0.6 * r))
+                at = pin.SE3(np.eye(3), foot.place)
+                parts.setdefault((name, "foot"), BodyPart(f"{name}_foot", (knob,), foot.joint, at))
     return [*parts.values()]
 
 

@@ -88,6 +88,7 @@ class InCell:
         """Return the outputs of a cell: the scene, which lives as long as the notebook, a picture, and words."""
         if self.window.about["camera"] is None:
             self.look()
+        self._inline = self.channel is None
         if self.channel is not None:
             self.channel.display()
         return scene_bundle(self.window, repr(self), self.channel)

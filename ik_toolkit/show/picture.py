@@ -199,7 +199,9 @@ def _candidates(P: np.ndarray, W: int, H: int) -> Iterator[tuple[np.ndarray, np.
     wide, tall = np.maximum(high - low, 0).T
     count = wide * tall
     some = np.flatnonzero(count)
-    first = np.searchsorted(np.cumsum(count[some]), np.arange(0, count.sum(), 2_000_000))  # at a time, which bounds the memory
+    first = np.searchsorted(
+        np.cumsum(count[some]), np.arange(0, count.sum(), 2_000_000)
+    )  # at a time, which bounds the memory
     for chunk in np.split(some, np.unique(first)[1:]) if len(some) else ():
         faces = np.repeat(chunk, count[chunk])
         k = np.arange(len(faces)) - np.repeat(np.cumsum(count[chunk]) - count[chunk], count[chunk])

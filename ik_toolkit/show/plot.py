@@ -22,16 +22,7 @@ from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
 from ..text import length
 from .body import skeleton
-from .plots import (
-    SUFFIXES,
-    convergence,
-    drawing,
-    literal_text,
-    plot_motion,
-    plot_track,
-    save,
-    tracking_errors,
-)
+from .plots import SUFFIXES, convergence, drawing, literal_text, plot_motion, plot_track, save, tracking_errors
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:

@@ -89,7 +89,9 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
             axis.xaxis.get_major_locator().set_params(integer=True)
-            axis.set(xlabel="iteration", title=literal_text(f"{label}: {len(position) - 1} iterations") if label else "")
+            axis.set(
+                xlabel="iteration", title=literal_text(f"{label}: {len(position) - 1} iterations") if label else ""
+            )
         axes[0, 0].set_ylabel("error (log scale)")
         axes[0, 0].legend(loc="best", fontsize=8)
         _title(figure, title)

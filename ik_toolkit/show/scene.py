@@ -16,9 +16,9 @@ from ..validate import positive, switch
 from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
 from .body import Body, DrawnShape, drawn_shape, need_trimesh, split_sharp_edges, tube
-from .meshcat_server import write_page
+from .meshcat_server import Window, write_page
 from .notebook import InCell, PageInCell
-from .scene_state import SceneState, css, read_color, read_opacity, read_text
+from .scene_state import Color, SceneState, css, read_color, read_opacity, read_text
 
 RED = (0.80, 0.20, 0.15)
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # colours of x, y and z axes
@@ -77,7 +77,7 @@ class Scene(InCell, SceneState):
                     self.name(name, f"target of {tip}")
         with self._noting(self._staying):
             if len(rows) > 1 and motion is None and not hasattr(what, "target_xyz"):
-                self._say("robot", css(SLATE), "1 (solid)")
+                self._say("robot", (css(SLATE), "1 (solid)"))
                 self.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
                 more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""
                 self.say(f"{len(rows)} configurations{more}")
@@ -86,12 +86,7 @@ class Scene(InCell, SceneState):
         self._captioned = self.window.about["lines"] is not lines
 
     def show(
-        self,
-        q: Any,
-        name: str = "robot",
-        color: tuple[float, float, float] | None = None,
-        opacity: float | None = None,
-        label: str = "",
+        self, q: Any, name: str = "robot", color: Color | None = None, opacity: float | None = None, label: str = ""
     ) -> None:
         """Draw a robot at q (n,) [rad or m], or move it there, and give it a colour or an opacity, which it keeps.
 
@@ -123,27 +118,22 @@ class Scene(InCell, SceneState):
             self._drop(name)
         self._put(name, self._poses(name, q[None]), look)
         if label:
-            self._say(name, css(self._looks[name][0] or SLATE), label)
+            self._say(name, (css(self._looks[name][0] or SLATE), label))
 
     def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
         """Draw the robot translucent at the rows of Q (N, n), at most the first 12, in eight alternating colours."""
         rows, names = animation.shown_rows(self.robot, Q)[0][:MAX_GHOSTS], [*labels]
+        for name in [one for one in self._placed if one.startswith("ghost_")][len(rows) :]:
+            self._drop(name)
         for k, q in enumerate(rows):
             label = names[k] if k < len(names) else ""
             self.show(q, f"ghost_{k + 1}", GHOSTS[k % len(GHOSTS)], 0.32, label)
 
     # --------------------------------------------------------------------------------------------- surroundings
     def add(
-        self,
-        what: Any,
-        at: Any = None,
-        name: str | None = None,
-        *,
-        T_base: Any = None,
-        color: tuple[float, float, float] | None = None,
-        opacity: float | None = None,
-        label: str = "",
-    ) -> str:
+        self, what: Any, at: Any = None, name: str | None = None, *, T_base: Any = None,
+        color: Color | None = None, opacity: float | None = None, label: str = "",
+    ) -> str:  # fmt: skip
         """Draw another robot, a shape, or the shapes of a CollisionModel around the robot and in its hand.
 
         Args:
@@ -183,7 +173,7 @@ class Scene(InCell, SceneState):
             self.window.place(name, self.body.T_world_base @ T)
             self._see(name, self._world(drawn.vertices @ T[:3, :3].T + T[:3, 3]))
         if label:
-            self._say(name, css(color or SLATE), label)
+            self._say(name, (css(color or (SLATE if name in self._bodies else OBSTACLE)), label))
         return name
 
     def frame(self, T_base: Any, name: str = "target", size: float | None = None, label: str = "") -> None:
@@ -201,7 +191,7 @@ class Scene(InCell, SceneState):
             label = label and f"{label} (outside the picture)"
         if label:
             bands = f"linear-gradient(90deg, {', '.join(css(color) for color in AXES)})"
-            self._say(name, css(RED) if target.ndim == 1 else css(PURPLE) if free else bands, label)
+            self._say(name, (css(RED) if target.ndim == 1 else css(PURPLE) if free else bands, label))
 
     def name(self, path: str, text: str, below: bool = False) -> None:
         """Label a drawn frame, above or below it. Raises InvalidOption if there is none of this name."""
@@ -220,12 +210,7 @@ class Scene(InCell, SceneState):
         self.window.place(name, self.body.T_world_base @ as_matrix(T_base))
 
     def trail(
-        self,
-        points: Any,
-        name: str = "trail",
-        color: tuple[float, float, float] = ORANGE,
-        radius: float | None = None,
-        label: str = "",
+        self, points: Any, name: str = "trail", color: Color = ORANGE, radius: float | None = None, label: str = ""
     ) -> None:
         """Draw the path of a tip through points (N, 3) [m]."""
         P, color, label = self._world(points), read_color(color) or ORANGE, read_text(label, "label")
@@ -234,7 +219,7 @@ class Scene(InCell, SceneState):
         self.window.shape(name, tube(P, wide, color))
         self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
         if label:
-            self._say(name, css(color), label)
+            self._say(name, (css(color), label))
 
     def cloud(self, points: Any, success: Any = None, name: str = "cloud", size: float | None = None) -> None:
         """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not reached)."""
@@ -244,8 +229,8 @@ class Scene(InCell, SceneState):
         self.window.points(name, P, np.where(good[:, None], BLUE, ORANGE), size)
         self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
         if success is not None:
-            self._say(name, css(BLUE), f"reached: {good.sum()} of {len(good)}")
-            self._say(name, css(ORANGE), "not reached")
+            reached = css(BLUE), f"reached: {good.sum()} of {len(good)}"
+            self._say(name, reached, (css(ORANGE), "not reached"))
 
     # ------------------------------------------------------------------------------------------------- animations
     def animate(
@@ -298,13 +283,31 @@ class Scene(InCell, SceneState):
     # ---------------------------------------------------------------------------------------------------- the page
     def html(self) -> str:
         """Return the scene as one self-contained page: a single file that needs no network and opens from disk."""
-        if self.window.about["camera"] is None:
-            self.look()
-        return self.window.html()
+        return self._aimed().html()
 
     def save(self, path: str | Path) -> Path:
         """Write the self-contained page. Raises InvalidOption if the name does not end in .html."""
         return write_page(path, "a scene", self.html)
+
+    def screenshot(self, path: str | Path, size: tuple[int, int] = (1000, 640)) -> Path:
+        """Write the scene as it is now as a .png file of a size [pixels]; no browser is needed.
+
+        Raises InvalidOption if the name does not end in .png, or the size is wrong; MissingExtra without matplotlib.
+        """
+        return animation.write_pictures(path, self._aimed(), size)
+
+    def record(self, path: str | Path, size: tuple[int, int] = (640, 400), pictures: int = 48) -> Path:
+        """Write the animation as a .gif file of at most so many pictures, in its own time; no browser is needed.
+
+        A picture takes about a second. Raises InvalidOption if there is no animation, the name does not end in .gif or another
+        argument is wrong; MissingExtra without matplotlib.
+        """
+        return animation.write_pictures(path, self._aimed(), size, whole(pictures, "pictures", 2))
+
+    def _aimed(self) -> Window:
+        if self.window.about["camera"] is None:
+            self.look()
+        return self.window
 
     def page(self, path: str | Path | None = None) -> Any:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
@@ -323,9 +326,7 @@ class Scene(InCell, SceneState):
         """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""
         if whole(port, "port", 0) >= 2**16:
             raise InvalidOption(f"port must be between 0 and 65535, not {port}")
-        if self.window.about["camera"] is None:
-            self.look()
-        return self.window.serve(port)
+        return self._aimed().serve(port)
 
     def close(self) -> None:
         """Stop serving the scene."""

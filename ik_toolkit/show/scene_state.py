@@ -1,5 +1,6 @@
 """What a scene has drawn, by name: robots and their copies, the box and the legend of everything, and what belongs to a result."""
 
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,12 +18,15 @@ from .meshcat_server import Window
 FAR = 3.0  # [scene sizes] what is farther away or larger does not shrink the picture
 
 
+Color = tuple[float, float, float]  # red, green and blue in 0..1
+
+
 def css(color: Sequence[float]) -> str:
     """Return a CSS colour for (r, g, b) in 0..1."""
     return "#" + "".join(f"{round(255 * c):02x}" for c in color)
 
 
-def read_color(color: Any) -> tuple[float, float, float] | None:
+def read_color(color: Any) -> Color | None:
     """Return a colour (r, g, b), or None for none. Raises InvalidOption unless it is three numbers from 0 to 1."""
     if color is None:
         return None
@@ -62,7 +66,7 @@ class SceneState(Unique):
         self._bodies = {"robot": (self.body, np.eye(4))}
         # Poses (F, P, 4, 4) of the parts of each robot: as it is seen first, then those of an animation.
         self._placed: dict[str, np.ndarray] = {}
-        self._looks: dict[str, tuple[tuple[float, float, float] | None, float]] = {}  # colour and opacity of each robot
+        self._looks: dict[str, tuple[Color | None, float]] = {}  # colour and opacity of each robot
         self._parts: dict[str, np.ndarray] = {}  # which parts (P,) of each robot are drawn
         self._boxes: dict[str, np.ndarray] = {}  # corners (2, 3) [m] of everything, world axes
         self._legend: dict[str, list[tuple[str, str]]] = {}
@@ -72,6 +76,7 @@ class SceneState(Unique):
         self._staying: set[str] = set()  # what the next `update` removes, too
         self._marks: dict[str, tuple[Any, ...]] = {}  # what the drawing of a frame depends on, its size last
         self._around: Any = None  # the CollisionModel whose obstacles belong to the result, and its version
+        self._inline = False  # whether a cell of a notebook shows the scene as it was then
         self._captioned = False  # whether the lines under the title are those of a result
         self.window.say(title=read_text(robot.name if title is None else title, "title"))
         self.say()
@@ -111,14 +116,15 @@ class SceneState(Unique):
 
     def _drop(self, name: str) -> None:
         self.window.delete(name)
+        moved = name in self._placed
         for kept in (self._placed, self._looks, self._parts, self._boxes, self._legend, self._marks):
             kept.pop(name, None)
         if name == "robot":  # its copies had its triangles
             for one in self._placed.keys() - self._bodies.keys():
                 self._put(one, self._placed[one], self._looks.pop(one))
-        else:
+        elif moved:
             self._bodies.pop(name, None)
-        self._refresh()
+            self._refresh()
         self._names = [one for one in self._names if one[0] != name]
         self.window.say(names=self._names)
         self._tell()
@@ -137,6 +143,10 @@ class SceneState(Unique):
 
     def _put(self, name: str, poses: np.ndarray, look: tuple[Any, Any]) -> None:
         """Draw a robot at the first of some poses (F, P, 4, 4), in a colour and opacity, or those it has (None)."""
+        if self._inline and not self.window.feeds:
+            self._inline = False
+            told = "the scene in the cell does not move: view(..., live=True) makes one that does, or end a cell with it again"
+            logging.getLogger("ik_toolkit").warning(told)
         before = self._looks.get(name)
         color, opacity = before or (None, 1.0)
         now = color if look[0] is None else look[0], opacity if look[1] is None else look[1]
@@ -160,16 +170,17 @@ class SceneState(Unique):
                 earlier.append(poses)
             drawn = self._parts.get(name, np.zeros(len(wanted), dtype=bool))
             color, opacity = self._looks[name]
-            for part in (part for part, change in zip(body.parts, wanted != drawn, strict=True) if change):
-                for k, shape in enumerate(part.shapes):
-                    path, source = f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}"
-                    if drawn[body.parts.index(part)]:
+            for p in np.flatnonzero(wanted != drawn):
+                for k, shape in enumerate(body.parts[p].shapes):
+                    path, source = (f"{who}/{body.parts[p].name}/{k}" for who in (name, "robot"))
+                    if drawn[p]:
                         self.window.delete(path)
                     elif color is not None and name not in self._bodies and source in self.window.objects:
                         self.window.copy(path, source, color, opacity)
                     else:
-                        look = {"color": color or shape.color, "opacity": opacity * shape.opacity}
-                        self.window.shape(path, replace(shape, **look))
+                        self.window.shape(
+                            path, replace(shape, color=color or shape.color, opacity=opacity * shape.opacity)
+                        )
             self._parts[name] = wanted
 
     def _stop(self) -> None:
@@ -203,10 +214,9 @@ class SceneState(Unique):
         self.window.say(lines=[*notice, *(read_text(line, "a line") for line in lines)])
         self._captioned = False
 
-    def _say(self, name: str, color: str, label: str) -> None:
-        """Add a label to the legend, which goes when what it explains is removed."""
-        own = self._legend.setdefault(name, [])
-        own += [(color, read_text(label, "label"))] * ((color, label) not in own)
+    def _say(self, name: str, *entries: tuple[str, str]) -> None:
+        """Set the colours and labels of something in the legend, which go when it is removed."""
+        self._legend[name] = [*entries]
         self._tell()
 
     def _tell(self) -> None:

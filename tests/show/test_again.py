@@ -11,6 +11,8 @@ from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, Inva
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 
+import itertools
+
 from ik_toolkit.show.scene import Scene, view
 
 
@@ -101,6 +103,12 @@ def test_ghosts_are_complete_at_every_q(name):
     assert not [path for path in scene.window.copies if path.startswith("ghost_1/")]
     for q in (*Q, robot.home, *robot.random_q(rng, 20)):
         assert whole(scene, q, robots)
+
+
+def test_fewer_ghosts_leave_none_of_those_before(arm):
+    scene = view(arm, [arm.home, arm.lower, arm.upper])
+    scene.ghosts([arm.lower])
+    assert {name for name in scene.names if name.startswith("ghost")} == {"ghost_1"}
 
 
 def test_a_ghost_is_complete_in_every_frame_of_an_animation(arm):
@@ -293,3 +301,46 @@ def test_two_robots_of_one_model_keep_their_places(arm):
             scene.drawn()[f"{name}/{part.name}"],
             scene.body.T_world_base @ T @ np.linalg.inv(scene.body.T_world_base) @ M,
         )
+
+
+def test_screenshots_and_recordings_are_files(arm, tmp_path):
+    """A picture of every frame that is recorded, in the animation's own time; the scene itself does not move."""
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
+    pytest.importorskip("ik_toolkit.show.picture")
+    Image = pytest.importorskip("PIL.Image")
+    scene = view(load("planar_2r"))
+    with pytest.raises(InvalidOption, match="no animation to record"):
+        scene.record(tmp_path / "a.gif")
+    before = np.asarray(Image.open(scene.screenshot(tmp_path / "a.png", (300, 200))).convert("RGB"))
+    assert before.shape == (200, 300, 3)
+    scene.show([1.0, 0.5])
+    after = np.asarray(Image.open(scene.screenshot(tmp_path / "a.png", (300, 200))).convert("RGB"))
+    assert (before != after).any(axis=2).sum() > 1000
+    scene.animate(np.linspace([0.0, 0.0], [1.0, 0.5], 31), fps=10.0)
+    kept = state(scene)
+    with Image.open(scene.record(tmp_path / "a.gif", (300, 200), pictures=4)) as film:
+        frames, lasts = [], []
+        for k in range(film.n_frames):
+            film.seek(k)
+            lasts.append(film.info["duration"])
+            frames.append(np.asarray(film.convert("RGB")).astype(int))
+    assert lasts == [1000, 1000, 1000, 1500] and state(scene) == kept
+    assert all((np.abs(a - b) > 40).any(axis=2).sum() > 500 for a, b in itertools.pairwise(frames))
+    for bad in (dict(path="a.jpg"), dict(path="a.png", size=(0, 5)), dict(path="a.png", size="big"), dict(path=4)):
+        with pytest.raises(InvalidOption):
+            scene.screenshot(**bad)
+    with pytest.raises(InvalidOption, match="pictures must be a whole number"):
+        scene.record(tmp_path / "a.gif", pictures=0)
+    with pytest.raises(InvalidOption, match=r"written as \.gif"):
+        scene.record(tmp_path / "a.mp4")
+
+
+def test_a_scene_that_stands_still_in_a_cell_says_what_to_do(arm, caplog):
+    scene = view(arm)
+    scene.show(arm.lower)
+    assert not caplog.messages
+    assert "image/png" in scene._repr_mimebundle_()
+    scene.show(arm.home)
+    scene.show(arm.lower)
+    (said,) = caplog.messages
+    assert "live=True" in said and "end a cell with it again" in said
