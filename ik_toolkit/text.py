@@ -135,7 +135,8 @@ class TextTable:
         head = "".join(f"<th>{html.escape(one)}</th>" for one in self.head)
         rows = "".join(f"<tr>{''.join(f'<td>{html.escape(one)}</td>' for one in row)}</tr>" for row in self.rows)
         notes = "".join(f"<div>{html.escape(note)}</div>" for note in self.notes)
-        return f"{title} {html.escape(self.words)}<table>{f'<tr>{head}</tr>' if head else ''}{rows}</table>{notes}"
+        table = f"<table style='white-space:nowrap'>{f'<tr>{head}</tr>' if head else ''}{rows}</table>"
+        return f"{title} {html.escape(self.words)}{table}{notes}"
 
     def __str__(self) -> str:
         """Return the table for a terminal."""

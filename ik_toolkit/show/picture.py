@@ -34,7 +34,8 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
         axes = figure.add_axes((0, 0, 1, 1))
         axes.set(xlim=(0, width), ylim=(height, 0))
         axes.axis("off")
-        camera = _Camera(window.about["camera"], width, height)
+        beside = 0.3 * width if window.about.get("curves") else 0.0  # taken by the chart
+        camera = _Camera(window.about["camera"], width - beside, height)
         for line in _grid(window.about["camera"]):
             seen = camera.project(line)
             if (seen[:, 2] > 0).all():
@@ -106,7 +107,7 @@ def _color(number: int, shade: float = 1.0) -> tuple[float, float, float]:
 class _Camera:
     """The viewer's camera: `turned` brings world axes into camera axes, `project` points [m] into pixels."""
 
-    def __init__(self, aim: Any, width: int, height: int) -> None:
+    def __init__(self, aim: Any, width: float, height: float) -> None:
         """Aim the camera as `Window.about["camera"]` says."""
         eye, to = np.array(aim[0], dtype=float), np.array(aim[1], dtype=float)
         back = (eye - to) / max(float(np.linalg.norm(eye - to)), 1e-12)
@@ -133,7 +134,8 @@ def _filled(window: Window, camera: _Camera, width: int, height: int) -> np.ndar
     cover = (near > 0)[..., None].astype(float)
     for group in groups.values():
         layer = _layer(group, camera, width, height)
-        share = np.where(layer.near > near, group[0][0].opacity, 0.0)[..., None]
+        before = layer.near > 1.002 * near  # what coincides with something solid does not flicker on it
+        share = np.where(before, group[0][0].opacity, 0.0)[..., None]
         color, cover = share * layer.color + (1.0 - share) * color, share + (1.0 - share) * cover
     return np.dstack([color / np.maximum(cover, 1e-9), cover])
 
@@ -240,7 +242,7 @@ def _chart(figure: Any, curves: Any) -> None:
     """
     if not curves:
         return
-    axes = figure.add_axes((0.69, 0.1, 0.29, 0.32))
+    axes = figure.add_axes((0.7, 0.55, 0.28, 0.36))
     for name, color, errors, _ in curves:
         k, error = np.array(errors).T
         axes.semilogy(k, np.maximum(error, 1e-9), color=color, lw=1.4, label=literal_text(name))

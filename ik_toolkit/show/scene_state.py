@@ -145,7 +145,7 @@ class SceneState(Unique):
         """Draw a robot at the first of some poses (F, P, 4, 4), in a colour and opacity, or those it has (None)."""
         if self._inline and not self.window.feeds:
             self._inline = False
-            told = "the scene in the cell does not move: end a cell with it to show it again, or make it with live=True"
+            told = "the scene in the cell does not move: view(..., live=True) makes one that does, or end a cell with it again"
             logging.getLogger("ik_toolkit").warning(told)
         before = self._looks.get(name)
         color, opacity = before or (None, 1.0)

@@ -339,8 +339,8 @@ def test_a_scene_that_stands_still_in_a_cell_says_what_to_do(arm, caplog):
     scene = view(arm)
     scene.show(arm.lower)
     assert not caplog.messages
-    assert "text/html" in scene._repr_mimebundle_()
+    assert "image/png" in scene._repr_mimebundle_()
     scene.show(arm.home)
     scene.show(arm.lower)
     (said,) = caplog.messages
-    assert "end a cell with it to show it again" in said
+    assert "live=True" in said and "end a cell with it again" in said

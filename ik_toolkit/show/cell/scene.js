@@ -115,6 +115,7 @@ function chart(curves) {
       made("text", { x: 16, y: 147 + 16 * k, "font-size": 11, fill: "#1d2733" }, `${name}: ${words}`));
   card.style.cssText = "right:12px;top:12px;padding:9px 12px;box-sizing:content-box;pointer-events:none";
   $("chart")?.remove();
+  $("box").style.right = document.body.clientWidth > 620 ? "342px" : "0"; // beside the picture, where there is room
   document.body.append(card);
 }
 tell({ hello: 1 });
