@@ -73,6 +73,7 @@ def test_update_changes_robot_tip_target_and_caption_together(arm):
     assert {"ghost_1", "ghost_2", "target"} <= {*scene.names}
     scene.update(arm.home, np.array([0.5, 0.0, 0.2]))
     assert {*scene.names} == {"robot", "tip", "target"} and scene.drawn()["target"][0, 3] == 0.5
+    assert [text for _, text in scene.window.about["legend"]] == ["target", "grid 100 mm"]
 
 
 def whole(scene, q, robots):
