@@ -56,7 +56,7 @@ class Scene(InCell, SceneState):
             *(["cloud"] if cloud is None else []),
             *(one for one in self._boxes if one.startswith("obstacle/") and around == self._around),
         }
-        self._forget((self._passing | self._staying) - kept)
+        self._forget(self._shown - kept)
         lines, several = self.window.about["lines"], len(self.robot.tips) > 1
         self._put("robot", self._poses("robot", rows[:1]), (None, None))
         for k, T in enumerate(self.body.tips(rows[0])):
@@ -65,7 +65,7 @@ class Scene(InCell, SceneState):
             self.frame(np.linalg.inv(self.body.T_world_base) @ T, name, size)
             if several:
                 self.name(name, self.robot.tips[k], below=True)
-        with self._noting(self._passing):
+        with self._with_result():
             if model is not None and around != self._around:
                 animation.draw_obstacles(self, model)
             self._around = around
@@ -75,7 +75,6 @@ class Scene(InCell, SceneState):
                 self.frame(T, name, size, label="" if name != "target" else "targets" if several else "target")
                 if several:
                     self.name(name, f"target of {tip}")
-        with self._noting(self._staying):
             if len(rows) > 1 and motion is None and not hasattr(what, "target_xyz"):
                 self._say("robot", (css(SLATE), "1 (solid)"))
                 self.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
@@ -107,10 +106,8 @@ class Scene(InCell, SceneState):
         body, label = self._body(read_text(name, "name"))[0], read_text(label, "label")
         q, look = body.robot.check_q(q), (read_color(color), read_opacity(opacity))
         if name == "robot":
-            self._forget({*self._passing})
+            self._forget({one for one in self._shown if not one.startswith(("ghost_", "cloud"))})
             self._around = None
-            if self._legend.pop("robot", None):
-                self._tell()
             for k, T in enumerate(self.body.tips(q)):
                 if numbered("tip", k) in self.window.transforms:
                     self.window.place(numbered("tip", k), T)
@@ -270,14 +267,14 @@ class Scene(InCell, SceneState):
             raise InvalidOption(
                 "there is nothing to animate: a Result with history is needed, from solve(..., history=True)"
             )
-        with self._noting(self._passing):
+        with self._with_result():
             animation.draw_solve(self, result)
 
     def follow(self, result: Any) -> None:
         """Show a tracking run (TrackResult): the arm moving in real time, its trail and the requested path."""
         if not hasattr(result, "target_xyz"):
             raise InvalidOption(f"there is nothing to follow: a TrackResult is needed, not {result!r:.60}")
-        with self._noting(self._passing):
+        with self._with_result():
             animation.draw_run(self, result)
 
     # ---------------------------------------------------------------------------------------------------- the page
@@ -288,6 +285,10 @@ class Scene(InCell, SceneState):
     def save(self, path: str | Path) -> Path:
         """Write the self-contained page. Raises InvalidOption if the name does not end in .html."""
         return write_page(path, "a scene", self.html)
+
+    def controls(self, shown: bool = True) -> None:
+        """Show or hide meshcat's control panel, in which everything drawn can be hidden and the lights set."""
+        self.window.say(controls=switch(shown, "shown"))
 
     def screenshot(self, path: str | Path, size: tuple[int, int] = (1000, 640)) -> Path:
         """Write the scene as it is now as a .png file of a size [pixels]; no browser is needed.

@@ -72,8 +72,7 @@ class SceneState(Unique):
         self._legend: dict[str, list[tuple[str, str]]] = {}
         self._names: list[tuple[str, str, int]] = []
         self._grid: list[tuple[str, str]] = []
-        self._passing: set[str] = set()  # what belongs to the result shown; the next configuration removes it
-        self._staying: set[str] = set()  # what the next `update` removes, too
+        self._shown: set[str] = set()  # what was drawn with the result shown, and goes with it
         self._marks: dict[str, tuple[Any, ...]] = {}  # what the drawing of a frame depends on, its size last
         self._around: Any = None  # the CollisionModel whose obstacles belong to the result, and its version
         self._inline = False  # whether a cell of a notebook shows the scene as it was then
@@ -192,19 +191,20 @@ class SceneState(Unique):
 
     # ---------------------------------------------------------------------------------------------- results and text
     @contextmanager
-    def _noting(self, those: set[str]) -> Iterator[None]:
+    def _with_result(self) -> Iterator[None]:
         """Note the names of what is drawn inside."""
         before = {*self._boxes}
         yield
-        those |= {*self._boxes} - before
+        self._shown |= {*self._boxes} - before
 
     def _forget(self, those: set[str]) -> None:
         """Remove what belonged to a result, with its caption and animation."""
         self._stop()
+        self._legend.pop("robot", None)
+        self._tell()
         for name in sorted(those & self._boxes.keys()):
             self._drop(name)
-        self._passing -= those
-        self._staying -= those
+        self._shown -= those
         if self._captioned:
             self.say()
 
@@ -220,8 +220,9 @@ class SceneState(Unique):
         self._tell()
 
     def _tell(self) -> None:
-        told = dict.fromkeys(entry for entries in self._legend.values() for entry in entries)
-        self.window.say(legend=[*told, *self._grid])
+        told = dict.fromkeys([*(entry for entries in self._legend.values() for entry in entries), *self._grid])
+        if [*told] != self.window.about["legend"]:
+            self.window.say(legend=[*told])
 
     def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
         """Aim the camera from `eye` at `target` [m], world axes; without arguments it sees everything drawn so far.

@@ -73,6 +73,7 @@ def test_update_changes_robot_tip_target_and_caption_together(arm):
     assert {"ghost_1", "ghost_2", "target"} <= {*scene.names}
     scene.update(arm.home, np.array([0.5, 0.0, 0.2]))
     assert {*scene.names} == {"robot", "tip", "target"} and scene.drawn()["target"][0, 3] == 0.5
+    assert [text for _, text in scene.window.about["legend"]] == ["target", "grid 100 mm"]
 
 
 def whole(scene, q, robots):
@@ -252,7 +253,7 @@ BAD = [
     lambda s: s.serve("a"), lambda s: s.serve(70_000), lambda s: s.update([NAN] * 6), lambda s: s.update(None, [1.0]),
     lambda s: s.update(None, {"tool": [NAN] * 3}), lambda s: s.update(None, cloud=[1.0]), lambda s: s.update(None, obstacles=4),
     lambda s: s.update(s.robot.home, 5), lambda s: s.update(object()), lambda s: s.converge(s.robot.home),
-    lambda s: s.follow(None), lambda s: s.save("x.png"), lambda s: s.save(5),
+    lambda s: s.controls("yes"), lambda s: s.follow(None), lambda s: s.save("x.png"), lambda s: s.save(5),
 ]  # fmt: skip
 
 

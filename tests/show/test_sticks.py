@@ -1,9 +1,11 @@
 """Stick figures and charts are of the solver's chain: all joints between base and tip, and the tip where fk(q) is."""
 
+import contextlib
 import json
 import re
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from random_trees import random_tree
 from robots import MIMIC, SLIDES, load
@@ -112,7 +114,6 @@ def test_the_chain_is_drawn_through_every_joint(text):
 
 
 def test_a_ball_joint_is_drawn_through():
-    pin = pytest.importorskip("pinocchio")
     model = pin.Model()
     slide = model.addJoint(0, pin.JointModelPX(), pin.SE3(np.eye(3), np.array([0.0, 0.1, 0.2])), "slide")
     ball = model.addJoint(slide, pin.JointModelSpherical(), pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0])), "ball")
@@ -180,3 +181,34 @@ def test_links_without_shapes_are_sticks_and_the_shell_says_why(tmp_path, capsys
     for command in (["view", str(file)], ["solve", str(file), "--from-q", *["0.1"] * robot.n]):
         assert main([*command, "--html", str(tmp_path / "out.html")]) == 0
         assert "mesh 'lost.stl' is not there" in capsys.readouterr().err
+
+
+def test_charts_end_where_fk_does():
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
+    for seed, robot in random_robots(20):
+        q = robot.random_q(np.random.default_rng(seed))
+        line, tip = ik.plot(q, robot).axes[0].lines[0], robot.fk(q).translation
+        off = np.subtract([line.get_xdata()[-1], line.get_ydata()[-1]], tip[[0, 2]])
+        assert np.abs(off).max() <= 1e-9 * max(robot.reach, np.abs(tip).max())
+
+
+def test_the_panel_draws_the_same_chain(tmp_path):
+    pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+    from ik_toolkit.show.panel.page import PanelPage
+    from ik_toolkit.show.panel.panel import Panel
+
+    file = tmp_path / "slides.urdf"
+    file.write_text(SLIDES)
+    with contextlib.closing(Panel(str(file))) as panel, contextlib.closing(PanelPage(panel.server, str(file))) as desk:
+        assert desk.worker.idle()
+        robot, stage = desk.session.robot, desk.stage
+        assert len(stage.axes) == robot.model.njoints - 1
+        for q in robot.random_q(np.random.default_rng(2), 3):
+            stage.show(q)
+            bars = []
+            for part, handle in zip(stage.body.parts, stage.parts, strict=True):
+                if part.end is not None:
+                    w, x, y, z = handle.wxyz
+                    R = pin.Quaternion(w, x, y, z).matrix()
+                    bars.append(np.column_stack([R * np.array(handle.scale), handle.position]))
+            check_chain(bars, stage.body.T_world_base[:3, 3], stage.body.tips(q)[0, :3, 3], robot.reach)
