@@ -122,6 +122,13 @@ class Window:
             for feed in self.feeds:
                 feed.changed(path)
 
+    def pose(self, path: str) -> np.ndarray:
+        """Return the pose (4, 4) [m] of a path in the world: those of the paths above it, one in the other."""
+        words, T = path.split("/"), np.eye(4)
+        for k in range(len(words)):
+            T = T @ self.transforms.get("/".join(words[: k + 1]), np.eye(4))
+        return T
+
     def delete(self, path: str) -> None:
         """Remove a path and everything below it."""
         with self.lock:
@@ -228,7 +235,7 @@ class Feed:
     def deleted(self, path: str) -> None:
         """Note that a path and everything below it is deleted."""
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
-        self._gone.add(path)
+        self._gone = {p for p in self._gone if not p.startswith(path + "/")} | {path}
         if len(self._gone) > MOST_GONE:  # too many deleted paths: the page is cleared and drawn anew
             window = self.window
             self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}

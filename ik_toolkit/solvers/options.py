@@ -54,7 +54,7 @@ class Options:
     relative_to: of a Tree, a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each
     joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0.
     objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
-    'manipulability'. history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the
+    'manipulability'. history: keep errors and q of every iteration. check: re-check with Pinocchio. avoid_collisions: True (the
     robot's own links), a margin [m] to keep between them, or a CollisionModel: only answers that touch nothing count, and the
     search goes on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further
     than this [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It cannot be
