@@ -77,7 +77,9 @@ def mutation(file: Path) -> list[str]:
         else f"Of these {found['tried']} were drawn at random"
     )
     dropped = found["equivalent in it"]
-    same = f"; {dropped} of them change nothing that is promised (the file says why) and are left out" if dropped else ""
+    same = (
+        f"; {dropped} of them change nothing that is promised (the file says why) and are left out" if dropped else ""
+    )
     unseen = f"{lost} of the rest are reached by none of these tests. " if lost else ""
     kernel = file == MUTANTS
     what, where, left, tests, first = (
