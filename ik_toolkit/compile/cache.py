@@ -15,6 +15,7 @@ import os
 import pickle
 import pwd
 import stat
+import threading
 import types
 import uuid
 from collections.abc import Iterator
@@ -34,6 +35,7 @@ HEAD = b"ik_toolkit kernel 1\n"  # first bytes of a cache file; 32 bytes of SHA-
 PREFIX, SUFFIX = "ik-", ".nbc"
 LOG = logging.getLogger("ik_toolkit.cache")
 COMPILING = logging.getLogger("ik_toolkit.compile")
+saying: dict[str, Any] = {"timer": None, "said": False}
 
 
 class MemoryCache(NullCache):
@@ -45,7 +47,7 @@ class MemoryCache(NullCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
         """Log that the kernel is compiled, and return None, upon which numba compiles it."""
-        COMPILING.info("compiling %s (%s)", self.what, f"in every process: {self.why}")
+        compiling(self.what, f"in every process: {self.why}")
 
 
 class DiskCache(FunctionCache):
@@ -77,7 +79,7 @@ class DiskCache(FunctionCache):
         path = self.path(key)
         if why := open_to_others(path.parent):
             not_kept(str(path.parent), why)
-            COMPILING.info("compiling %s (%s)", self.what, f"in every process: {why}")
+            compiling(self.what, f"in every process: {why}")
             return None
         try:
             stored, payload = pickle.loads(content(path))  # noqa: S301  our own file, and whole
@@ -87,8 +89,7 @@ class DiskCache(FunctionCache):
             pass
         except Exception as error:  # Whatever is wrong with the file, the kernel can be compiled instead.
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
-        where = {"folder": Path(self._cache_path)}
-        COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, up to half a minute", extra=where)
+        compiling(self.what, "first use on this machine, up to half a minute", Path(self._cache_path))
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -101,6 +102,30 @@ class DiskCache(FunctionCache):
             write_whole(self.path(key), dumps((key, self._impl.reduce(data))))
         except OSError as error:
             not_kept(str(self._cache_path), error.strerror or str(error))
+
+
+def compiling(what: str, why: str, folder: Path | None = None) -> None:
+    """Log that a kernel is compiled, and say so once in a process if that lasts: without handlers, a warning goes to stderr."""
+    COMPILING.info("compiling %s (%s)", what, why, extra={"folder": folder})
+    made()
+    if not saying["said"]:
+        # After 1 s without a word a person wonders what happens.
+        saying["timer"] = timer = threading.Timer(1.0, _say, (what.partition(" ")[0], why))
+        timer.daemon = True
+        timer.start()
+
+
+def _say(what: str, why: str) -> None:
+    if not saying["said"]:
+        saying["said"] = True
+        COMPILING.warning("ik_toolkit is compiling %s (%s) ...", what, why)
+
+
+def made() -> None:
+    """Note that the kernel is compiled, so that nothing needs to be said."""
+    if saying["timer"] is not None:
+        saying["timer"].cancel()
+        saying["timer"] = None
 
 
 @functools.cache  # The cache of results makes the warning appear once in a process for each folder and reason.
