@@ -95,6 +95,7 @@ class Tree(Joints):
         self.constraints = first.constraints
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.srdf = first.srdf
+        self.collision_model, self.visual_model = first.collision_model, first.visual_model
         self.joint_names = names = union(arms)
         homes = {joint: x for arm in reversed(arms) for joint, x in zip(arm.joint_names, arm.home, strict=True)}
         self.arms = arms = tuple(_among(arm, names, homes) for arm in arms)

@@ -123,8 +123,8 @@ def need_trimesh() -> Any:
 
 def _read(robot: Any) -> tuple[pin.GeometryModel, list[BodyPart], str]:
     """Return geometry and parts of what can be drawn, and a sentence about what cannot."""
-    if robot.urdf is None:
-        return pin.GeometryModel(), [], ""
+    if robot.visual_model is None and robot.urdf is None:
+        return pin.GeometryModel(), [], "the Pinocchio model was given without visual_model="
     try:
         shapes, problems = link_shapes(robot, "look", MAX_SHAPES)
     except ModelError as error:
