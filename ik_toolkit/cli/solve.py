@@ -296,7 +296,7 @@ def _solve_all(
     arm: Any, target: Any, rule: Any, start: Any, options: dict[str, Any], out: SolveOutput, deg: bool
 ) -> None:
     """Print all solutions and draw them; exit code 1 when there is none."""
-    from ..solvers.solve_all import solve_all
+    from ..solvers.solve import solve_all
 
     found = solve_all(arm, target, rule, start, **options)
     write_json({**found.to_dict(), **_asked(arm, target, options)}, out.as_json, out.output)

@@ -148,7 +148,7 @@ def _alone(option: str, others: dict[str, Any]) -> None:
 def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options: dict[str, Any]) -> tuple[Any, bool]:
     """Result with history, or the list of solutions; and whether any was found."""
     from ..solvers.solve import solve as solve_one
-    from ..solvers.solve_all import solve_all
+    from ..solvers.solve import solve_all
 
     if every:
         found = solve_all(arm, target, solver, start, **options)

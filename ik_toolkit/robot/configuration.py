@@ -105,12 +105,14 @@ def configuration_in(model: Any, robot: Any, q: np.ndarray, rest: Any) -> np.nda
     if missing:
         close = near_match(missing[0], [*made.names][1:])
         raise JointNotFound(f"the model has no joint '{missing[0]}', which robot '{robot.name}' moves.{close}")
-    full = pin.neutral(made)
     if rest is not None:
         rest = floats(rest, "rest must be numbers", InvalidConfiguration)
         if rest.shape != (model.nq,):
             raise InvalidConfiguration(f"rest must have {model.nq} values for this model, not shape {rest.shape}")
-        full = rest.copy() if given is None else given.back(made, rest)
+    # Joints with several coordinates are unfolded only if the robot moves them, so that others keep the very numbers of `rest`.
+    if given is None or not any(name in robot.joint_names for block in given.blocks for name in block.names):
+        made, given = model, None
+    full = pin.neutral(made) if rest is None else rest.copy() if given is None else given.back(made, rest)
     values = joint_values(robot, q)
     for name, joint in zip(made.names, made.joints, strict=True):
         if (

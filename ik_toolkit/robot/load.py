@@ -116,8 +116,7 @@ def pinocchio_models(model: Any, collision: Any, visual: Any) -> tuple[pin.Model
         own = [None, None]
     if not isinstance(model, pin.Model):
         raise ModelError(
-            "a pin.Model, a RobotWrapper or what pin.buildModelsFromUrdf returns is expected, not "
-            f"{type(model).__name__}; Robot.load reads names, paths and URDF text"
+            f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
         )
     shapes = [given if given is not None else old for given, old in zip((collision, visual), own, strict=True)]
     for name, given in zip(("collision_model", "visual_model"), shapes, strict=True):

@@ -16,6 +16,7 @@ from ..text import angle as in_words
 from ..text import length
 from .animation import MAX_FRAMES, SLATE, animate, motion_of
 from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
+from .feed import Guest
 from .meshcat_server import Window, write_page
 from .plots import iterates
 
@@ -53,7 +54,6 @@ class Scene(Unique):
         self.window.say(title=title or robot.name)
         self.say()
 
-    # ------------------------------------------------------------------------------------------------- the robot
     def show(
         self,
         q: Any,
@@ -91,7 +91,6 @@ class Scene(Unique):
             label = names[k] if k < len(names) else ""
             self.show(q, f"ghost_{k + 1}", GHOSTS[k % len(GHOSTS)], 0.32, label)
 
-    # --------------------------------------------------------------------------------------------- surroundings
     def frame(self, T_base: Any, name: str = "target", size: float | None = None, label: str = "") -> None:
         """Draw the axes (x red, y green, z blue) of a pose; of a position (3,) or an axis target only what it fixes."""
         trimesh = need_trimesh()
@@ -166,7 +165,6 @@ class Scene(Unique):
             self._say(css(BLUE), f"reached: {good.sum()} of {len(good)}")
             self._say(css(ORANGE), "not reached")
 
-    # ------------------------------------------------------------------------------------------------- animations
     def animate(self, Q: Any, labels: Sequence[str], fps: float, first: int = 0, name: str = "robot") -> None:
         """Animate the robot through the rows of Q (F, n) with a time slider; labels (F,) are shown next to it."""
         Q = np.atleast_2d(np.asarray(Q, dtype=float))
@@ -233,7 +231,6 @@ class Scene(Unique):
         span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
         self.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))
 
-    # ---------------------------------------------------------------------------------------------------- the page
     def say(self, *lines: str) -> None:
         """Write lines under the title."""
         notice = [self.body.notice] if self.body.notice else []
@@ -285,7 +282,6 @@ class Scene(Unique):
         page = html.escape(self.html(), quote=True)
         return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
 
-    # ---------------------------------------------------------------------------------------------- for inspection
     def drawn(self) -> dict[str, np.ndarray]:
         """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
         found = {path: T.copy() for path, T in self.window.transforms.items()}
@@ -318,7 +314,9 @@ class Scene(Unique):
             self.window.say(legend=self._legend)
 
 
-def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
+def view(
+    robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str = "", viewer: Any = None
+) -> Scene:
     """Show a robot in 3-D: at home, at a configuration, or with a result.
 
     A notebook displays the Scene; `.save("x.html")` writes it, `.page("x.html")` with the solvers, `.serve()` serves it.
@@ -329,6 +327,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         target: Pose or position [m] in the base frame to mark; for a Tree by tip, or in the order of its tips.
         cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
         title: Title of the page, by default the robot's name.
+        viewer: A meshcat.Visualizer, or Pinocchio's MeshcatVisualizer, in which the scene is drawn as well.
 
     Raises:
         InvalidConfiguration, InvalidTarget, InvalidOption: An argument does not fit the robot.
@@ -369,9 +368,10 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
             if len(tips) > 1:
                 scene.name(numbered("target", k), f"target of {tip}")
     if cloud is not None:
-        points, success = cloud if isinstance(cloud, tuple) else (cloud, None)
-        scene.cloud(points, success)
+        scene.cloud(*(cloud if isinstance(cloud, tuple) else (cloud, None)))
     scene.look()
+    if viewer is not None:
+        Guest(scene.window, viewer, [part.name for part in scene.body.parts])
     return scene
 
 
