@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from robots import have_data, load
+from wire import Wire
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -14,30 +15,6 @@ visualize = pytest.importorskip("pinocchio.visualize")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 
 NAME = "panda" if have_data() else "hydrolek_7w"
-
-
-class Wire:
-    """What a meshcat server is sent, and what is drawn then: types and contents by path."""
-
-    web_url = "nowhere"
-
-    def __init__(self):
-        self.objects, self.transforms, self.animations = {}, {}, []
-
-    def send(self, command):
-        sent = command.lower()
-        path = sent["path"]
-        match sent["type"]:
-            case "set_object":
-                self.objects[path] = sent["object"]
-            case "set_transform":
-                self.transforms[path] = np.array(sent["matrix"]).reshape(4, 4).T
-            case "set_animation":
-                self.animations.append(sent["animations"])
-            case "delete":
-                for kept in (self.objects, self.transforms):
-                    for key in [key for key in kept if key == path or key.startswith(f"{path}/")]:
-                        del kept[key]
 
 
 @pytest.fixture(scope="module")
