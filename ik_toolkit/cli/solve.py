@@ -23,6 +23,7 @@ from .options import (
     given,
     joint_vector,
     solver_named,
+    solvers_like,
 )
 from .output import facts, fixed, notice, number, show, table, unit, write_json
 from .pictures import draw
@@ -37,7 +38,12 @@ class SolverOptions:
     """Options for the solver and how long it may take."""
 
     solver: str = option(
-        "NAME", "Solver; see ik solvers. auto chooses one for the robot and target.", "-s", "--solver", default="auto"
+        "NAME",
+        "Solver; see ik solvers. auto chooses one for the robot and target.",
+        "-s",
+        "--solver",
+        default="auto",
+        complete=solvers_like,
     )
     param: list[str] | None = option("NAME=VALUE", "Set a parameter of the solver; may be repeated.", "-p", "--param")
     preset: str | None = option("NAME", "Published or tuned parameters, by name.")
@@ -110,7 +116,7 @@ class ManyOptions:
 
     file: Path | None = option(
         "FILE",
-        "Many targets from a file, solved on all cores and written to -o; replaces --xyz. CSV with the header "
+        "Many targets from a file (- is stdin), solved on all cores and written to -o; replaces --xyz. CSV with the header "
         "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
         "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
         "--targets",
@@ -171,6 +177,7 @@ def solve(
     ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --obstacle sphere:1,0.5,0.5,0.1
     ik solve brokk_hydrolek --target left_tip:1.2,.4,1 --target right_tip:1,-.4,1
     ik solve hydrolek_7w --targets poses.csv -o solutions.csv
+    xacro arm.urdf.xacro | ik solve - --xyz 0.4 0.1 0.2
     """
     _refuse_contradictions(target, wish, many, out)
     if many.file is None and (file.length_unit is not None or file.euler is not None):
