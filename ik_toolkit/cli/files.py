@@ -9,6 +9,7 @@ import typer
 
 from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption, ModelError
 from ..files import write_whole
+from ..text import in_shell
 from .command import argument, command, flag, option, options, same
 from .options import JsonOutput, RobotOptions, assignments, robots_like
 from .output import notice, progress, show, table, write_json
@@ -142,7 +143,7 @@ def check(asked: CheckOptions) -> None:
         if findings:
             show(made)
         if any(finding.line for finding in findings) and expanded:
-            show("the lines are those of the URDF that ik convert writes")
+            show(in_shell("the lines are those of the URDF that ik convert writes"))
         warnings = len(findings) - len(errors)
         counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
         show(f"{entry.name}: {counts if findings else 'no problems found'}")

@@ -241,9 +241,15 @@ class OneTip(WholeRobot):
 
 
 def slides(robot: Any, joint: str) -> bool:
-    """Return whether any joint of the model (on the path to the tip or not) is prismatic."""
+    """Return whether any joint of the model (on the path to the tip or not, also a mimic joint) is prismatic."""
     model = robot.model
-    return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")
+    # The first three rows of a joint's motion subspace are those of the translation.
+    return model.existJointName(joint) and bool(model.joints[model.getJointId(joint)].createData().S[:3].any())
+
+
+def kind_of(robot: Any, joint: str) -> str:
+    """Return the kind of any joint of the model, as far as units need it."""
+    return "prismatic" if slides(robot, joint) else "revolute"
 
 
 def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:

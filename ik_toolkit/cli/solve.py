@@ -22,6 +22,7 @@ from .options import (
     assignments,
     given,
     joint_vector,
+    kind_of,
     solver_named,
     solvers_like,
 )
@@ -177,7 +178,6 @@ def solve(
     ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --obstacle sphere:1,0.5,0.5,0.1
     ik solve brokk_hydrolek --target left_tip:1.2,.4,1 --target right_tip:1,-.4,1
     ik solve hydrolek_7w --targets poses.csv -o solutions.csv
-    xacro arm.urdf.xacro | ik solve - --xyz 0.4 0.1 0.2
     """
     _refuse_contradictions(target, wish, many, out)
     if many.file is None and (file.length_unit is not None or file.euler is not None):
@@ -348,6 +348,10 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
+    at = robot.joint_values(result.q)
+    for name, tie in robot.mimic_joints.items():
+        kind = kind_of(robot, name)
+        joints.add_row(name, number(at[name], kind, deg), unit(kind, deg), "", "", f"follows {tie.leader}", style="dim")
     show(joints)
     if robot.by_tip:
         relative = options.get("relative_to") or {}

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.chain import Chain, TreeChain, pack_tree
+from ..text import in_shell
 from .configuration import values_by_joint
 from .formats.srdf import Srdf, srdf_of
 from .joints import Joints
@@ -183,7 +184,7 @@ class Tree(Joints):
                 some = ", ".join(ends[:ENDS]) or "none"
                 more = f" and {len(ends) - ENDS} more (ik info ROBOT --list-tips)" if len(ends) > ENDS else ""
                 raise FrameNotFound(
-                    f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {some}{more}"
+                    f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {some}{in_shell(more)}"
                 )
         if not isinstance(tips, list | tuple):
             raise InvalidOption(

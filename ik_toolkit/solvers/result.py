@@ -256,6 +256,7 @@ class Result(ReadOnly):
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""
+        at = self.robot.joint_values(self.q)
         plain = {
             "success": self.success,
             "status": self.status.name,
@@ -264,6 +265,7 @@ class Result(ReadOnly):
             "robot": self.robot.name,
             "joint_names": list(self.robot.joint_names),
             "q": self.q.tolist(),
+            "mimic_joints": {joint: at[joint] for joint in self.robot.mimic_joints},
             "position_error": self.position_error,
             "orientation_error": self.orientation_error,
             "iterations": self.iterations,

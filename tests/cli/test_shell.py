@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -11,7 +12,9 @@ import pytest
 from robots import MIMIC, have_data
 
 import ik_toolkit as ik
+from ik_toolkit.errors import ModelError
 from ik_toolkit.robot.library import shipped_robots
+from ik_toolkit.text import in_shell, program
 
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
 
@@ -128,3 +131,72 @@ def test_targets_from_standard_input(pipe, tmp_path):
 def test_standard_input_is_read_once(pipe):
     code, _, err = pipe("", "solve", "-", "--targets", "-")
     assert code == 2 and "standard input, which can be read only once" in err
+
+
+@pytest.fixture
+def elsewhere(monkeypatch, tmp_path):
+    """A shell that finds no `ik`, and no Python, as in a notebook whose environment is not activated."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    program.cache_clear()
+    yield tmp_path
+    program.cache_clear()
+
+
+def test_commands_are_named_as_the_shell_finds_them(run, elsewhere):
+    called = f"{sys.executable} -m ik_toolkit"
+    code, _, err = run("solve", "hydrolek_7w", "--xzy", "1", "0", "0")
+    assert code == 2 and f"See {called} solve --help" in err
+    _, out, _ = run("solve", "--help")
+    assert out.startswith(f"Usage: {called} solve ROBOT") and f"{called} solve hydrolek_7w --xyz" in out
+    assert f"see {called} solvers." in " ".join(out.split()) and " ik " not in out
+    assert f"{called} --help" in run("sovle")[2]
+    with pytest.raises(ModelError, match=re.escape(f"`{called} check` lists them")):
+        ik.Robot.load(MIMIC.replace('type="revolute"', 'type="revolt"'))
+
+
+def test_python_is_named_shortly_where_it_is_ours(monkeypatch, elsewhere):
+    python = elsewhere / "python"
+    python.touch(0o755)
+    assert program() == f"{sys.executable} -m ik_toolkit"  # a Python, but not the one this package is installed for
+    program.cache_clear()
+    monkeypatch.setattr(sys, "executable", str(elsewhere / "python3"))
+    assert program() == "python -m ik_toolkit"
+
+
+def test_every_command_is_named(run):
+    """`in_shell` knows all commands."""
+    program.cache_clear()
+    _, out, _ = run("--help")
+    commands = re.findall(r"^  (\w+)  ", out[out.index("Commands:") : out.index("Other:")], re.MULTILINE)
+    assert len(commands) > 15
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ik_toolkit.text.program", lambda: "X")
+        assert [in_shell(f"see ik {command}") for command in commands] == [f"see X {command}" for command in commands]
+
+
+def test_mimic_joints_are_shown(run, tmp_path):
+    file = tmp_path / "arm.urdf"
+    file.write_text(MIMIC)
+    robot = ik.Robot.load(file)
+    q = robot.random_q(np.random.default_rng(8))
+    at = robot.joint_values(q)
+    code, out, _ = run("solve", file, "--from-q", ",".join(map(str, q)), "--q0", ",".join(map(str, q)), "--json")
+    assert code == 0 and json.loads(out)["mimic_joints"] == pytest.approx({"j2": at["j2"], "j4": at["j4"]}, abs=1e-6)
+    assert json.loads(run("fk", file, "--q", ",".join(map(str, q)), "--json")[1])["mimic_joints"] == pytest.approx(
+        {"j2": at["j2"], "j4": at["j4"]}
+    )
+    for more, angle in (((), at["j2"]), (("--deg",), np.degrees(at["j2"]))):
+        given = np.degrees(q) if more else q  # all joints of this q turn
+        _, out, _ = run("solve", file, "--from-q", ",".join(map(str, given)), "--q0", ",".join(map(str, given)), *more)
+        rows = {row.split()[0]: row.split() for row in out.splitlines() if row.split()}
+        assert float(rows["j2"][1]) == pytest.approx(angle, abs=1e-3) and rows["j2"][2:] == [
+            more[0][2:] if more else "rad",
+            "follows",
+            "j1",
+        ]
+        assert float(rows["j4"][1]) == pytest.approx(at["j4"], abs=1e-5) and rows["j4"][2:] == ["m", "follows", "j0"]
+    assert "j2 = -0.6 j1 + 0.200000 rad, j4 = 0.1 m/rad j0 + 0.050000 m" in run("info", file)[1]
+    assert "j2 = -0.6 j1 + 11.4592 deg, j4 = 0.00174533 m/deg j0 + 0.050000 m" in run("info", file, "--deg")[1]
+    told = json.loads(run("info", file, "--json")[1])["mimic_joints"]
+    assert told["j4"] == {"leader": "j0", "ratio": 0.1, "offset": 0.05, "kind": "prismatic"}
+    assert json.loads(run("info", "hydrolek_7w", "--json")[1])["mimic_joints"] == {}
