@@ -121,12 +121,16 @@ def cached(function: Callable, *parts: Any) -> Any:
 waits: deque[tuple[int, float, float]] = deque(maxlen=64)
 
 
-def compile_time(since: float) -> float:
-    """Return how long [s] this thread has waited for kernels, compiled or loaded from disk, since a time of `perf_counter`."""
+def compile_time(since: float, everywhere: bool = False) -> float:
+    """Return how long [s] this thread, or any, has waited for kernels, compiled or loaded, since a time of `perf_counter`."""
     if not waits or waits[-1][2] < since:
         return 0.0
-    me = threading.get_ident()
-    return sum(end - max(begin, since) for thread, begin, end in tuple(waits) if thread == me and end > since)
+    me, total, last = threading.get_ident(), 0.0, since
+    for begin, end in sorted((begin, end) for thread, begin, end in tuple(waits) if everywhere or thread == me):
+        if end > last:  # Threads wait together, for one of them.
+            total += end - max(begin, last)
+            last = end
+    return total
 
 
 def noting_time(compile_for: Callable) -> Callable:

@@ -118,11 +118,13 @@ def pinocchio_models(model: Any, collision: Any, visual: Any) -> tuple[pin.Model
         raise ModelError(
             f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
         )
-    shapes = [given if given is not None else old for given, old in zip((collision, visual), own, strict=True)]
-    for name, given in zip(("collision_model", "visual_model"), shapes, strict=True):
+    collision, visual = (
+        given if given is not None else old for given, old in zip((collision, visual), own, strict=True)
+    )
+    for name, given in (("collision_model", collision), ("visual_model", visual)):
         if not isinstance(given, pin.GeometryModel | None):
             raise ModelError(f"{name} must be a pin.GeometryModel, not {type(given).__name__}")
-    return model, *shapes
+    return model, collision, visual
 
 
 def require_text_or_file(source: str | Path) -> None:

@@ -95,9 +95,9 @@ class Guest:
             known = "a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer after initViewer() and loadViewerModel()"
             raise InvalidOption(f"viewer must be {known}, not {viewer!r:.60}")
         theirs = {f"robot/{shape.name}": shape for shape in viewer.visual_model.geometryObjects} if group else {}
-        if others := sorted(theirs.keys() - {f"robot/{name}" for name in parts}):
+        if others := sorted({shape.name for shape in theirs.values()} - {*parts}):
             raise InvalidOption(
-                f"the viewer's {others[0]} is no part of this robot; make it with ik.Robot(model, visual_model=)"
+                f"the viewer draws '{others[0]}', no part of this robot; make it with ik.Robot(model, visual_model=)"
             )
         self._nodes = {path: meshcat[f"{group}/{shape.name}"] for path, shape in theirs.items()}
         self._scales = {path: np.repeat([*shape.meshScale, 1.0], 4) for path, shape in theirs.items()}

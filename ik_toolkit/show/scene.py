@@ -368,7 +368,7 @@ def view(
             if len(tips) > 1:
                 scene.name(numbered("target", k), f"target of {tip}")
     if cloud is not None:
-        scene.cloud(*(cloud if isinstance(cloud, tuple) else (cloud, None)))
+        scene.cloud(*cloud) if isinstance(cloud, tuple) else scene.cloud(cloud)
     scene.look()
     if viewer is not None:
         Guest(scene.window, viewer, [part.name for part in scene.body.parts])

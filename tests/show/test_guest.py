@@ -114,5 +114,5 @@ def test_what_is_no_viewer_is_refused(robot, models, theirs):
         ik.view(robot, viewer="browser")
     with pytest.raises(InvalidOption, match=r"after initViewer\(\) and loadViewerModel\(\), not <pinocchio"):
         ik.view(robot, viewer=visualize.MeshcatVisualizer(*models))
-    with pytest.raises(InvalidOption, match=r"is no part of this robot; make it with ik\.Robot"):
+    with pytest.raises(InvalidOption, match=r"no part of this robot; make it with ik\.Robot"):
         ik.view(load("planar_2r"), viewer=theirs)

@@ -123,13 +123,14 @@ def _given(robot: Any, geometry: pin.GeometryModel, most: int) -> tuple[list[Lin
     model, shapes = robot.model, placed(geometry, robot).geometryObjects
     if len(shapes) > most:
         raise ModelError(f"robot '{robot.name}' has {len(shapes):,} visual shapes; at most {most:,} are read")
-    files = {shape.name: Path(shape.meshPath) for shape in shapes if os.path.isfile(shape.meshPath)}
-    files = {name: file.resolve() for name, file in files.items() if file.suffix.lower() in FORMATS}
-    meshes = read_meshes(files.values(), "look", list({file.parent for file in files.values()}))
+    files = {shape.name: Path(shape.meshPath).resolve() for shape in shapes if os.path.isfile(shape.meshPath)}
+    files = {name: file for name, file in files.items() if file.suffix.lower() in FORMATS}
+    read = read_meshes(files.values(), "look", list({file.parent for file in files.values()}))
+    meshes = {name: read[file] for name, file in files.items()}
     found, problems = [], []
     for shape in shapes:
         frame, form = model.frames[shape.parentFrame], shape.geometry
-        place, mesh = frame.placement.actInv(shape.placement), meshes.get(files.get(shape.name), Mesh())
+        place, mesh = frame.placement.actInv(shape.placement), meshes.get(shape.name, Mesh())
         kind, sizes = _kind(form)
         if kind == "mesh" and mesh.pieces:
             sizes = tuple(shape.meshScale)
