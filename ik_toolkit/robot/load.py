@@ -84,15 +84,20 @@ def read_source(
     entry = find(source)
     text, file, folders, notes, states, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
     notes = (*notes, *require_loadable(text, lines=not written))
-    try:
-        model = build_model(text)
-    except Exception as error:
-        raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
+    model = model_of(text, entry.name)
     name = entry.name if file else model.name
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
     made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
     return entry, made | {"notes": notes, "states": states, "constraints": constraints}
+
+
+def model_of(text: str, name: str = "the URDF") -> pin.Model:
+    """Return Pinocchio's model of a URDF text. Raises ModelError."""
+    try:
+        return build_model(text)
+    except Exception as error:
+        raise ModelError(f"Pinocchio cannot read {name}: {str(error).strip().splitlines()[0]}") from None
 
 
 def read_both(
@@ -138,7 +143,9 @@ def urdf_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | Non
     if urdf is None or is_text(urdf):
         return urdf, path  # type: ignore[return-value]
     require_text_or_file(urdf)
-    return safe_read(urdf), path or Path(urdf).expanduser()
+    text = safe_read(urdf)
+    require_loadable(text)
+    return text, path or Path(urdf).expanduser()
 
 
 def default_base(

@@ -25,7 +25,7 @@ from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import default_base, folders_of, pinocchio_models, read_both, require_text_or_file, urdf_and_file
+from .load import default_base, folders_of, model_of, pinocchio_models, read_both, require_text_or_file, urdf_and_file
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
@@ -48,7 +48,7 @@ class Robot(Joints):
 
     def __init__(
         self,
-        model: Any,
+        model: Any = None,
         collision_model: pin.GeometryModel | None = None,
         visual_model: pin.GeometryModel | None = None,
         *,
@@ -71,13 +71,14 @@ class Robot(Joints):
         """Wrap a pin.Model with its shapes, as pin.buildModelsFromUrdf returns them, or a RobotWrapper; the rest is as in `load`.
 
         home (n,) [rad or m] is a good, non-singular start, by default mid-range. urdf (text or path) has what the model lacks:
-        limits of mimic joints, and shapes. A free-flyer of the model counts as a floating base and needs base_limits. others are
-        joints that move for other tips (see Tree); those that move the base's branch are coordinates too. Raises FrameNotFound,
-        JointNotFound, RobotNotFound, ModelError, InvalidConfiguration, InvalidOption.
+        limits of mimic joints, and shapes; without a model it is read from there. A free-flyer of the model counts as a floating
+        base and needs base_limits. others are joints that move for other tips (see Tree); those that move the base's branch are
+        coordinates too. Raises FrameNotFound, JointNotFound, RobotNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
-        model, self.collision_model, self.visual_model = pinocchio_models(model, collision_model, visual_model)
         urdf, path = urdf_and_file(urdf, path)
+        model = model_of(urdf) if model is None and urdf is not None else model
+        model, self.collision_model, self.visual_model = pinocchio_models(model, collision_model, visual_model)
         if on_base is not None and base is not None:
             raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits

@@ -16,7 +16,7 @@ from numba.core.caching import Cache
 from numba.core.dispatcher import Dispatcher
 
 import ik_toolkit
-from ik_toolkit.compile import cache
+from ik_toolkit.compile import cache, jit
 from ik_toolkit.compile.jit import INLINE, PARTS
 from ik_toolkit.compile.pipeline import PartLibrary
 from ik_toolkit.kernel.chain import forward_kinematics
@@ -302,6 +302,22 @@ def test_the_time_of_a_solve_is_apart_from_that_of_compiling_and_loading(tmp_pat
         said = done.stderr.splitlines()
         assert len(said) == (process == "compiles"), said
         assert all(line == f"ik_toolkit is compiling CCD ({FIRST_USE}) ..." for line in said)
+
+
+def test_waiting_threads_count_once(monkeypatch):
+    """Two threads waited together from 1 to 4 s, another alone from 6 to 7 s; this one did not wait at all."""
+    rows = [(0, 0.0, 0.5), (1, 1.0, 3.0), (2, 1.5, 4.0), (1, 2.0, 2.5), (3, 6.0, 7.0)]
+    monkeypatch.setattr(jit, "waits", rows)
+    assert [jit.compile_time(since, everywhere=True) for since in (0.9, 2.0, 5.0, 6.5, 8.0)] == [
+        4.0,
+        3.0,
+        1.0,
+        0.5,
+        0.0,
+    ]
+    assert jit.compile_time(0.0) == 0.0
+    monkeypatch.setattr(jit.threading, "get_ident", lambda: 1)
+    assert jit.compile_time(0.0) == 2.0
 
 
 FIRST_USE = "first use on this machine, up to half a minute"

@@ -155,6 +155,11 @@ def test_a_urdf_beside_a_model_is_a_text_or_a_path(tmp_path):
             again = pickle.loads(pickle.dumps(robot))
             assert again.model.nq == model.nq and again.joint_names == robot.joint_names
             assert np.array_equal(again.fk(again.home).homogeneous, robot.fk(robot.home).homogeneous)
+    alone = ik.Robot(urdf=str(file))
+    assert alone.joint_names == ik.Robot.load(file).joint_names and np.array_equal(alone.home, ik.Robot.load(file).home)
+    file.write_text(MIMIC.replace('type="revolute"', 'type="revolt"'))
+    with pytest.raises(ModelError, match="revolt"):
+        ik.Robot(urdf=file)
     with pytest.raises(RobotNotFound, match=r"there is no file 'nowhere\.urdf'"):
         ik.Robot(model, urdf="nowhere.urdf")
 

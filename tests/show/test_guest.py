@@ -101,6 +101,25 @@ def test_an_animation_ends_where_the_robot_is(robot, theirs, wire):
         assert np.allclose(tracks[".position"][-1]["value"], T[:3, 3], atol=1e-6), name
 
 
+def test_shapes_without_a_file_are_drawn(wire):
+    import coal
+
+    model, geometry = load("planar_2r").model, pin.GeometryModel()
+    for name, form in {
+        "box": coal.Box(0.1, 0.2, 0.3),
+        "rod": coal.Cylinder(0.1, 0.5),
+        "pill": coal.Capsule(0.1, 0.5),
+    }.items():
+        geometry.addGeometryObject(pin.GeometryObject(name, 1, pin.SE3.Identity(), form))
+        geometry.geometryObjects[-1].meshColor = np.array([1.0, 0.0, 0.0, 0.5])
+    viewer = visualize.MeshcatVisualizer(model, None, geometry)
+    viewer.initViewer(viewer=meshcat.Visualizer(window=wire), loadModel=True)
+    robot = ik.Robot(model, visual_model=geometry, tip="tool")
+    scene = ik.view(robot, robot.home, viewer=viewer)
+    assert {path for path in scene.drawn() if path.startswith("robot/")} == {"robot/box", "robot/rod", "robot/pill"}
+    assert len(shown(wire, viewer)) == 3
+
+
 def test_meshcats_own_viewer_gets_the_robot_too(robot, wire):
     scene = ik.view(robot, robot.home, viewer=meshcat.Visualizer(window=wire))
     drawn = {f"/meshcat/ik_toolkit/{path}": T for path, T in scene.drawn().items()}

@@ -133,7 +133,7 @@ def _given(robot: Any, geometry: pin.GeometryModel, most: int) -> tuple[list[Lin
         place, mesh = frame.placement.actInv(shape.placement), meshes.get(shape.name, Mesh())
         kind, sizes = _kind(form)
         if kind == "mesh" and mesh.pieces:
-            sizes = tuple(shape.meshScale)
+            sizes = tuple(map(float, shape.meshScale))
         elif kind == "mesh" and isinstance(form, coal.BVHModelBase):
             corners = [form.tri_indices(k) for k in range(form.num_tris)]
             faces = np.array([[corner[0], corner[1], corner[2]] for corner in corners], dtype=int).reshape(-1, 3)
@@ -142,7 +142,7 @@ def _given(robot: Any, geometry: pin.GeometryModel, most: int) -> tuple[list[Lin
             problems.append((f"shape '{shape.name}'", f"is a {type(form).__name__}, which is not drawn"))
             continue
         own = any(piece.color for piece in mesh.pieces) and not shape.overrideMaterial
-        color = None if own else tuple(shape.meshColor)
+        color = None if own else tuple(map(float, shape.meshColor))
         file = shape.meshPath if kind == "mesh" else ""
         found.append(LinkShape(shape.name, frame.name, kind, sizes, place, color, file, mesh=mesh))
     return found, problems
@@ -152,7 +152,7 @@ def _kind(form: Any) -> tuple[str, tuple[float, ...]]:
     """Return kind and sizes [m] of a coal object; everything that has other names counts as a mesh."""
     match form:
         case coal.Box():
-            return "box", tuple(2.0 * form.halfSide)
+            return "box", tuple((2.0 * form.halfSide).tolist())
         case coal.Sphere():
             return "sphere", (form.radius,)
         case coal.Cylinder() | coal.Capsule():
