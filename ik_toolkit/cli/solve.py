@@ -342,13 +342,15 @@ def _solutions(found: Any, deg: bool) -> list[Any]:
 
 
 def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
+    from ..robot.configuration import joint_values
+
     robot = result.robot
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
-    at = robot.joint_values(result.q)
+    at = joint_values(robot, result.q)
     for name, tie in robot.mimic_joints.items():
         kind = kind_of(robot, name)
         joints.add_row(name, number(at[name], kind, deg), unit(kind, deg), "", "", f"follows {tie.leader}", style="dim")

@@ -9,6 +9,7 @@ from ..errors import NotSolved
 from ..kernel.counted_error import FREE
 from ..kernel.records import ANSWER, AT
 from ..readonly import ReadOnly
+from ..robot.configuration import joint_values
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from ..text import length
@@ -256,7 +257,7 @@ class Result(ReadOnly):
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""
-        at = self.robot.joint_values(self.q)
+        at = joint_values(self.robot, self.q)
         plain = {
             "success": self.success,
             "status": self.status.name,
