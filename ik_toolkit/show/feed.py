@@ -64,7 +64,7 @@ class Feed:
     def deleted(self, path: str) -> None:
         """Note that a path and everything below it is deleted."""
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
-        self._gone.add(path)
+        self._gone = {p for p in self._gone if not p.startswith(path + "/")} | {path}
         if len(self._gone) > MOST_GONE:  # too many deleted paths: the page is cleared and drawn anew
             window = self.window
             self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
