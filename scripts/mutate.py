@@ -247,7 +247,7 @@ class Run:
         usual = [f for f in self.stamps if (f.split("/")[0] in rooms if rooms else f not in LEFT_OUT)]
         wanted = self.given.files or usual
         every = [m for f in wanted for m in mutants(f)]
-        shuffle(every, self.given.seed, by_line=bool(self.given.rooms))
+        shuffle(every, self.given.seed, exact({m.file for m in every}) if self.given.rooms else None)
         todo = every[: self.given.sample] if self.given.sample else every
         log = KEPT / "results.jsonl"
         before = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()] if log.exists() else []

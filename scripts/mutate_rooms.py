@@ -3,6 +3,7 @@
 import ast
 import functools
 import gc
+import hashlib
 import random
 import sys
 from collections import defaultdict
@@ -27,11 +28,15 @@ def judges(room: str) -> tuple[str, ...]:
     return (f"tests/{room}/", *more.get(room, ()))
 
 
-def shuffle(every: list[Any], seed: int, by_line: bool) -> None:
-    """Shuffle mutants; by line: so that every line of code comes up once before any comes up again."""
-    rng = random.Random(seed)  # noqa: S311
-    rng.shuffle(every)
-    if by_line:
+def shuffle(every: list[Any], seed: int, names: dict[str, str] | None) -> None:
+    """Shuffle mutants; with their stable names so that every line of code comes up once before any comes up again.
+
+    With names, mutants keep their order when other lines are edited, so that a sample can be tried again with new tests.
+    """
+    if names is None:
+        random.Random(seed).shuffle(every)  # noqa: S311
+    else:
+        every.sort(key=lambda mutant: hashlib.sha256(f"{seed} {names[mutant.name]}".encode()).digest())
         rounds: dict[tuple, int] = defaultdict(int)
         place = {}
         for mutant in every:

@@ -149,9 +149,10 @@ def _line(reference: Any) -> str:
 
 
 def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tolerance: float) -> Asked:
-    """Return the path asked for; q (n,): --q0 or None; counts: what counts of the targets; tolerance [m]: of the run.
+    """Return the path asked for. Raises InvalidOption.
 
-    Raises InvalidOption.
+    q: joint values (n,) of --q0, or None. counts: options by name that say which part of a target's error counts, and
+    (relative_to) which tips' targets are relative to another tip. tolerance [m]: position tolerance of the run.
     """
     from ..motion.waypoints import reference_from_file
     from ..servo.path_reach import freed

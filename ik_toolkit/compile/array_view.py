@@ -1,9 +1,9 @@
 """Views: light arrays inside kernels that consist of a pointer and a shape.
 
-An array of numba has seven to eleven numbers and a reference count, so passing a record of two dozen arrays takes much
-code. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the arrays,
-and pass on views of them. A view is contiguous. Its indices must be whole numbers that are not negative. A[i] of a
-two-dimensional view is a row, A[i:k] are rows. Without compilation a view is the array itself.
+numba passes an array as seven to eleven numbers and counts references to it, so passing a record of two dozen arrays takes
+much code. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the arrays,
+and pass on views of them. A view is contiguous. Its indices must be whole numbers that are not negative. In a
+two-dimensional view A[i] is a row, and A[i:k] are rows. Without compilation a view is the array itself.
 """
 
 # pyright: reportOptionalCall=false
@@ -32,7 +32,7 @@ WORD = ir.IntType(64)  # LLVM's type of lengths and indices
 
 
 class View(types.Type):
-    """numba's type of a view: numbers of a type in one to four dimensions, without gaps."""
+    """The type of a view as numba sees it: numbers of one type, in one to four dimensions, without gaps in memory."""
 
     def __init__(self, dtype: Any, ndim: int) -> None:
         self.dtype, self.ndim = dtype, ndim
@@ -62,7 +62,7 @@ def _made(context: Any, builder: Any, kind: Any, data: Any, dims: Sequence) -> A
 
 
 def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
-    """Return the offset in memory, in elements, of an index; it may have fewer entries than the view has dimensions."""
+    """Return the offset in memory [elements] that an index selects; the index may have fewer entries than there are dimensions."""
     place = index[0]
     for k in range(1, len(dims)):
         place = builder.mul(place, dims[k])
@@ -73,7 +73,7 @@ def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
 
 # ------------------------------------------------------------------------------------------------------ A[i], A[i, k], A[i:k]
 def _index(kind: View, index: Any) -> tuple[Any, Any]:
-    """Return the type of an index in compiled code, and the type of what it selects; both None if it is not allowed."""
+    """Return the type of an index in compiled code, and the type of what it selects; the second is None if it is not allowed."""
     if isinstance(index, types.SliceType):
         return types.slice2_type, kind
     if isinstance(index, types.Integer):
@@ -171,7 +171,7 @@ def _as_view(typing, A):
 
 
 def keep(A):
-    """Keep an array alive until this line; a view of it does not count as a reference, so its memory would be freed."""
+    """Keep an array alive up to this call; views do not count as references, so numba would free the memory earlier."""
 
 
 @overload(keep, jit_options=INLINE)
@@ -236,9 +236,9 @@ def space(n, m, L, N):
 
 
 def cut(block, kind, shapes):
-    """Cut arrays of given shapes (whole numbers or tuples) from the unused part of a block; those of a view are views.
+    """Cut arrays of given shapes (whole numbers or tuples) from the unused part of a block; from a view, cut views.
 
-    block (K,) is of float64; its first number says how much of it is used, and is 0 at the start. The arrays hold
+    block (K,) is of float64; its first number says how much of it is used, and must be 0 at the start. The arrays hold
     numbers of type `kind`, not initialised. Raises MemoryError if the block is too short.
     """
     made = []
@@ -258,7 +258,7 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(cut, jit_options=BUILD)  # arrays share memory and count references
+@overload(cut, jit_options=BUILD)  # Arrays cut from an array share its memory and count references.
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 
@@ -301,7 +301,7 @@ def _pieces(typing, block, kind, shapes):
 # --------------------------------------------------------------------------------------------------------- numbers in a row
 @intrinsic
 def counted_part(typing, A, start, count):
-    """Return a tuple of `count` numbers of A (K,) from index `start` on; `count` is a constant at compile time."""
+    """Return a tuple of `count` numbers of A (K,) from index `start` on; `count` must be a constant at compile time."""
     if not isinstance(count, types.IntegerLiteral):
         return None
 

@@ -1,9 +1,9 @@
-"""A cache of compiled kernels on disk that is never stale or half written, and no error if the disk is full or damaged.
+"""A cache of compiled kernels on disk that is never stale or half written, and raises no error if the disk is full or damaged.
 
-numba's own cache watches only the file of the cached function, keeps all kernels of a function in one index that two processes
-may overwrite for each other, and fails as unpickling of a damaged file does. Here each kernel is one file that is named by its
-key and holds its key and a checksum; a file that does not match is compiled again. Loading a file runs code in it, so only files
-that no other user can have written are loaded.
+numba's own cache has three faults. It watches only the file of the cached function; it keeps all kernels of a function in one
+index, which two processes may overwrite for each other; and a damaged file makes it raise an error. Here each kernel is one file,
+which is named by its key and holds the key and a checksum. If these do not match, the kernel is compiled again. Loading a file
+runs code in it, so only files that no other user can have written are loaded.
 """
 
 import functools
@@ -31,7 +31,7 @@ from numba.core.serialize import dumps
 
 # Every kernel depends on all Python files in these folders.
 STAMPED = Path(__file__).parent, Path(__file__).parent.parent / "kernel"
-HEAD = b"ik_toolkit kernel 1\n"  # first bytes of a cache file; 32 bytes of SHA-256 over the rest follow
+HEAD = b"ik_toolkit kernel 1\n"  # first bytes of a cache file; the body's SHA-256 hash (32 bytes) and the body follow
 PREFIX, SUFFIX = "ik-", ".nbc"
 LOG = logging.getLogger("ik_toolkit.cache")
 COMPILING = logging.getLogger("ik_toolkit.compile")
@@ -42,7 +42,7 @@ class MemoryCache(NullCache):
     """A cache that stores nothing, for a kernel that must be compiled in every process; it logs each compilation."""
 
     def __init__(self, what: str, why: str) -> None:
-        """Take the name of what is compiled, and why it cannot be kept, for the log."""
+        """Take two texts for the log: the name of what is compiled, and why it cannot be kept."""
         self.what, self.why = what, why
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
@@ -51,7 +51,7 @@ class MemoryCache(NullCache):
 
 
 class DiskCache(FunctionCache):
-    """A cache of the kernels of one function, with a file for each, in the folder that numba chooses."""
+    """A cache of the kernels of one function, with one file for each kernel, in the folder that numba chooses."""
 
     def __init__(self, function: Any, what: str, stamp: str) -> None:
         """Take a function, its name for the log, and a hash of all its sources, which becomes a part of the key.
@@ -70,9 +70,10 @@ class DiskCache(FunctionCache):
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled code for a signature, or None, upon which numba compiles it, if there is no intact file.
+        """Return the compiled code for a signature, or None if there is no intact file, which makes numba compile it.
 
-        numba's own cache also calls `refresh` here, which takes 0.3 s to load all that compiling needs; the compiler does so, too.
+        numba's own cache also calls `refresh` here, which takes 0.3 s to load all that compiling needs. That is not needed here,
+        because the compiler calls it, too.
         """
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
@@ -146,7 +147,7 @@ def folder() -> Path | None:
 
 
 def open_to_others(path: Path) -> str:
-    """Return the reason why other users (not root) may have written a file, or files in a folder; '' if they cannot."""
+    """Return why other users (not root) may have written a file, or files in a folder; '' if none of them can have."""
     try:
         return _open_to_others(os.stat(path))
     except OSError:
@@ -166,7 +167,7 @@ def _open_to_others(found: os.stat_result) -> str:
 
 
 def _is_own_group(group: int) -> bool:
-    """Return whether a group is this user's alone, as many systems make one for each user; that of root may be shared."""
+    """Return whether a group has only this user, as many systems make a group for each user; root's group may be shared."""
     try:
         user, own = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
     except KeyError:
@@ -176,7 +177,7 @@ def _is_own_group(group: int) -> bool:
 
 
 def content(path: Path) -> bytes:
-    """Return what `write` wrote to a file. Raises ValueError if the file is damaged, or other users may have written it."""
+    """Return the body that `write_whole` wrote to a file. Raises ValueError if it is damaged or others may have written it."""
     with path.open("rb") as file:
         if why := _open_to_others(os.fstat(file.fileno())):
             raise ValueError(why)
@@ -188,7 +189,7 @@ def content(path: Path) -> bytes:
 
 
 def damaged(function: Any) -> tuple[Path | None, list[Path]]:
-    """Return the top folder of the kernels on disk, given a cached function, and the damaged files in it."""
+    """Return the top folder of the kernels on disk, and the damaged files in it; function: any function with a cache."""
     cache = getattr(function, "_cache", None)
     if not isinstance(cache, DiskCache):
         return None, []
@@ -225,7 +226,7 @@ def _remove_old(folder: Path) -> None:
 
 
 def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
-    """Make the cache of a function, into which `parts` (classes and functions) are compiled."""
+    """Make the cache for a compiled function; parts: classes and functions that are compiled into it, such as a rule."""
     what = " ".join([*(part.__name__ for part in parts[:1]), f"{function.__module__}.{function.__name__}"])
     for part in parts:
         if part.__module__ in ("__main__", "__mp_main__") or "<locals>" in part.__qualname__:
@@ -240,7 +241,7 @@ def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
 
 # ------------------------------------------------------------------------------------------------------------ the stamp
 def stamp_of(*sources: Path) -> str:
-    """Return a hash of files, and of all Python files in folders."""
+    """Return a hash of the contents of the given files, and of all Python files in the given folders."""
     return _hash("".join(map(_stamp, sources)).encode())
 
 
@@ -255,7 +256,7 @@ def _hash(data: bytes) -> str:
 
 
 def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
-    """Yield the files outside STAMPED of a class or function, and of the compiled functions and records that it uses."""
+    """Yield the source files of a class or function, and of the compiled functions and records it uses, if outside STAMPED."""
     seen = set() if seen is None else seen
     thing = getattr(thing, "py_func", thing)
     path = Path(inspect.getsourcefile(thing) or __file__)

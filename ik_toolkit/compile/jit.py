@@ -34,7 +34,7 @@ if OWN_WAY:
 
 # The flags nnan and ninf are left out, because a NaN must fail every test and must not be assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-# `jit` is for functions that Python may call as well as kernels; their machine code is not cached on disk.
+# `jit` is for functions that both Python and kernels may call; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
 # The options below are for functions that only kernels call (see pipeline.py); a call from Python would crash.
 # BUILD is for functions that make arrays, which numba must compile with reference counting.
@@ -43,16 +43,16 @@ BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 # BARE turns off forced inlining, which numba would otherwise pass on from the caller to every function that it calls.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
-# `inner` makes one copy that is called, for code that is rarely run, or large and used in several places.
+# `inner` compiles one copy, which callers call. It is for code that rarely runs, or that is large and used in several places.
 inner = njit(**{**BARE, **CALLED})
-inline = njit(**INLINE)  # a copy in every caller, for small code and for code with large NamedTuples
-build = njit(**BUILD)  # a copy in every caller, for code that makes arrays
-spliced = njit(inline="always", **BARE)  # for large code with one caller, so that LLVM optimises one copy only
-shared = register_jitable(**INLINE)  # inlined in kernels; Python runs it as plain Python
+inline = njit(**INLINE)  # makes a copy in every caller, for small code and for code with large NamedTuples
+build = njit(**BUILD)  # makes a copy in every caller, for code that makes arrays
+spliced = njit(inline="always", **BARE)  # for large code with a single caller, so that LLVM optimises only one copy
+shared = register_jitable(**INLINE)  # for functions that are inlined in kernels, and that Python runs as plain Python
 
 
 def dual(function: Callable) -> Any:
-    """Decorator: compile a function that makes no arrays twice, as `jit` for Python and as a part for kernels."""
+    """Decorator for functions that make no arrays: compile them twice, by `jit` for Python and as a part for kernels."""
     dispatcher = jit(function)
     if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
         part = njit(**BARE)(function)
@@ -71,10 +71,10 @@ FIELDS: set[str] = set()  # field names of all classes marked by `compiled`
 def compiled(cls: type) -> type:
     """Class decorator: let kernels call the methods of a NamedTuple class, each inlined where it is called.
 
-    The method is chosen at compile time by the class of the NamedTuple it is called on; this is how the one search loop
-    gets its rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) it is a normal method. Methods of one name
-    must have the same names of arguments in all classes. As numba looks up methods before fields, no field may have the
-    name of any method.
+    Which method is called is decided at compile time by the class of the NamedTuple; this is how the one search loop gets its
+    rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) the methods are normal methods. Methods of the same name
+    must have the same argument names in all classes. As numba looks up methods before fields, no field of any class may have
+    the name of a method of any class.
 
     Raises:
         TypeError: A field and a method share a name.
@@ -91,7 +91,7 @@ def compiled(cls: type) -> type:
 
 
 def _let_numba_know(name: str, example: Callable) -> None:
-    """Register a method name of records with numba; the function of a class is looked up when a call is compiled."""
+    """Tell numba that records have a method of this name; the method of a class is looked up when a call is compiled."""
 
     def resolve(self: Any, *_: Any) -> Callable | None:
         return METHODS[name].get(getattr(self, "instance_class", None))  # type: ignore[arg-type]

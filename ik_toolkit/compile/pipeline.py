@@ -1,9 +1,9 @@
-"""Compile parts of a kernel faster: functions that only kernels call, so that they need no machine code of their own.
+"""Compile the parts of a kernel faster. A part is a function that only kernels call, so it needs no machine code of its own.
 
-Work of type inference that numba repeats for every function call is remembered. That does not change the result: the same
-functions are found for the same types, and the same code is made.
+Results of type inference, which numba computes again for every function call, are cached. That does not change the outcome: the
+same functions are found for the same types, and the same code is made.
 
-This uses undocumented interfaces of numba, so jit.py imports it only for releases with which it was tried.
+This module uses undocumented interfaces of numba, so jit.py imports it only for releases with which it was tried.
 """
 
 import sys
@@ -22,8 +22,8 @@ from numba.core.compiler_machinery import PassManager, _pass_registry
 from numba.core.postproc import PostProcessor
 from numba.core.transforms import canonicalize_cfg
 
-everything = PostProcessor.run  # numba's own method; `in_order` replaces it for parts, which need less
-# numba's timers, one for each part that is compiled; it notifies them of every call of LLVM, some 20,000 for a kernel.
+everything = PostProcessor.run  # numba's own method, which `in_order` replaces while a kernel is compiled
+# numba's timers, one for each part that is being compiled. numba tells all of them of every call of LLVM, some 20,000 in a kernel.
 listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
@@ -44,7 +44,7 @@ class Passes(PassManager):
 
 
 def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-    """Replace PostProcessor.run: without liveness analysis, which only generators and reference counts need."""
+    """Do what PostProcessor.run does, but for liveness analysis, which only generators and reference counts need."""
     if emit_dels or self.func_ir.is_generator:
         everything(self, emit_dels, extend_lifetimes)
     else:
@@ -60,8 +60,8 @@ def size_of(target: Any, kind: Any) -> int:
 def remembered(function: Callable) -> Callable:
     """Cache the results of a function by the identity of its arguments.
 
-    numba has one object for equal types, so it is enough to compare objects; to compare types of nested NamedTuples
-    takes long.
+    numba has a single object for equal types, so it is enough to compare identities. Comparing types of nested NamedTuples
+    would take long.
     """
     known: dict[tuple, tuple] = {}
 
@@ -69,7 +69,7 @@ def remembered(function: Callable) -> Callable:
         key = tuple(map(id, arguments))
         found = known.get(key)
         if found is None:
-            # The arguments are kept, so that no other object gets the same identity.
+            # The arguments are kept alive, so that no other object gets the same identity.
             found = function(*arguments), arguments
             if found[0] is not None:
                 known[key] = found
@@ -95,7 +95,7 @@ def remembering(typing: Any) -> Iterator[None]:
     def resolve_function_type(function: Any, kinds: Any, names: Any) -> Any:
         if names or not isinstance(function, types.Callable):
             return resolve(function, kinds, names)
-        # Types of constants are replaced by general types, so that one copy serves all of them.
+        # Types of constants are replaced by general types, so that one compiled function serves all constants.
         if isinstance(function, types.Dispatcher):
             kinds = map(types.unliteral, kinds)
         return call(function, *kinds)
@@ -115,7 +115,7 @@ def remembering(typing: Any) -> Iterator[None]:
         del typing.resolve_function_type, typing.find_matching_getattr_template
 
 
-# LLVM's level of optimisation; the third takes three times as long and makes kernels no faster (scripts/benchmarks/against.py).
+# LLVM's level of optimisation. Level 3 takes three times as long and makes kernels no faster (scripts/benchmarks/against.py).
 LEVEL = 1
 
 
@@ -146,7 +146,7 @@ class PartLibrary(JITCodeLibrary):
                 passes.run(function, builder)
 
     def finalize(self) -> None:
-        """Finish a part without linking the functions that it calls, because the kernel links each of them once."""
+        """Finish a part without linking the functions that it calls, because each of them is linked once into the kernel."""
         self._raise_if_finalized()
         for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
@@ -156,7 +156,7 @@ class PartLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        """Return the code with all functions that it calls, because numba's own libraries link only direct callees."""
+        """Return the part's code with all functions that it calls; numba's own method would link only direct callees."""
         module = self._final_module.clone()
         link(module, self._linking_libraries)
         return module
@@ -179,7 +179,7 @@ class KernelLibrary(JITCodeLibrary):
 
 
 def link(module: Any, libraries: list) -> None:
-    """Link libraries and all that they call into a module, callers first: LLVM drops functions not called yet."""
+    """Link libraries and all that they call into a module, callers first, because LLVM drops a function that nothing calls yet."""
     order: dict[Any, None] = {}
 
     def visit(library: Any) -> None:
@@ -196,7 +196,7 @@ def link(module: Any, libraries: list) -> None:
 
 
 class CalledLibrary(PartLibrary):
-    """LLVM code of a part that is never inlined; LLVM would inline even a long function with only one caller."""
+    """LLVM code of a part that is never inlined; LLVM itself would inline even a long function that has only one caller."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         for function in ll_module.functions:
@@ -205,16 +205,16 @@ class CalledLibrary(PartLibrary):
         super()._optimize_functions(ll_module)
 
 
-# Compiler options that every part sets for itself, whatever its caller has; numba derives dbg_optnone from forceinline.
+# Compiler options that every part sets for itself, whatever the options of its caller; numba derives dbg_optnone from forceinline.
 OWN = {"forceinline", "dbg_optnone"}
 
 
 class Quick(Flags):
-    """numba's compiler options, compared faster: by the few that were set.
+    """numba's compiler options, compared faster because only the few options that were set are compared.
 
-    numba compares options whenever it looks for an overload, for every operator of every function, and its `Flags`
-    compare all fifty. The options OWN are left out, so that inlined and called parts share one copy of a method that
-    both use.
+    numba compares options whenever it looks for an overload, which is for every operator of every function, and its own
+    `Flags` compare all fifty. The options in OWN are not compared, so that inlined parts and called parts share one compiled
+    copy of a method that both use.
     """
 
     def values(self) -> dict:
@@ -242,7 +242,7 @@ class PartPipeline(Compiler):
     """numba's compiler pipeline for a part of a kernel; the code goes into a PartLibrary."""
 
     library = PartLibrary
-    passes: ClassVar[list] = []  # numba's passes for a part, made for the first part and used for all
+    passes: ClassVar[list] = []  # one pass manager, made for the first part and used for all parts
 
     def define_pipelines(self) -> list:
         """Return numba's passes without those that a part does not need."""

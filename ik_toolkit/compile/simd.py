@@ -1,7 +1,7 @@
-"""SIMD vectors of eight float64 for compiled functions; code that is written for numbers works on them, too.
+"""SIMD vectors of eight float64 for compiled functions; code that is written for numbers works on vectors, too.
 
-Operators, `abs`, `math.sqrt` and `np.rint` work as on numbers. `full`, `load` and `store` make and move vectors; comparisons give
-masks for `choose` and `bits`.
+Arithmetic operators, `abs`, `math.sqrt` and `np.rint` work as on numbers. `full` and `lane_load` make vectors, and `store` writes
+them to arrays. Comparisons give masks, which `lane_select` and `bits` take.
 """
 
 # Pyright reports calls of intrinsics, because numba itself passes their first argument.
@@ -59,7 +59,7 @@ def _splat(builder: Any, number: Any) -> Any:
 
 
 def _binary(op: Callable, emit: Callable, result: types.Type) -> None:
-    """Define an operator for two vectors, and for a vector and a number."""
+    """Define an operator for two vectors, and for a vector and a number in either order."""
 
     @infer_global(op)
     class Template(AbstractTemplate):
@@ -118,7 +118,7 @@ _logic(operator.or_, "or_")
 
 
 def _function(plain: Callable, name: str) -> None:
-    """Let the function `plain` take a vector, for which it becomes the LLVM intrinsic `name`."""
+    """Let the function `plain` take a vector too; for a vector the LLVM intrinsic `name` is compiled."""
 
     @intrinsic
     def call(typing, x):
@@ -145,7 +145,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> A
 
 @intrinsic
 def lane_load(typing, array, start):
-    """Return the vector of array[start : start + WIDTH]."""
+    """Return a vector of the numbers array[start : start + WIDTH], counted through the whole array by rows."""
 
     def generate(context, builder, sig, args):
         return builder.load(_pointer(context, builder, sig.args[0], *args), align=8)
@@ -155,7 +155,7 @@ def lane_load(typing, array, start):
 
 @intrinsic
 def store(typing, array, start, value):
-    """Write a vector to array[start : start + WIDTH]."""
+    """Write a vector to array[start : start + WIDTH], where the numbers are counted through the whole array by rows."""
 
     def generate(context, builder, sig, args):
         builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1]), align=8)

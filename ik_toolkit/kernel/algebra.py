@@ -55,7 +55,7 @@ class V3(NamedTuple):
 
 @compiled
 class M3(NamedTuple):
-    """A 3x3 matrix, stored by its columns; those of a rotation are the axes of a frame."""
+    """A 3x3 matrix, stored by its columns; the columns of a rotation matrix are the axes of a frame."""
 
     x: V3
     y: V3
@@ -101,8 +101,9 @@ class Sym3(NamedTuple):
     def factors(self):
         """Factor the matrix into L D L', for solving.
 
-        An inverse by cofactors would be less accurate where the matrix is almost singular but for the damping, as when all joints
-        turn about one axis: its entries are as large as 1 / damping, and their products cancel down to rounding.
+        An inverse by cofactors would be less accurate where only the damping keeps the matrix from being singular, as when all
+        joints turn about one axis. The entries of the inverse are then as large as 1 / damping, and their products with the right
+        side cancel down to rounding.
         """
         i0 = 1.0 / self.xx
         l10, l20 = self.xy * i0, self.xz * i0
@@ -152,7 +153,7 @@ class Blocks(NamedTuple):
     S: Sym3
 
     def with_column(self, a, b, u, v):
-        """Return the matrix plus the outer product [a; b] [u; v]', which is symmetric because the two are parallel."""
+        """Return the matrix plus the outer product [a; b] [u; v]', which is symmetric because [a; b] is parallel to [u; v]."""
         Q = self.Q
         return Blocks(self.P.plus(a, u), M3(Q.x + b * u.x, Q.y + b * u.y, Q.z + b * u.z), self.S.plus(b, v))
 
@@ -259,7 +260,7 @@ def sincos(x):
     They are computed together and without branches, so that a loop over the joints vectorises.
     """
     k = np.rint(x * 0.31830988618379067154)
-    # Pi in two parts, of which the first has 25 bits, so that its product with k is exact.
+    # Pi is subtracted in two parts. The first has only 25 bits, so that its product with k is exact.
     r = x - k * 3.1415926218032836914
     r = r - k * 3.178650954705639e-08
     h = 0.5 * k
@@ -288,6 +289,6 @@ def rotation_left(now, goal):
 @inline
 def chord(angle):
     """Return the squared chord |2 sin(angle/2)|^2 of the angle [rad] that a tolerance allows."""
-    # A length of 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
+    # A chord of length 3 allows any rotation, because 2 sin(angle/2) is 2 at most.
     length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
     return length * length

@@ -59,7 +59,7 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
 
 
 def poses_at(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) at Q (N, n) and, if asked for, Jacobians J (N, 6, n), computed by `forward`."""
+    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n), or (0, 6, n) if not asked for."""
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
     forward_kinematics(rows, ends, Q, unit, T, J)
@@ -67,9 +67,9 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m] and, if asked for, Jacobians (N, 6, n), else None.
+    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n), or (0, 6, n) if not asked for.
 
-    It computes by numpy what `poses_at` computes by a compiled kernel, so that loading a robot compiles nothing.
+    It computes with numpy what `poses_at` computes with a compiled kernel, so that loading a robot compiles nothing.
     """
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
@@ -112,10 +112,10 @@ class Chain(NamedTuple):
     rows: np.ndarray  # (L, 10) geometry, see kinematics.py
     ends: np.ndarray  # base, tip, limits and reach, see `records.Ends`
     seeds: np.ndarray  # (256, n) configurations to start from
-    features: np.ndarray  # (13, 272) features of the seeds, to find those nearest a target, see `table`
+    features: np.ndarray  # (13, 272) features of the seeds, by which the seeds nearest a target are found, see `table`
     unit: np.ndarray  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
-    lower: np.ndarray  # (n,) limits [rad or m]
-    upper: np.ndarray  # (n,) limits [rad or m]
+    lower: np.ndarray  # (n,) lower limits [rad or m]
+    upper: np.ndarray  # (n,) upper limits [rad or m]
     turns: np.ndarray  # (n,) 1 if a coordinate may wrap by full turns, else 0
     scale: float  # kernel unit of length [m]
     reach: float  # longest distance of the tip from the first joint [m]
@@ -136,7 +136,7 @@ class Chain(NamedTuple):
 
 
 def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the longest possible distance (L,) of each joint from the one before, infinite for an unlimited slide."""
+    """Return the longest possible distance (L,) of each joint from the joint before it; infinite for an unlimited slide."""
     lengths = np.zeros(len(rows))
     for i, row in enumerate(rows):
         k = int(row[8])
@@ -149,9 +149,10 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
 def start_range(
     lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the range [kernel units] from which starts are drawn: the limits, or one turn or reach where there are none.
+    """Return the range, lower and upper ends (n,) [kernel units], from which starts are drawn: the limits where both exist.
 
-    The limits of a turning joint count as none if they are wider than TURNING.
+    Without limits the range is one turn for a turning joint, and two kernel units for a slide. It is also one turn for a joint that
+    may wrap and whose limits are wider apart than TURNING.
     """
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
@@ -164,9 +165,9 @@ def start_range(
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
     """Return features (13, N + PAD) of configurations (N, n), which `starts.nearest_seeds` compares with a target.
 
-    They are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, with
-    factors such that a scalar product with a target gives a squared distance. kinematics: `poses_at`, or `evaluate`, which
-    compiles nothing.
+    They are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position. Their factors make
+    the scalar product with a target's pose a squared distance, up to a constant. kinematics: `poses_at`, or `evaluate`,
+    which compiles nothing.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
@@ -190,7 +191,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Return the least distance of a chain's end from its foot: its longest rigid part less all others."""
+        """Return a lower bound on the distance of a chain's end from its foot: the longest part less the sum of all others."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -228,14 +229,14 @@ def pack(
 ) -> Chain:
     """Make the kernel's arrays of a chain.
 
-    Coordinates that turn and drive no other joint may wrap if their range covers a full turn.
+    A coordinate may wrap by full turns if it turns a single joint and its range covers a full turn.
 
     Args:
         rows: (L, 10) geometry [m], see kinematics.py.
-        base: (12,) rotation by rows, then point [m], of the first joint's frame in the base.
-        tip: (12,) rotation by rows, then point [m], of the tip in the last joint's frame.
-        lower: (n,) limits [rad or m].
-        upper: (n,) limits [rad or m].
+        base: (12,) pose of the first joint's frame in the base: rotation matrix by rows, then origin [m].
+        tip: (12,) pose of the tip in the last joint's frame: rotation matrix by rows, then origin [m].
+        lower: (n,) lower limits [rad or m].
+        upper: (n,) upper limits [rad or m].
         home: (n,) where a search without q0 starts [rad or m].
 
     Returns:
@@ -251,7 +252,7 @@ def pack(
     own = followers == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
     turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
-    # The reach is the sum of all offsets and finite strokes, or one metre where that is no bound or nothing but rounding.
+    # The reach is the sum of all offsets and finite strokes, or one metre if that sum is infinite or only rounding.
     lengths = segments(rows, lower, upper)
     finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
     reach = float(finite[1:].sum() + np.linalg.norm(tip[9:]))
@@ -259,7 +260,7 @@ def pack(
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
     if not LEAST_REACH < reach < np.inf:
         reach = 1.0
-    # Some files give a slide a stroke of 1000 km to say "far"; in a unit that long a tolerance of 1e-6 m would be rounding.
+    # Some files give a slide a stroke of 1000 km to say "far". In so long a unit a tolerance of 1e-6 m would be lost in rounding.
     bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
     scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
     rows[:, [2, 3, 7]] /= scale
@@ -305,13 +306,13 @@ class TreeChain(NamedTuple):
     """The chains of F tips over n shared coordinates as the kernels need them."""
 
     rows: Array  # (L, 10) geometry of all chains, one after the other
-    ends: Array  # (F, ...) `records.Ends` of each tip, its number of rows, and 1 for each coordinate that moves it
-    # (N, n) known starts; each tip picks its own joints from them, and the first tip also the shared ones.
+    ends: Array  # (F, ...) of each tip `records.Ends`, its number of rows, and n flags: 1 if the coordinate moves the tip, else 0
+    # (N, n) known starts; each tip picks values for its own joints, and one of the tips those for shared joints.
     seeds: Array
-    features: Array  # (F, 13, N + PAD) features of the seeds, to find those nearest a target, see `table`
+    features: Array  # (F, 13, N + PAD) features of the seeds, by which those nearest a target are found, see `table`
     unit: Array  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
-    lower: Array  # (n,) limits [rad or m]
-    upper: Array  # (n,) limits [rad or m]
+    lower: Array  # (n,) lower limits [rad or m]
+    upper: Array  # (n,) upper limits [rad or m]
     scale: float  # kernel unit of length [m]
 
     plain = False  # Row i of a chain need not belong to coordinate i, because no chain has all coordinates.
@@ -344,7 +345,7 @@ def split_rows(rows: Array, ends: Array, n: int) -> list[Array]:
 
 
 def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> Chain | TreeChain:
-    """Join one chain for each tip, all in one kernel unit of length.
+    """Join the chains of all tips, one for each, with a common kernel unit of length.
 
     places[f][i] is the index, among the shared coordinates, of coordinate i of chain f; lower, upper, home (n,) [rad or m].
     """

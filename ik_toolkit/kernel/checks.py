@@ -21,12 +21,13 @@ FAR = 1e100  # A pose with coordinates [m] beyond this is refused, because their
 class Proofs(NamedTuple):
     """Thresholds for the status of an attempt: target out of reach, singular, or blocked by limits."""
 
-    # A target must be this much out of reach [kernel units], more than any rounding, to be called unreachable.
+    # A target counts as unreachable only if it is out of reach by more than this length [kernel units], which exceeds any rounding.
     reach_slack: float = 1e-9
     # From this rotation tolerance [rad] on, the target does not bound the position of the last joint.
     wide: float = 2.0
-    unseen: float = 1e-16  # No joint changes the error e if |J' e|^2 is at most this share of |J|^2 |e|^2: rounding.
-    blocked: float = 1e-4  # Limits block an attempt if free joints have less than this share of the squared gradient.
+    unseen: float = 1e-16  # If |J' e|^2 is at most this share of |J|^2 |e|^2 (rounding), no joint changes the error e.
+    # Limits block an attempt if the joints that can still move have less than this share of the squared gradient.
+    blocked: float = 1e-4
 
 
 PROOF = Proofs()
@@ -34,10 +35,10 @@ PROOF = Proofs()
 
 @inner
 def ring(p, reach, hole, ends, slack):
-    """Return the length by which a point p lies outside an arm's reach, or inside the hole around its foot.
+    """Return the length by which a point p lies outside an arm's reach, or inside the hole around its foot; negative if neither.
 
-    The arm reaches distances from `hole` to `reach` from its foot, each with the allowance `slack`.
-    The foot may be carried by a vertical slide (a lift).
+    The arm reaches points at distances from its foot between `hole` and `reach`; both bounds are relaxed by `slack`. A vertical
+    slide (a lift) may carry the foot.
     """
     across = p.x * p.x + p.y * p.y
     low, high = ends.bound(4), ends.bound(5)
@@ -50,8 +51,8 @@ def ring(p, reach, hole, ends, slack):
 def beyond(goal, ends, task, tol_p, tol_r):
     """Return the length [kernel units] by which a target is proven out of reach, 0 if nothing is proven.
 
-    A tip inside the tolerances is no further from the target's point than they allow. The pose also fixes the place of the last
-    joint (but for the part of the tool normal to a free axis), and the arm without its tool must reach that.
+    Two points must be in reach to within the tolerances: the target's point, and the place of the last joint. That place follows
+    from the target's rotation, but for the part of the tool normal to a free axis, and the arm without its tool must reach it.
     """
     point, slack = at3(goal, 9), allowance(task, 0, tol_p) + PROOF.reach_slack
     if not slack < math.inf:

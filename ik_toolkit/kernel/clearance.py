@@ -8,14 +8,15 @@ import numpy as np
 from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
 
-# Smallest part of a piece of a motion for which a bound on the approach is computed; then distances are measured again.
+# A proof of clearance advances by parts of a piece of a motion. It ends where it would need parts smaller than this; from there on
+# the caller measures the distances again.
 FINEST = 1.0 / 64.0
 
 
 class Bodies(NamedTuple):
-    """The shapes of a scene (S), its pairs of shapes (P) and the moving joints (E), at one configuration, in the root's axes."""
+    """S shapes of a scene, P pairs of these shapes and E moving joints, at one configuration and in the root's axes."""
 
-    # (E, 6) velocity per unit of each joint: of the point that is at the root's origin (3), and angular velocity (3)
+    # (E, 6) motion per unit of each joint: velocity of the body's point that is at the root's origin (3), then angular velocity (3)
     V: np.ndarray
     coordinates: np.ndarray  # (E,) index in q of each joint, from the root outwards
     middle: np.ndarray  # (S, 3) centres [m] of the spheres around the shapes
@@ -29,8 +30,8 @@ class Bodies(NamedTuple):
 class Facing(NamedTuple):
     """Pairs of shapes whose nearest points are known, one row for each pair."""
 
-    ks: np.ndarray  # (K,) indices of the pairs
-    points: np.ndarray  # (K, 2, 3) nearest points [m], root axes
+    ks: np.ndarray  # (K,) indices of the pairs in `Bodies`
+    points: np.ndarray  # (K, 2, 3) nearest points [m] of the first and the second shape, root axes
     gap: np.ndarray  # (K,) distance [m] by which the pair may still approach
 
 
@@ -39,23 +40,24 @@ class Approach(NamedTuple):
 
     slope: float  # [1/s] highest speed of approach divided by the gap
     step: float  # [s] length of a control step, in which a pair may use up at most half of its gap
-    # A joint takes part in the braking of a pair if its approach per unit exceeds this share of the largest one.
+    # A joint takes part in the braking of a pair if it changes the distance per unit by more than this share of what the joint
+    # with the largest effect does.
     share: float
-    flat: float  # A pair is left out if no joint brings it closer by more than this per unit [m/rad or m/m].
+    flat: float  # A pair is left out if no joint changes its distance by more than this per unit [m/rad or m/m].
 
 
 class HalfPlanes(NamedTuple):
     """The half-planes A x <= b that limit the joint rates x, the most restrictive one first."""
 
-    A: np.ndarray  # (R, n) speed of approach per unit of each joint rate
-    b: np.ndarray  # (R,) highest speed of approach [m/s]
+    A: np.ndarray  # (R, n) speed of approach of a pair per unit of each joint rate
+    b: np.ndarray  # (R,) highest speed [m/s] at which the pair may approach
     order: np.ndarray  # (R,) row of `Facing` that each half-plane is for
 
 
 class Separation(NamedTuple):
     """Pairs of shapes whose distance and direction are known at one configuration of a motion, one row a pair."""
 
-    ks: np.ndarray  # (K,) indices of the pairs
+    ks: np.ndarray  # (K,) indices of the pairs in `Bodies`
     normals: np.ndarray  # (K, 3) unit vectors from the first to the second shape, zero where a shape is not convex
     distances: np.ndarray  # (K,) distances of the pairs [m]
 
@@ -66,15 +68,15 @@ class BrakingPath(NamedTuple):
     Q: np.ndarray  # (N + 1, n) joint values
     R: np.ndarray  # (N + 1, n) joint rates
     L: np.ndarray  # (N + 1, n) lengths that the joints have travelled
-    gamma: float  # 1 where the rate is constant over a piece, less where it changes evenly
+    gamma: float  # 1 if the rates are constant over a piece, less than 1 if they change evenly
     h: float  # [s] duration of a piece
 
 
 @dual
 def travelled(start, change, f):
-    """Return how far a joint has travelled at the fraction f (0 to 1) of a piece of a motion, both ways if it reverses.
+    """Return the length that a joint has travelled at the fraction f (0 to 1) of a piece of a motion, both ways if it reverses.
 
-    Its speed grows evenly from `start` by `change` [per piece].
+    The joint's speed is `start` at first and changes evenly by `change` over the piece [both per piece].
     """
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
@@ -86,7 +88,7 @@ def travelled(start, change, f):
 
 @dual
 def speed_and_growth(Q, R, k, j, gamma, h):
-    """Return the speed of joint j at the start of piece k and its growth [both per piece]; arrays as of `BrakingPath`."""
+    """Return the speed of joint j at the start of piece k of a `BrakingPath`, and its change over the piece [both per piece]."""
     move = Q[k + 1, j] - Q[k, j]
     start = move if gamma == 1.0 else h * R[k, j]
     return start, 2.0 * (move - start)
@@ -94,14 +96,14 @@ def speed_and_growth(Q, R, k, j, gamma, h):
 
 @dual
 def position(Q, R, L, k, j, gamma, h, f):
-    """Return the value of joint j a fraction f into piece k, and how far it has gone by then; arrays as of `BrakingPath`."""
+    """Return the value of joint j at the fraction f of piece k of a `BrakingPath`, and the length it has travelled by then."""
     start, change = speed_and_growth(Q, R, k, j, gamma, h)
     return Q[k, j] + start * f + 0.5 * change * f * f, L[k, j] + travelled(start, change, f)
 
 
 @cached
 def along(Q, R, L, gamma, h, u, q, length) -> None:
-    """Fill q (n,) and length (n,): the joint values u pieces into a `BrakingPath`, and how far each joint has gone by then."""
+    """Write to q (n,) the joint values u pieces into a `BrakingPath`, and to length (n,) how far each joint has travelled."""
     k = min(int(u), Q.shape[0] - 2)
     for j in range(q.shape[0]):
         q[j], length[j] = position(Q, R, L, k, j, gamma, h, u - k)
@@ -115,10 +117,10 @@ def speed_at(V, e, point):
 
 @cached
 def levers(parts, way, out, spread) -> None:
-    """Bound how much closer a pair of shapes can come per unit of each joint (lever arms), for moves of up to `way`.
+    """Bound how much closer a pair of shapes can come per unit of each joint, while no joint moves further than `way`.
 
-    A joint's lever arm is the distance from its axis to the far side of a shape's bounding sphere, plus how far later
-    joints can move the shape.
+    The bound is the joint's lever arm: the distance from its axis to the far side of the shape's bounding sphere, plus how far
+    the later joints can move the shape.
 
     Args:
         parts: `Bodies` where the motion starts.
@@ -154,8 +156,8 @@ def levers(parts, way, out, spread) -> None:
 def rows(parts, facing, rate, deceleration, rules, planes) -> int:
     """Write the half-planes for joint rates under which pairs can still brake before they touch.
 
-    A pair may approach at `rules.slope` times its gap, may lose half of its gap in a step, and all joints with a share in the
-    approach must be able to end it within the gap.
+    Three bounds limit the speed of approach of a pair: `rules.slope` times its gap, half of its gap in a step, and the speed that
+    each of the joints which take part in the braking can bring to zero within the gap.
 
     Args:
         parts: `Bodies` at the current configuration.
@@ -212,9 +214,10 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
 
 @dual
 def second_order_motion(turn, lever, moved, length):
-    """Bound [m] how far a part can be from where its present velocities would take it.
+    """Bound [m] how far a part can be from where the joints' moves would take it if its velocity per unit did not change.
 
-    It is of second order in `length` (E,), how far the joints move; `moved` (E,) says which of them move the part.
+    The bound is of second order in `length` (E,), how far the joints move. turn (E,): angular speed per unit of each joint;
+    lever (E,): lever arms of the joints; moved (E,): whether a joint moves the part.
     """
     total, before = 0.0, 0.0
     for e in range(length.shape[0]):
@@ -234,11 +237,11 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
     joints travel.
 
     Args:
-        parts: `Bodies` where the path is at `start`.
-        pairs: `Separation` of K pairs there.
+        parts: `Bodies` at the place `start` of the path.
+        pairs: `Separation` of K pairs at that place.
         levers: (P, E) from the function `levers`, for the whole path.
         path: `BrakingPath`.
-        start: Place on the path at which the proof begins [pieces from its beginning, may be a fraction].
+        start: Place at which the proof begins [pieces from the beginning of the path, may be a fraction].
         out: (K,) receives where each pair's proof ends [pieces].
     """
     V, coordinates, middle, radius, a, b, by_a, by_b = parts
@@ -279,7 +282,7 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
                 closing += rate[e] * move
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
-                # Between two places the motion leaves the straight line by up to an eighth of the speed's change.
+                # Between two places on a piece a joint's value leaves the straight line by up to an eighth of its change of speed.
                 curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
             bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(

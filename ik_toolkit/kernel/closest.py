@@ -1,7 +1,7 @@
 """Move a failed search's best configuration to a local minimum of the error within the limits.
 
-The error is that of every tip, |position error|^2 / length^2 + |rotation vector|^2, of what counts of it. A search takes
-steps that suit a target in reach; before one that is out of reach it ends up to some percent above the minimum.
+The error is the sum of |position error|^2 / length^2 + |rotation vector|^2 over all tips, of the parts that count. The steps of
+a search suit targets in reach; if a target is out of reach, the search ends up to a few percent above the minimum.
 """
 
 from typing import NamedTuple
@@ -22,11 +22,11 @@ from .search import problem_on
 class Descent(NamedTuple):
     """Constants of the descent, a Levenberg-Marquardt method whose damping is a share of the squared error."""
 
-    first: float = 0.1  # damping over the squared error, at the start
-    least: float = 1e-6  # smallest such share, which bounds the steps at singular poses
-    most: float = 1e9  # largest such share; the descent ends if even its short step does not help
-    lowered: float = 0.3  # factor of the damping share after a step that lowers the error
-    raised: float = 4.0  # factor of the damping share after a step that does not lower the error
+    first: float = 0.1  # share at the start: the damping divided by the squared error
+    least: float = 1e-6  # smallest share; it bounds the steps at singular poses
+    most: float = 1e9  # largest share; the descent ends if even the short step it leads to does not lower the error
+    lowered: float = 0.3  # factor on the share after a step that lowers the error
+    raised: float = 4.0  # factor on the share after a step that does not lower the error
     smallest: float = 1e-7  # the descent ends when a step moves every joint by less [rad or kernel units]
 
 
@@ -35,7 +35,7 @@ DOWN = Descent()
 
 @inline
 def weighed(p, e, factor):
-    """Write the errors of an evaluation, positions times `factor`, to y in p.desk; return their squared norm."""
+    """Write the errors of an evaluation e, positions multiplied by `factor`, to p.desk.y; return their squared norm."""
     y, total = p.desk.y, 0.0
     p.stack(e)
     for k in range(y.shape[0]):
@@ -46,7 +46,10 @@ def weighed(p, e, factor):
 
 @inline
 def held_wrongly(s, error, weights, box):
-    """Return whether the joints held by a step, although the error falls away from their limits, have the steeper slopes."""
+    """Return whether a step wrongly holds joints along which the error falls faster than along all free joints.
+
+    A joint is wrongly held if the error falls as it leaves its limit. The sums of the joints' squared slopes are compared.
+    """
     free, wrong = 0.0, 0.0
     for i in range(s.q.shape[0]):
         if weights[i] > 0.0:
@@ -62,8 +65,9 @@ def held_wrongly(s, error, weights, box):
 def step_down(p, error, damping, weights, box, pressed):
     """Write a damped step to p.desk.dq, and return the largest move of a joint in it.
 
-    It holds the joints at a limit that the step itself would push outwards, which is fast but may hold one that ought to leave.
-    Where that matters, or with `pressed`, it holds those that the slope of the error pushes outwards.
+    The step holds joints at a limit that it would itself push outwards. This is fast, but may hold a joint that ought to leave its
+    limit. If that matters (`held_wrongly`), or if `pressed` is set, the step instead holds the joints at a limit that the slope of
+    the error pushes outwards.
     """
     s = p.desk
     copy(weights, s.w)
@@ -86,7 +90,7 @@ def step_down(p, error, damping, weights, box, pressed):
 
 @inline
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
-    """Do the work of `approach_target` on views, with a block of scratch."""
+    """Do the work of `approach_target`, whose arrays are given as views; block: scratch memory."""
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
@@ -98,7 +102,7 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
     p.head_for(T)
     for i in range(n):
         s.q[i] = row[ANSWER + i] / full.unit(i)
-    move(s.q, s.q, 0.0, box)  # only clips the joints to their limits
+    move(s.q, s.q, 0.0, box)  # This move by nothing only clips the joints to their limits.
     factor, share, value, made, pressed = full.scale() / length, DOWN.first, np.inf, 0, False
     while True:
         e = p.evaluate(s.q)
@@ -140,11 +144,11 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 def approach_target(rows, ends, T, row, orders, n, length, steps):
     """Lower the error of a failed search; q, errors and number of evaluations in its result `row` are replaced.
 
-    Returns the squared error of that q, in which a position error of `length` is worth one radian. Where the descent reaches
-    the target, the row's status becomes CONVERGED.
+    Returns the squared error of the new q, in which a position error of `length` counts as much as one radian. If the descent
+    reaches the target, the row's status becomes CONVERGED.
 
     Args:
-        rows: (L, 10) of the chain or tree.
+        rows: (L, 10) geometry of the chain or tree.
         ends: `records.Ends` of the chain or tree.
         T: (F, 4, 4) targets [m] of F tips, base frame.
         row: The answer of a search, see `search.entry`.

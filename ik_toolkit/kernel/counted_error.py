@@ -1,15 +1,15 @@
 """Which part of a tip's pose error counts: `shape` computes the errors that count, `count_column` their derivative.
 
-The error of a tip is e = target - tip and the rotation vector r of the rotation that is left, R_target = exp(r) R_tip. All of it
-may count, the position alone, nothing, or a part. A part is made in this order:
+The error of a tip is e = target - tip and the rotation vector r of the rotation that is left, R_target = exp(r) R_tip. Of this
+error all may count, only e, nothing, or a part. A part is computed in these steps, one after the other:
 
     a free turn     r becomes the least rotation that brings the tip's axis a onto the target's axis b
     a frame         e and r are expressed in the axes of the base, the tip or the target
     slack s         e_i becomes sign(e_i) max(|e_i| - s_i, 0)
     weights w       e_i becomes w_i e_i
 
-An error inside its slack is zero, and so is its row of the Jacobian; the least squares of the other errors are continuous where
-one enters its slack, and near the answer the set of rows does not change any more.
+An error inside its slack is zero, and so is its row of the Jacobian. The least-squares problem stays continuous where an error
+enters its slack, and near the answer the set of rows that are not zero no longer changes.
 """
 
 import math
@@ -20,7 +20,7 @@ from .algebra import M3, V3, at3, put3, rotation_at
 from .kinematics import angle_ratio, rotation_angle
 from .records import WHAT
 
-POSE, POSITION, FREE, PART = range(4)  # kinds of target: the whole error counts, the position, nothing, or a part
+POSE, POSITION, FREE, PART = range(4)  # kinds of target: the whole error counts, only the position, nothing, or a part
 AXIS = "axis"  # a target (AXIS, axis) is a pose whose turn about an axis of the tip is free
 BASE, TIP, TARGET = range(3)  # frames in which weights and slacks may be given
 
@@ -47,9 +47,9 @@ STRAIGHT = 1e-9  # Two directions count as parallel if the sine of their angle i
 
 @inner
 def allowance(task, first, tolerance):
-    """Return a bound on the norm of three raw errors (from index `first` on) that weights and slack bring in tolerance.
+    """Return a bound on the norm of three raw errors, `first` and the next two, that are in tolerance after slack and weights.
 
-    It is infinite if one of the three does not count.
+    The bound is infinite if one of the three errors does not count.
     """
     least, room = math.inf, 0.0
     for i in range(first, first + 3):
@@ -60,7 +60,7 @@ def allowance(task, first, tolerance):
 
 @inner
 def log_curvature(rr):
-    """Return c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r that turns at w, with rr = |r|^2."""
+    """Return c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r; w: angular velocity; rr = |r|^2."""
     if rr < 1e-4:
         return 1.0 / 12.0 + rr / 720.0  # the series of the formula below, whose next term is rr^2 / 30240
     half = 0.5 * math.sqrt(rr)
@@ -69,10 +69,11 @@ def log_curvature(rr):
 
 @inner
 def shape(task, ends, goal, now, linear, angular, kept):
-    """Return the errors (linear, angular) that count of a pose error, and fill kept (KEPT,) for `count_column`.
+    """Return the part (linear, angular) of a pose error that counts, and fill kept (KEPT,) for `count_column`.
 
-    The given angular error is 2 sin(angle/2) times the axis; now: axes of the last joint. When the tip turns by v, the rotation
-    vector r falls by G v; when the target turns by v, r grows by G' v.
+    The given angular error is 2 sin(angle/2) times the axis; now: axes of the last joint. Comments in the code call G the matrix
+    for which a small rotation v of the tip changes the rotation vector r by -G v. A small rotation v of the target changes r by
+    G' v.
     """
     none = V3(0.0, 0.0, 0.0)
     if int(task[WHAT.kind]) == FREE:
@@ -82,7 +83,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
     target = rotation_at(goal, 0)
     frame, turns = int(task[WHAT.frame]), task[WHAT.free] > 0.0
     a, b, k, f, slope = none, none, none, 0.0, 0.0
-    if turns:  # r = f a x b, where f = angle / sine, and `slope` is the derivative of f by the cosine
+    if turns:  # Here r = f a x b with f = angle / sine, and `slope` is the derivative of f with respect to the cosine.
         axis = at3(task, WHAT.ax)
         a, b = now.times(axis), target.times(axis)
         k = a.cross(b)
@@ -103,7 +104,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != BASE:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # a row of the matrix G: axis' G
+        if turns:  # The vector `own` becomes a row of the matrix G, which is axis' G.
             bend = k * (slope * k.dot(axis))
             own = a.cross(axis.cross(b)) * f - bend
         else:
@@ -136,14 +137,14 @@ def rows_at(kept, i):
 
 @inner
 def count_column(kept, linear, angular):
-    """Convert a Jacobian column of the tip to the errors that count, at the configuration for which `shape` filled `kept`."""
+    """Convert a Jacobian column (linear, angular) of the tip to the errors that count; `shape` has filled `kept` for this q."""
     linear = linear + angular.cross(at3(kept, IN.arm))
     return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.A).across(angular)
 
 
 @inner
 def count_goal_column(kept, linear, angular):
-    """Convert a motion of the target to the growth of the errors that count, where `shape` filled `kept`."""
+    """Return by how much a small motion of the target raises the errors that count; `shape` has filled `kept` for this q."""
     linear = linear + angular.cross(at3(kept, IN.arm_goal))
     return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.B).across(angular)
 
@@ -152,8 +153,8 @@ def count_goal_column(kept, linear, angular):
 def turn_axis(task, kept, out):
     """Write to out (3,) the normal n of a Householder reflection that makes the third rotation error 0, or zeros.
 
-    It is zero if no turn is free. With a free turn the rotation error r is always normal to an axis c, so c' r = 0. The
-    reflection 1 - 2 n n' takes c to z.
+    It writes zeros if no turn is free, or if one of the rotation errors does not count. With a free turn the rotation error r is
+    always normal to an axis c, so c' r = 0. The reflection 1 - 2 n n' takes c to the z axis (or its opposite), so r_z becomes 0.
     """
     for k in range(3):
         out[k] = 0.0
@@ -181,9 +182,9 @@ def turn_axis(task, kept, out):
 # ----------------------------------------------------------------------------------------------------------------- measure
 @inline
 def vector_ratio(kind, rr):
-    """Return the factor between a rotation error of squared length rr and its rotation vector.
+    """Return the factor that turns a rotation error of squared length rr into a rotation vector.
 
-    Where only a part of the error counts (PART), the rotation error already is a rotation vector, and the factor is 1.
+    If only a part of the error counts (PART), the rotation error already is a rotation vector, and the factor is 1.
     """
     return 1.0 if kind == PART else angle_ratio(rr)
 
@@ -196,7 +197,7 @@ def angle_left(kind, rr):
 
 @inline
 def counts(task):
-    """Return whether the position, and whether the rotation, matters for the choice of starts, each as 1.0 or 0.0."""
+    """Return 1.0 or 0.0 for the position, and the same for the rotation: whether it matters for the choice of starts."""
     position, rotation = 0.0, 0.0
     for i in range(3):
         if task[WHAT.w0 + i] > 0.0 and task[WHAT.s0 + i] < math.inf:

@@ -1,11 +1,12 @@
 """Forward kinematics, Jacobian columns and pose error of one chain, in one pass over flat arrays.
 
-A chain is a table of rows, one per joint on the path, each `Rx(b) . T(tx, ty, slide*x + d0) . Rz(turn*x + a0)`. The
-rotation between two joint axes is split into Rz.Rx.Rz, and both Rz go into the neighbouring joints' angles. This is exact for
-any axes (the common normal of Denavit-Hartenberg is undefined for parallel ones) and takes 30 multiply-adds instead of 48.
+A chain is a table of rows, one per joint on the path from base to tip. Each is `Rx(b) . T(tx, ty, slide*x + d0) . Rz(turn*x + a0)`,
+where x is the joint's coordinate. The rotation between two joint axes is split into Rz.Rx.Rz, and both Rz go into the neighbouring
+joints' angles. This is exact for any axes (the common normal of Denavit-Hartenberg is undefined for parallel axes) and takes 30
+multiply-adds instead of 48.
 
-Inside the kernel lengths, prismatic joints included, are divided by a power of two near the robot's reach (so that the
-scaling is exact), and everything is expressed in the frame of the first joint; `aim` brings a target there.
+Inside the kernel all lengths, also the coordinates of prismatic joints, are divided by a power of two near the robot's reach; a
+power of two makes this scaling exact. Everything is expressed in the frame of the first joint; `aim` converts a target to it.
 """
 
 import math
@@ -15,7 +16,7 @@ from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotat
 
 # A row has the numbers cos b, sin b, tx, ty, turn, a0, slide, d0, index of the coordinate, and 1 for a turning joint, else 0.
 ROW = 10
-# A joint whose ratio to its coordinate differs from 1 by less is no mimic joint: the difference is rounding of a unit axis.
+# A joint whose ratio to its coordinate differs from 1 by less than this is no mimic joint: the difference is rounding of its axis.
 RATIO = 1e-12
 TAU = 2.0 * math.pi
 
@@ -96,7 +97,10 @@ def aim(ends, T, goal):
 
 @inner
 def half_turn_axis(now, goal, sine):
-    """Return the axis of a rotation by almost pi, from the symmetric part of its matrix, as the antisymmetric part vanishes."""
+    """Return the axis of the rotation from `now` to `goal`, by almost pi, from the symmetric part of its matrix.
+
+    The antisymmetric part, which gives the axis times the sine, almost vanishes there; `sine` decides the sign of the axis.
+    """
     # At pi the matrix is R = 2 a a' - 1, so each column of (R + 1) / 2 = a a' is along a; the largest is the most accurate.
     x = V3(goal.x.x, goal.y.x, goal.z.x)
     y = V3(goal.x.y, goal.y.y, goal.z.y)
@@ -122,7 +126,7 @@ def rotation_error(now, goal):
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near half a turn the sine is too inexact, so the length, and even nearer the axis, are computed from the matrix.
+    # Near half a turn the length follows from the cosine, because the sine is too inexact. Even nearer the axis is inexact, too.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)
@@ -132,13 +136,13 @@ def rotation_error(now, goal):
 
 @inline
 def pose_error(goal, axes, tip):
-    """Return the errors (linear, and angular as `rotation_error` has it) of a tip from a goal that `aim` wrote."""
+    """Return the errors of a tip from a goal that `aim` wrote: linear, and angular as `rotation_error` defines it."""
     return at3(goal, 9) - tip, rotation_error(axes, rotation_at(goal, 0))
 
 
 @inner
 def angle_ratio(rr):
-    """Return the factor angle / (2 sin(angle/2)) from rr = |2 sin(angle/2)|^2; it makes a rotation error a rotation vector."""
+    """Return angle / (2 sin(angle/2)) for rr = |2 sin(angle/2)|^2: the factor from a rotation error to its rotation vector."""
     h = 0.5 * math.sqrt(rr)
     if h < 1e-4:
         return 1.0 + rr / 24.0
@@ -153,15 +157,15 @@ def rotation_angle(rr):
 
 @inner
 def jacobian_rate(rows, joints, J, first, tip, x, y, out):
-    """Write to out (6,) the product (dJ/dt) y of the tip's Jacobian when the joints move at velocity x.
+    """Write to out (6,) the product (dJ/dt) y, where J is the tip's 6 x n Jacobian and the joints move at the rates x (n,).
 
-    joints and the six columns of J from `first` on are as `fk` and `fill` leave them.
+    The array `joints` is as `fk` fills it. The array J (n, m) holds the transposed Jacobian in six columns from `first` on.
     """
     zero = V3(0.0, 0.0, 0.0)
     v = zero  # linear velocity of the tip
     for i in range(J.shape[0]):
         v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
-    # Angular velocity of the link before joint i, and velocity of the stored point on its axis
+    # `turn` is the angular velocity of the link before joint i, `speed` the velocity of the stored point on the joint's axis.
     turn, speed = zero, zero
     linear, angular = zero, zero
     for i in range(rows.shape[0]):

@@ -7,14 +7,14 @@ import numpy as np
 from ..compile.jit import inline, inner
 from .kinematics import TAU
 
-# A start with a larger coordinate [rad or m] is refused; such an angle has only seven digits after the point.
+# A start with a larger coordinate [rad or kernel units] is refused, because such an angle has only seven digits after the point.
 LARGEST = 1e9
 LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division by the weight 0 of a held joint
 
 
 @inline
 def middle(lower, upper):
-    """Return the angle near which full turns bring a joint: the middle of its limits, or half a turn inside a single limit."""
+    """Return the angle near which full turns bring a joint: the middle of its limits, or half a turn inside its only limit."""
     if lower == -np.inf:
         return upper - 0.5 * TAU
     return 0.5 * (lower + upper) if upper < np.inf else lower + 0.5 * TAU
@@ -48,7 +48,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
 
 @inner
 def held_back(p, look, near, ends, limits):
-    """Return the joint that the option `follow`, and not its own limit, keeps most from lowering the error, or -1."""
+    """Return the index of the joint that the option `follow`, not its own limit, most keeps from lowering the error, or -1."""
     q = p.desk.q
     worst, most = -1, 0.0
     for i in range(q.shape[0]):
@@ -63,7 +63,7 @@ def held_back(p, look, near, ends, limits):
 
 @inline
 def hold(q, dq, w, ends):
-    """Set the weight w of joints to 0 that are at a limit and pushed outwards; return whether a new one was found."""
+    """Set w[i] to 0 for each joint i at a limit that the step dq pushes outwards; return whether any was not held before."""
     hit = False
     for i in range(q.shape[0]):
         if w[i] > 0.0 and ((q[i] <= ends.lower(i) and dq[i] < 0.0) or (q[i] >= ends.upper(i) and dq[i] > 0.0)):
@@ -74,9 +74,9 @@ def hold(q, dq, w, ends):
 
 @inline
 def integrate(q, dq, limits, ends):
-    """Add dq to q inside the limits, where joints that can turn fully are brought back by full turns.
+    """Add dq to q. If `limits` is true, joints that may wrap are brought back inside by full turns, and others are clipped.
 
-    A joint whose dq is 0 keeps its value exactly. Returns the largest move of a joint and the largest coordinate.
+    A joint whose dq is 0 keeps its value exactly. Returns the largest move of a joint and the largest absolute coordinate.
     """
     moved = 0.0
     far = 0.0
@@ -95,7 +95,7 @@ def integrate(q, dq, limits, ends):
 
 @inner
 def turn(wanted, q, ends, i):
-    """Return the number of full turns of joint i that comes nearest the move `wanted` [rad] and respects its limits."""
+    """Return the whole number of turns of joint i, from the value q, that is nearest the move `wanted` [rad] within its limits."""
     k = np.rint(wanted / TAU)
     if ends.turns(i) < 1.5:
         k = min(max(k, math.ceil((ends.lower(i) - q) / TAU)), math.floor((ends.upper(i) - q) / TAU))
@@ -104,7 +104,7 @@ def turn(wanted, q, ends, i):
 
 @inline
 def face(q, wanted, ends):
-    """Move joints of q by full turns as near as possible to `wanted` (n,) within limits; return whether q changed."""
+    """Bring each joint of q by full turns as near as possible to its value in `wanted` (n,) within limits; return if q changed."""
     turned = False
     for i in range(q.shape[0]):
         if ends.turns(i) > 0.0:
@@ -119,7 +119,7 @@ def face(q, wanted, ends):
 
 @inner
 def distance(q, other, weights, ends):
-    """Return the squared distance of two configurations (n,), each joint on its nearest turn and divided by its weight."""
+    """Return the squared distance of two configurations (n,), each joint on its nearest turn, its square over its weight."""
     total = 0.0
     for i in range(q.shape[0]):
         a = q[i] - other[i]

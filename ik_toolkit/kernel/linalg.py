@@ -15,9 +15,9 @@ FLAT = 1e-10  # a matrix is singular if a pivot is below this share of its large
 
 @inline
 def damped(J, w, dq, linear, angular, damping):
-    """Write the damped step dq = W J' (J W J' + damping)^-1 e of six errors, solved by two 3x3 blocks.
+    """Write the damped step dq = W J' (J W J' + damping)^-1 e for six errors e = (linear, angular), solved by two 3x3 blocks.
 
-    J (n, 6) has one joint a row; w (n,) are joint weights, of which 0 holds a joint.
+    The array J (n, 6) is the transposed Jacobian, with one joint a row. w (n,): joint weights; a weight of 0 holds the joint.
     """
     blocks = diagonal(damping)
     for i in range(J.shape[0]):
@@ -31,7 +31,7 @@ def damped(J, w, dq, linear, angular, damping):
 
 @inner
 def cholesky(A, m, least):
-    """Replace the lower half of the leading m x m part of A by its Cholesky factor; pivots below `least` are raised to it."""
+    """Replace the lower half of the leading m x m part of A by its Cholesky factor; pivots below `least` become `least`."""
     for j in range(m):
         s = A[j, j]
         for k in range(j):
@@ -63,9 +63,10 @@ def cholesky_solve(A, m, y):
 
 @inner
 def damped_stack(J, moves, w, dq, e, damping, A, y):
-    """Write the damped step dq = W J' (J W J' + damping)^-1 e of m errors, six for each of F tips.
+    """Write the damped step dq = W J' (J W J' + damping)^-1 e for m errors e, six for each of F tips.
 
-    J (n, m) has one joint a row; moves (F, n) says which blocks of it are not zero. A (m, m) and y (m,) are scratch.
+    The array J (n, m) is the transposed Jacobian, with one joint a row; moves (F, n): 1 if a tip's six entries of a joint's row are
+    not zero. w (n,): joint weights; a weight of 0 holds the joint. A (m, m) and y (m,) are scratch.
     """
     n, m = J.shape
     F = m // 6
@@ -95,7 +96,7 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
 
 @inner
 def row_product(J, i, e):
-    """Return the product of row i of J (n, m) with e (m,): for errors e, how fast half their square falls as joint i moves."""
+    """Return the product of row i of J (n, m) with errors e (m,): how fast |e|^2 / 2 falls as joint i moves."""
     total = 0.0
     for k in range(e.shape[0]):
         total += J[i, k] * e[k]
@@ -116,7 +117,7 @@ def jacobi(a, b, g):
 
 @inline
 def make_orthogonal(A, V, m):
-    """Replace A (n, m) by A V with orthogonal columns, and V (m, m) by that rotation, by Hestenes' one-sided Jacobi method.
+    """Write to V (m, m) a rotation for which A V has orthogonal columns, and replace A (n, m) by A V (Hestenes' Jacobi method).
 
     It is faster if m is a constant at compile time.
     """
@@ -156,9 +157,9 @@ def make_orthogonal(A, V, m):
 
 @inner
 def make_rows_orthogonal(A, B, square, first, r, n):
-    """Turn r rows of A, from row `first` on, so that they are orthogonal, and the same rows of B with them.
+    """Make r rows of A, from row `first` on, orthogonal by Jacobi rotations, and apply these rotations to the same rows of B.
 
-    Only the first n numbers of a row of A count. square (rows,) receives the squared lengths of the rows of A.
+    Only the first n columns of A count. square receives the squared lengths of these rows of A, at the indices of the rows.
     """
     longest = 0.0
     for k in range(first, first + r):
@@ -197,7 +198,8 @@ def make_rows_orthogonal(A, B, square, first, r, n):
 def pseudo_inverse_step(J, e, rcond, V, dq, m):
     """Write the step dq = pinv(J') e for the error e (m,); singular values below rcond times the largest count as zero.
 
-    J (n, m), with one joint a row, is overwritten; V (m, m) is scratch. It is faster if m is a constant at compile time.
+    J (n, m), the transposed Jacobian with one joint a row, is overwritten. V (m, m) is scratch. The function is faster if m is a
+    constant at compile time.
     """
     n = J.shape[0]
     make_orthogonal(J, V, m)
@@ -223,7 +225,7 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
 
 @inner
 def lu_solve(A, b, m):
-    """Solve the leading m x m system A x = b in place, with partial pivoting; return False if A is singular (see FLAT)."""
+    """Replace b by the solution x of A x = b (the leading m x m part), and overwrite A. False if A is singular (see FLAT)."""
     top = 0.0
     for i in range(m):
         for j in range(m):

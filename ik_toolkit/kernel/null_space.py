@@ -17,7 +17,7 @@ from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 from .search import problem_on
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
-# Damping of projections and corrections, below the square of any singular value along which a step is useful.
+# Damping of projections and corrections. It is below the square of any singular value in whose direction a step is useful.
 DAMPING = 1e-10
 
 
@@ -26,7 +26,7 @@ class Steps(NamedTuple):
 
     influence: float = 1e-18  # The joints can change an error if its row of the Jacobian has a larger squared norm.
     volume: float = 1e-30  # smallest squared pivot of JJ'; it keeps the logarithm finite at a singular pose
-    corrections: int = 6  # highest number of steps back onto the target; two or three do, as convergence is quadratic
+    corrections: int = 6  # highest number of steps back onto the target; convergence is quadratic, so 2 or 3 suffice
     difference: float = 1e-6  # step of a difference quotient of the manipulability [rad or kernel units]
     smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad or kernel units]
     longest: float = 0.3  # largest move of a joint in a step [rad or kernel units], because the null space is curved
@@ -37,7 +37,7 @@ NULL = Steps()
 
 @compiled
 class Bounds(NamedTuple):
-    """Limits of the joints during a refinement; endless joints have none."""
+    """Limits of the joints during a refinement; those of endless joints are infinite."""
 
     limits: Array  # (3, n) lower limit, upper limit, and 1 if the objective counts the joint, else 0
 
@@ -67,8 +67,8 @@ def make_bounds(places, ends, what, limits):
 def log_manipulability(p, ends):
     """Return the logarithm of Yoshikawa's manipulability sqrt(det(JJ')), up to a constant.
 
-    J has the rows, of all tips, along which the joints can move. Columns of sliding joints are converted to metres. J
-    and A of the working memory p.desk are overwritten.
+    J consists of the rows of the Jacobian, of all tips, that are not zero; its columns for sliding joints are taken per metre.
+    J and A of the working memory p.desk are overwritten.
     """
     J, A = p.desk.J, p.desk.A
     m = 0
@@ -94,7 +94,7 @@ def log_manipulability(p, ends):
 
 @inline
 def objective_goal(what, ends, ref, i):
-    """Return the value towards which the objective moves joint i [kernel units]: mid-range, or that of `ref`."""
+    """Return the value [kernel units] towards which the objective moves joint i: the middle of its range, or its value in `ref`."""
     return ends.low(i) + 0.5 * ends.span(i) if what == MID_RANGE else ref[i] / ends.unit(i)
 
 
@@ -107,10 +107,10 @@ def move(q, dq, factor, box):
 
 @inline
 def onto_target(p, weights, box, enough):
-    """Move q (in p.desk) back onto the target, which a null-space step leaves to second order, by damped least squares.
+    """Move p.desk.q back onto the target by damped least squares; a null-space step leaves the target by a second-order error.
 
-    weights (n,): joint weights; box: joint limits (Bounds); enough: squared error at which to stop, 0 for the
-    tolerances. Returns the last evaluation; its Jacobian is in p.desk.J.
+    weights (n,): joint weights; box: joint limits (Bounds); enough: squared error at which to stop, or 0 to stop inside the
+    tolerances. Returns the last evaluation. p.desk.J is not the Jacobian at the last q.
     """
     s = p.desk
     for k in range(NULL.corrections):
@@ -131,7 +131,8 @@ def onto_target(p, weights, box, enough):
 def direction(p, z, box):
     """Write to dq (in p.desk) the part of the joint step z (n,) that moves no tip, while joints at a bound are held.
 
-    It is the projection in the metric 1/w of the joint weights p.desk.w; p.desk.J is needed, p.desk.w and p.desk.y are changed.
+    The projection is orthogonal in the metric 1/w of the joint weights p.desk.w. It uses p.desk.J, and changes p.desk.w and
+    p.desk.y. box: joint limits (Bounds).
     """
     s = p.desk
     n = z.shape[0]
@@ -164,10 +165,9 @@ def objective(p, what, ends, box, ref, weights):
 
 @spliced
 def downhill(p, what, ends, box, ref, value, z):
-    """Write to z (n,) the direction in which the objective falls from p.desk.q, where it has the given value.
+    """Write to z (n,) a direction in which the objective, whose value at p.desk.q is given, falls.
 
-    For the two objectives that are distances this is the whole Newton step, as they and the projection measure moves alike.
-    The Jacobian at p.desk.q is computed again.
+    For an objective that is a distance this is the full Newton step. The Jacobian at p.desk.q is computed again.
     """
     q = p.desk.q
     n = q.shape[0]
@@ -187,7 +187,10 @@ def downhill(p, what, ends, box, ref, value, z):
 
 @inline
 def secant(old, before, way, dq, gain):
-    """Return the step length of Barzilai and Borwein (1988) from the last step; `gain` if it is not positive."""
+    """Return the step length of Barzilai and Borwein (1988), or `gain` if their formula gives no positive length.
+
+    old and before (n,): the present and the previous configuration; dq and way (n,): the downhill directions at these two.
+    """
     ss, sy = 0.0, 0.0
     for i in range(old.shape[0]):
         step = old[i] - before[i]
@@ -198,14 +201,14 @@ def secant(old, before, way, dq, gain):
 
 @inline
 def refine_on_views(rows, ends, T, row, ref, orders, what, steps, block):
-    """Do the work of `refine` on views, with a block of scratch."""
+    """Do the work of `refine`, whose arrays are given as views; block: scratch memory."""
     n = ref.shape[0]
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
     p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
-    full = Ends(flat(ends), n)  # The joint limits are stored for every tip alike, so those of the first tip are read.
+    full = Ends(flat(ends), n)  # Every tip stores the same joint limits, so those of the first tip are read.
     (places,) = cut(block, np.float64, ((3, n),))
     box = make_bounds(places, full, what, o.limits > 0.0)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
@@ -263,15 +266,15 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
     q and its errors in `row` are replaced if at least one step was an improvement.
 
     Args:
-        rows: (L, 10) of the chain or tree.
+        rows: (L, 10) geometry of the chain or tree.
         ends: `records.Ends` of the chain or tree.
         T: (1, 4, 4) or (1, F, 4, 4) target [m], base frame.
         row: The answer of a search, see `search.entry`.
-        ref: (n,) joint values [rad or m] that REFERENCE wants.
+        ref: (n,) joint values [rad or m] that the objective REFERENCE aims at.
         orders: See `search.entry`.
-        what: REFERENCE lowers half the squared distance from `ref` (see `limits.distance`); MID_RANGE that from the middle of the
-            range, in ranges of the joints (an endless joint has no middle); MANIPULABILITY raises the logarithm of the
-            manipulability.
+        what: Objective. REFERENCE lowers half the squared distance from `ref`, weighted as in `limits.distance`. MID_RANGE lowers
+            half the squared distance from the middles of the joints' ranges, in units of each range; endless joints do not
+            count. MANIPULABILITY raises the logarithm of the manipulability.
         steps: Highest number of steps.
     """
     n, tips = ref.shape[0], ends.size // ends.shape[-1]

@@ -1,7 +1,7 @@
 """All arrays of a robot that a search reads, packed into one, because handing an array from Python to a kernel takes 60 ns.
 
-The packed array begins with five counts (see `counts`), then follow rows, ends, seeds and features of a `chain.Chain` or a
-`chain.TreeChain`. The features are single precision, so each number of the array holds two.
+The packed array begins with five counts (see `array_sizes`); rows, ends, seeds and features of a `chain.Chain` or a
+`chain.TreeChain` follow. The features are single precision, so each float64 of the array holds two of them.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class Parts(NamedTuple):
     """The parts of a packed array, for L joints, F tips, n coordinates and N known configurations."""
 
     rows: Array  # (L, 10) geometry of the joints
-    ends: Array  # (F * K,) base, tip and limits of each tip, K numbers (`records.Ends`)
+    ends: Array  # (F * K,) K numbers for each tip: base, tip and limits, see `records.Ends`
     seeds: Array  # (N, n) configurations to start from
     features: Array  # (F * FEATURES, N + PAD) features of the seeds, float32 (see `chain.table`)
 
@@ -52,6 +52,6 @@ def part(chain):
 
 @inline
 def scratch(chain):
-    """Return the length of a block with room for a search on a packed array, and for `ends` narrowed by the option `follow`."""
+    """Return the length of a scratch block for a search, with room for a copy of `ends` that the option `follow` narrows."""
     L, F, K, n, N = array_sizes(chain)
     return space(n, 6 * F, L, N) + F * K + LINE

@@ -3,11 +3,11 @@
 Both have the same methods, so rules and loops are written once:
 
     aim(T, orders)     take a target; returns the length by which it is out of reach [kernel units], -1 if it is not a pose
-    evaluate(q)        return the errors at q as a look: e.ee is their squared norm, e.good says if they are inside the tolerances
-    stand(q), see()    evaluate in two parts, so that several targets are compared at one q
+    evaluate(q)        return the errors at q as a look e: e.ee is their squared norm, e.good says if they are inside the tolerances
+    stand(q), see()    do the two halves of `evaluate`: compute the pose at q, then its errors (of several targets in turn)
     jacobian(look)     fill J (n, m): one joint a row, six columns a tip, linear part first
     damped(look, x)    write the step dq = W J'(J W J' + x)^-1 e
-    toward(y, x)       write the same step for given errors y (m,)
+    toward(y, x)       write that damped step for given errors y (m,) in place of e
     width()            return m, as a constant where it is known at compile time
     pseudo(look, r)    write the step dq = pinv(J) e; singular values below r times the largest count as zero
     stack(look)        write the errors y (m,) with rotations as rotation vectors, for rules written with J and e
@@ -15,14 +15,14 @@ Both have the same methods, so rules and loops are written once:
     norm, inside, best_move, try_out, undo    serve rules that move one joint after the other
     rank, begin, draw  choose where attempts start
     head_for(T)        take the target T (F, 4, 4) of a tracker, even if it is out of reach
-    plain()            return whether only whole poses, and positions in the base's axes, count
-    base_axes(y, out)  convert errors y (m,) of `stack` to base axes and metres (where a part counts: to its own axes)
+    plain()            return whether every target is a whole pose, or a position alone (several tips: or free), in base axes
+    base_axes(y, out)  convert errors y (m,) of `stack` to base axes and metres; if only a part counts, they stay in the task's axes
     moving(V, out)     convert a twist, or acceleration, of the targets V (m,) [base axes, m] to the errors that count
-    mirrors(out)       write (F, 3) normals of mirrors: each makes the error row of a free turn the last one of its tip
-    bending(look, x, y, out)  write (dJ/dt along x) y for the J filled last, where `plain`
+    mirrors(out)       write (F, 3) normals of reflections; with a free turn, a tip's reflection makes its last rotation error 0
+    bending(look, x, y, out)  write (dJ/dt) y at joint rates x, for the J that was filled last; only where `plain`
     keep, left, report store and return the errors of the answer
 
-A problem holds views of the flat arrays and of scratch. It is made once a call and never leaves inlined code.
+A problem holds views of the flat arrays and of scratch. It is made once in each call of a kernel and never leaves inlined code.
 """
 
 from typing import NamedTuple
@@ -37,7 +37,7 @@ from .counted_error import FREE, PART, POSE, POSITION, count_column, count_goal_
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
 
-# A goal is the pose aimed at (12), then the target's own position (3), which differs if it is out of reach.
+# A goal is the pose that the search aims at (12), then the target's own position (3); they differ if the target is out of reach.
 GOAL = 15
 # Indices of stored errors: of the best attempt, of the solution nearest q0, and of the present evaluation.
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2
@@ -49,13 +49,13 @@ class Desk(NamedTuple):
 
     q: Array  # (n,) current coordinates
     dq: Array  # (n,) joint step computed by the solver's rule
-    start: Array  # (n,) q0, or home where no q0 is given
-    w: Array  # (n,) joint weights; 0 holds a joint in this step
+    start: Array  # (n,) q0, or home if no q0 is given
+    w: Array  # (n,) joint weights; a weight of 0 holds the joint in this step
     x: Array  # (4 n + 8,) state of the solver's rule, set to zero when an attempt starts
     J: Array  # (n, m) transposed Jacobian
     A: Array  # (m, m) scratch for a matrix over the errors
     y: Array  # (m,) errors of the step, with rotations as rotation vectors
-    # (m,) errors of several tips whose sum of squares is minimised, with rotations as 2 sin(angle/2) times axis
+    # (m,) only for several tips: the errors whose sum of squares is minimised, with rotations as 2 sin(angle/2) times the axis
     e: Array
     spent: Array  # (2,) number of evaluations made, and number allowed
     errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
@@ -78,9 +78,9 @@ def make_desk(block, n, m):
 
 @inline
 def tolerances(orders, kind, scale):
-    """Return the squared tolerances of position [kernel units] and rotation, as the errors of this kind are measured.
+    """Return the squared tolerances of position [kernel units] and rotation, in the measures used for targets of this kind.
 
-    Rotations are measured by 2 sin(angle/2), or by the angle if only a part of the error counts.
+    Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts.
     """
     tol_p = orders.tol_p / scale
     return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == PART else chord(orders.tol_r)
@@ -105,9 +105,9 @@ def take(T, ends, task, goal, orders):
 
 @inline
 def from_target(goal, linear):
-    """Return the position error measured from the target itself, where the search aims at the edge of the reach.
+    """Return the position error measured from the target itself; `linear` is measured from the point that the search aims at.
 
-    Where only a part of the error counts, the search always aims at the target itself.
+    The two points differ if the search aims at the edge of the reach, which it never does if only a part of the error counts.
     """
     return linear + (at3(goal, 12) - at3(goal, 9))
 
@@ -153,8 +153,8 @@ def counted_goal(kind, kept, linear, angular):
 def fill(rows, own, task, kept, joints, tip, J, first):
     """Write the Jacobian of one chain to J[:, first : first + 6].
 
-    own: row i of the chain is coordinate i. Otherwise several rows may belong to one coordinate, and their columns are
-    added.
+    own: whether row i of the chain belongs to coordinate i alone, for all rows. Otherwise several rows may belong to one
+    coordinate, and their columns are added.
     """
     kind = int(task[WHAT.kind])
     if not own:
@@ -185,7 +185,7 @@ def add_column(J, i, first, ratio, u, v):
 # ------------------------------------------------------------------------------------------------------- for the tracker
 @inline
 def to_base(ends, task, y, out):
-    """Convert errors y (6,) that `stack` wrote to base axes and metres; if only a part counts, they keep their axes."""
+    """Convert errors y (6,) that `stack` wrote to base axes and metres; if only a part counts, they stay in the task's axes."""
     linear, angular = at3(y, 0) * ends.scale(), at3(y, 3)
     if int(task[WHAT.kind]) < FREE:
         base = rotation_at(ends.flat, 0)
@@ -198,7 +198,7 @@ def to_base(ends, task, y, out):
 def local_motion(ends, task, kept, V, out):
     """Convert a twist or acceleration V (6,) of a target [base axes, m, rad] to the errors that count.
 
-    They are in the first joint's axes and kernel units.
+    The errors are in kernel units and in the first joint's axes, or in the task's axes if only a part counts.
     """
     base = rotation_at(ends.flat, 0)
     u, v = base.across(at3(V, 0)) * (1.0 / ends.scale()), base.across(at3(V, 3))

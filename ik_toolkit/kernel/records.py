@@ -1,8 +1,8 @@
 """Records that name the numbers of the flat arrays which Python hands to compiled loops and gets back.
 
 The order of the fields is the layout of an array: Python packs `[*Orders(...), *Task(...), ...]` and reads `row[AT.status]`, and
-the kernel makes the same records from the same arrays. Flat arrays are used because numba unpacks them fastest (50 ns each, a
-record of arrays twice that).
+the kernel makes the same records from the same arrays. Flat arrays are used because numba unpacks them fastest: an array takes
+50 ns, and twice as long inside a record of arrays.
 """
 
 # Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
@@ -20,7 +20,7 @@ Array = np.ndarray
 
 @compiled
 class Orders(NamedTuple):
-    """Options of a solve. In an array of orders a `Task` for each tip, the joint weights (n) and the rule's parameters follow."""
+    """Options of a solve. An array of orders holds them, a `Task` for each tip, n joint weights, then the rule's parameters."""
 
     tol_p: float  # position tolerance [m]
     tol_r: float  # rotation tolerance [rad]
@@ -28,9 +28,9 @@ class Orders(NamedTuple):
     iterations: float  # highest number of iterations of an attempt
     attempts: float  # highest number of attempts
     c: float  # An attempt from a start in the table is given up in iteration k if its squared error exceeds c rho^k.
-    rho: float
+    rho: float  # see c
     c_free: float  # An attempt from q0 or a random start is given up if its squared error exceeds c_free rho_free^k.
-    rho_free: float
+    rho_free: float  # see c_free
     patience: float  # number of the first attempt that gets more iterations, see `search.Endings`; inf if none does
     evaluations: float  # highest number of evaluations of the errors
     limits: float  # 1 if the joint limits are kept, 0 if they are ignored
@@ -42,7 +42,7 @@ class Orders(NamedTuple):
 
 
 class Task(NamedTuple):
-    """Which part of a tip's pose error counts. Lengths are in kernel units, the free axis is in the last joint's frame."""
+    """Which part of a tip's pose error counts. Lengths are in kernel units; the free axis is given in the last joint's frame."""
 
     kind: float  # POSE, POSITION, FREE or PART of `counted_error`
     frame: float = 0.0  # axes in which weights and slacks are given: BASE, TIP or TARGET of `counted_error`
@@ -68,7 +68,7 @@ class Task(NamedTuple):
 
 @compiled
 class Answer(NamedTuple):
-    """Result of a solve. In an array of results q (n) follows, then for several tips the `Miss` of each."""
+    """Result of a solve. An array of results holds it, then q (n), then for several tips a `Miss` for each tip."""
 
     status: float  # one of the codes of `checks`
     iterations: float  # number of iterations of all attempts
@@ -79,7 +79,7 @@ class Answer(NamedTuple):
     history: float  # number of rows of history (one per evaluation) that were written
     excess: float  # length [m] by which the target is proven out of reach
     attempt: float  # number of the attempt that found q, 0 for the first
-    held: float  # joint that `follow` holds back (TOO_FAR), or -1
+    held: float  # index of the joint that the option `follow` holds back (status TOO_FAR), or -1
 
 
 @compiled
@@ -99,14 +99,14 @@ WEIGHTS = HEAD + TASK  # index at which the joint weights begin in the Orders ar
 AT = Answer._make(range(ANSWER))
 ORDER = Orders._make(range(HEAD))
 WHAT: Any = Task._make(range(TASK))
-POINTS = 24  # index in `Ends` of the coordinates' first number, after base (12) and tip (12)
+POINTS = 24  # index in the array of `Ends` at which the numbers of the coordinates begin, after base (12) and tip (12)
 
 
 @compiled
 class Ends(NamedTuple):
-    """Both ends of a chain and its coordinates' limits, all in one flat array because each array costs a kernel time.
+    """Both ends of a chain and its coordinates' limits, all in one flat array, because passing each array to a kernel takes time.
 
-    The array holds the base (rotation matrix by rows, then point), the tip (likewise), n numbers for each property of the
+    The array holds the poses of base and tip (each a rotation matrix by rows, then a point), n numbers for each property of the
     coordinates, then the numbers of the chain as a whole. Lengths are in kernel units.
     """
 
@@ -145,8 +145,8 @@ class Ends(NamedTuple):
     def bound(self, k):
         """Return one of six bounds [kernel units] on the reach.
 
-        k = 0 and 1 are the largest and least distance of the tip from the arm's foot, 2 and 3 those of the last joint, 4 and 5
-        the lowest and highest place of the foot, which a vertical slide may carry.
+        k = 0 and 1 bound the distance of the tip from the arm's foot from above and below; 2 and 3 likewise bound the distance of
+        the last joint. 4 and 5 are the lowest and highest place of the foot, which a vertical slide may carry.
         """
         return self.flat[POINTS + 1 + 7 * self.n + k]
 
@@ -179,7 +179,7 @@ def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # a class with one array field takes all
+    return lambda cls, array, start=0: make(array[start:])  # A class with a single array field takes all numbers.
 
 
 def write(array, start, record):

@@ -1,4 +1,4 @@
-"""Targets given relative to another tip: where such a target is, and how it moves with that tip."""
+"""Targets given relative to another tip: where such a target is, and how it moves with the other tip."""
 
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, at3, put3, put_axes, rotation_at
@@ -27,7 +27,10 @@ def transposed(m):
 
 @inner
 def link_to(T, ends, other, link):
-    """Write to link (LINK,) a target T (4, 4) [m] given in another tip's frame; `ends`, `other`: both tips' `Ends`."""
+    """Write to link (LINK,) a target T (4, 4) [m] given in another tip's frame.
+
+    `ends` is the `Ends` of the tip that has the target, `other` that of the other tip.
+    """
     tool = rotation_at(other.flat, 12)
     turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
     put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))
@@ -39,9 +42,9 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write to goal (GOAL,) the target that `link` ties to another tip, when that tip is at `pose` (12).
+    """Write to goal (GOAL,) the present pose of a target that moves with another tip, as `link` (LINK,) says.
 
-    pose: axes of the other chain's last joint (9), then the tip's position (3).
+    pose (12,): axes of the last joint in the other tip's chain (9), then the position of that tip (3).
     """
     frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
     put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))
@@ -51,7 +54,10 @@ def carry(pose, link, goal):
 
 @inner
 def fill_goal(rows, task, kept, joints, pose, link, J, first):
-    """Subtract from J the motion of a tip's target with the other tip, whose rows, joints and pose are given."""
+    """Subtract from J the motion of a tip's target with the other tip; rows, joints and pose are those of the other tip.
+
+    J (n, m) is the transposed Jacobian; `first` is the first of the six columns of the tip that has the target.
+    """
     point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
     frame, kind = rotation_at(link, FRAME), int(task[WHAT.kind])
     for i in range(rows.shape[0]):

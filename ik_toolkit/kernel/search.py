@@ -5,7 +5,7 @@ is a `Serial` (one tip) or a `Tree` (several tips). Both are chosen by class whe
 once and costs no function call. With NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 
 Every iteration evaluates the errors, keeps the best configuration so far, tests for convergence, budget and lack of progress,
-asks the rule for a step, and applies it inside the joint limits. The reported q was evaluated itself, or full turns away.
+asks the rule for a step, and applies it inside the joint limits. Reported errors were evaluated at q, or full turns away from q.
 """
 
 # Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
@@ -55,18 +55,18 @@ class Endings(NamedTuple):
 
     patient_iterations: float = 2.0  # factor on the highest number of iterations of a later, patient attempt
     patient_decay: float = 0.6  # factor of the give-up bound per iteration of a patient attempt
-    unreachable_attempts: int = 3  # number of attempts at the pose nearest to a target that is proven out of reach
+    unreachable_attempts: int = 3  # number of attempts if a target is proven out of reach; they aim at the reach's edge
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged
     far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
-    rest: float = 1e-9  # largest move of a joint [rad or kernel units] in a step that counts as none
+    rest: float = 1e-9  # A step counts as no motion if no joint moves further than this [rad or kernel units].
 
 
 END = Endings()
 
 
 def problem_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of one tip (Serial, `ends` is one row) or of several (Tree), with scratch cut from a block."""
+    """Make the problem of one tip (Serial, if `ends` is one row) or of several (Tree), with scratch cut from a block."""
     return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
 
@@ -78,7 +78,7 @@ def _problem_on(block, rows, ends, tasks, n, orders):
 
 
 def shaped(ends, T, tips):
-    """Reshape flat ends to the form of a Serial or a Tree, whichever the shape of the targets T asks for."""
+    """Return the flat `ends` as a problem needs them: flat for one tip, T (N, 4, 4), or one row a tip, T (N, F, 4, 4)."""
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 
 
@@ -119,9 +119,9 @@ class SearchInput(NamedTuple):
 class Patience(NamedTuple):
     """How long an attempt may go on: it is given up when its squared error exceeds ceiling * decay^iteration."""
 
-    iterations: float
-    ceiling: float
-    decay: float
+    iterations: float  # highest number of iterations
+    ceiling: float  # the bound at the start [squared error]
+    decay: float  # factor of the bound in each iteration
 
 
 @compiled
@@ -137,7 +137,7 @@ class Spent(NamedTuple):
 class Attempts(NamedTuple):
     """Summary of all attempts at one target."""
 
-    status: int  # CONVERGED when any attempt did, else the status of the last one
+    status: int  # CONVERGED if any attempt converged, else the status of the last attempt
     tries: int
     cut_off: int  # number of attempts that ended at the iteration limit
     found: int  # number of the attempt that found the answer, 0 for the first
@@ -146,7 +146,7 @@ class Attempts(NamedTuple):
 
 @inline
 def judge_evaluation(e, k, ceiling, patience, count, o):
-    """Judge an evaluation made in iteration k of an attempt: return its final status, or GOING."""
+    """Return the final status of an attempt after evaluation e in its iteration k, or GOING; count: evaluations so far."""
     if e.good:
         return CONVERGED
     if not e.ee < END.overflow:
@@ -172,8 +172,8 @@ def note(p, e, ends, history, row, attempt):
 def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
     """Iterate from the configuration in working memory (p.desk.q) until the attempt converges, fails or is given up.
 
-    The q of the least error goes to `job.best`, and its errors are kept by p as BEST_OF_ALL. Returns the status, the last
-    evaluation, the least squared error and what has been spent.
+    The q of the least error of all attempts is copied to `job.best`, and p keeps its errors as BEST_OF_ALL. Returns the status
+    of the attempt, its last evaluation, the least squared error of all attempts and the updated counts (Spent).
     """
     q, dq, w, o = p.desk.q, p.desk.dq, p.desk.w, job.orders
     boxed = o.limits > 0.0 or o.follow > 0.0
@@ -220,10 +220,10 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
 
 @inline
 def search(rule, p, job, needs_jacobian, excess):
-    """Make attempts until one converges (with the option `closest`: until that many have), and choose among their results.
+    """Make attempts until one converges, or as many as the option `closest` asks for, and choose among their results.
 
     The start p.desk.start (n,) is q0 or home. `excess` > 0 says by how much the target is proven out of reach [kernel units].
-    Returns the head of the answer's row and where its errors are kept; the answer itself is in p.desk.q.
+    Leaves q of the answer in p.desk.q. Returns the Answer, and the index of its stored errors (BEST_OF_ALL or NEAREST).
     """
     o, q, start = job.orders, p.desk.q, p.desk.start
     given, closest, attempts = int(o.given), int(o.closest), int(o.attempts)
@@ -260,7 +260,7 @@ def search(rule, p, job, needs_jacobian, excess):
 
 @inner
 def conclude(p, job, made, spent, excess):
-    """Put the answer, on the turn nearest the start, into p.desk.q; return status, counts and errors (Answer)."""
+    """Put the answer into p.desk.q, each joint on its turn nearest the start; return status, counts and errors (Answer)."""
     o, q, start, status = job.orders, p.desk.q, p.desk.start, made.status
     limits, following = o.limits > 0.0, o.follow > 0.0
     affordable, judged, held = spent.evaluations < o.evaluations, False, -1
@@ -304,7 +304,7 @@ def conclude(p, job, made, spent, excess):
 def start_attempt(p, job, k, excess):
     """Put the start of attempt k into p.desk.q (working memory), and return how long the attempt may go on.
 
-    k < 0 is the attempt from q0; the next BEST start from the table, nearest first; all others start at random.
+    k < 0 is the attempt from q0. Attempts 0 to BEST - 1 start from the table, nearest first, and all later ones at random.
     """
     o, q = job.orders, p.desk.q
     iterations, ceiling, decay = o.iterations, o.c_free, o.rho_free
@@ -320,7 +320,7 @@ def start_attempt(p, job, k, excess):
         if k >= o.patience:
             iterations, decay = END.patient_iterations * o.iterations, END.patient_decay
     if excess > 0.0 or k + o.given + 1.0 >= o.attempts:
-        ceiling = np.inf  # the last attempt is never given up early
+        ceiling = np.inf  # The last attempt, and any at a target out of reach, is never given up early.
     for i in range(p.desk.x.shape[0]):
         p.desk.x[i] = 0.0
     return Patience(iterations, ceiling, decay)
@@ -328,7 +328,7 @@ def start_attempt(p, job, k, excess):
 
 @inline
 def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
-    """Do the work of `entry` for one solver rule: its arguments as views, and a block of scratch."""
+    """Do the work of the kernel that `entry` returns, whose arguments are given as views; block: scratch memory."""
     rows, ends, seeds, features = part(chain)
     N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
@@ -344,7 +344,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         (near_ends,) = cut(block, np.float64, (ends.shape[0],))
         copy(ends, near_ends)
     p = problem_on(block, rows, shaped(near_ends, T, tips), orders[HEAD:first], n, o)
-    box, near = Ends(ends, n), Ends(near_ends, n)  # These read the first tip's limits; all tips have the same.
+    box, near = Ends(ends, n), Ends(near_ends, n)  # Both read the first tip's limits; all tips have the same limits.
     table = make_table(block, seeds, features, tips)
     best, closest = cut(block, np.float64, (n, n))
     job = SearchInput(o, near, box, orders[first : first + n], table, best, closest, history)
@@ -384,9 +384,9 @@ def entry(cls: type) -> Callable:
 
     - chain: all arrays of a chain or a tree (see `packed_model.join`);
     - T: target poses (N, 4, 4) [m] in the base frame, for F tips (N, F, 4, 4);
-    - Q0: starts (1 or N, n) [rad or m], used if the orders say so; the answer is the turn nearest to them;
-    - out: receives N rows of ANSWER + n numbers, and MISS F more with several tips; what is left of it receives history, PAST
-      + n numbers for each evaluation: position error [m], rotation error [rad], number of the attempt, q;
+    - Q0: starts (1 or N, n) [rad or m], used if the orders say so; joints of an answer are on the turns nearest its start;
+    - out: receives N rows, each of ANSWER + n numbers (for several tips MISS F more). Its rest receives the history: for each
+      evaluation PAST + n numbers, which are position error [m], rotation error [rad], number of the attempt, and q;
     - orders: an `Orders`, a `Task` for each tip, the joint weights (n) and the parameters of the rule.
     """
     step = step_class(cls)

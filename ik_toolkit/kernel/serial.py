@@ -31,11 +31,11 @@ from .starts import nearest_seeds, rnd
 
 @compiled
 class Look(NamedTuple):
-    """Errors of one tip at a configuration, in kernel units and in the first joint's axes (or those of the task)."""
+    """Errors of one tip at a configuration, in kernel units and the first joint's axes (the task's axes if only a part counts)."""
 
     point: V3  # position of the tip
     linear: V3  # position error: target - tip
-    angular: V3  # rotation error, 2 sin(angle/2) times the axis; where a part counts, the rotation vector
+    angular: V3  # rotation error: 2 sin(angle/2) times the axis, or the rotation vector if only a part of it counts
     ee: float  # squared norm of all errors
     good: bool  # whether the errors are inside the tolerances
 
@@ -108,7 +108,7 @@ class Serial(NamedTuple):
         return V3(J[i, 0], J[i, 1], J[i, 2]).dot(look.linear) + V3(J[i, 3], J[i, 4], J[i, 5]).dot(look.angular)
 
     def norm(self, look, weight):
-        """Return the norm of the errors, in which an angle counts `weight` times."""
+        """Return the norm of the position error and the rotation vector, the latter multiplied by `weight`."""
         ratio = weight * vector_ratio(int(self.task[WHAT.kind]), look.angular.square())
         return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
 
@@ -117,9 +117,10 @@ class Serial(NamedTuple):
         return min(max(value, self.ends.lower(i)), self.ends.upper(i)) if self.boxed else value
 
     def best_move(self, look, i, least):
-        """Return the move of joint i alone that minimises the error: exact for positions and turning joints, or linear.
+        """Return the move of coordinate i alone that minimises the error.
 
-        It is 0 where the coordinate changes the error by less than `least`.
+        The move is exact if only the position counts and the joint turns, else it minimises the linearised error. It is 0 if a
+        measure of the coordinate's effect on the error is at most `least`.
         """
         linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
         kind = int(self.task[WHAT.kind])
@@ -145,7 +146,7 @@ class Serial(NamedTuple):
         return self.evaluate(q)
 
     def undo(self, look):
-        """Restore the matrices `kept`, which `try_out` changed and Jacobian columns need; q has its old value again."""
+        """Restore the matrices `kept`, which `try_out` changed, for the Jacobian at p.desk.q; the caller has restored q itself."""
         if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
 
@@ -183,7 +184,7 @@ class Serial(NamedTuple):
             q[i] = self.ends.low(i) + self.ends.span(i) * rnd(table.state)
 
     def keep(self, look, place):
-        """Store the errors of an evaluation (Look) at index `place`, measured from the target itself."""
+        """Store the errors of an evaluation (Look) at index `place`, measured from the target, not from the edge of the reach."""
         errors = self.desk.errors
         errors[place, 0, 0] = from_target(self.goal, look.linear).square()
         errors[place, 0, 1] = look.angular.square()
@@ -205,7 +206,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # the padding of `trig` is computed, too, so it must hold valid numbers
+    for i in range(angles):  # Sines of the padding of `trig` are computed, too, so it must hold valid numbers.
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(

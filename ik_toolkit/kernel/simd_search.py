@@ -1,9 +1,9 @@
-"""Levenberg-Marquardt for eight targets at once, one in each lane of a SIMD vector: twice the solves a second of `search`.
+"""Levenberg-Marquardt for eight targets at once, one in each lane of a SIMD vector: twice as many solves a second as `search`.
 
-Formulas, starts, tests and rules for giving up are those of the search with the rule LM. Only the joint limits differ: the
-sign of the gradient, not that of the step, says which joints to hold, because some lane would almost always want its step
-redone. A lane that is done takes the next target. Lanes never exchange data, so an answer depends on its target alone. Targets
-that take too long or need care (unreachable, half a turn away, refused) are left to the search.
+Formulas, starts, tests and rules for giving up are those of the search with the rule LM. Only the joint limits differ: joints are
+held by the sign of the gradient and not of the step, because the step would then have to be computed again with joints held, almost
+always for at least one lane. A lane that is done takes the next target. Lanes never exchange data, so an answer depends on its
+target alone. Targets that take too long or need care (unreachable, half a turn away, refused) are left to the search.
 """
 
 # Pyright reports calls of intrinsics, because numba itself passes their first argument.
@@ -30,16 +30,16 @@ from .serial import serial_on
 from .starts import BEST, make_table, rnd, sow
 
 LEFT = -1  # status: the target is left to the ordinary search (search.py)
-# An attempt is given up when 1 + cos(angle left) is below this: the axis of the rotation is then unknown.
+# An attempt is given up when 1 + cos(angle left) is below this, because the axis of the remaining rotation is then inaccurate.
 HALF_TURN = 5e-4
 # Number of attempts after which a target is left to the ordinary search, so that other lanes need not wait for it.
 ATTEMPTS = 32
-ALL = (1 << WIDTH) - 1  # bits of a mask in which every lane is set
+ALL = (1 << WIDTH) - 1  # a mask as a whole number (see `simd.bits`) in which every lane is set
 
 
 @compiled
 class Lanes(NamedTuple):
-    """Eight attempts at eight targets; the last axis of each array is the lane, unless its shape says otherwise."""
+    """Eight attempts at eight targets, one in each lane; the axis of length 8 in each array is the lane."""
 
     Q: Array  # (n, 8) coordinates
     joints: Array  # (6 n, 8) axis and point of each joint, overwritten by the Jacobian
@@ -88,7 +88,10 @@ def make_lanes(block, n):
 
 @spliced
 def lane_errors(rows, tip, s, turning):
-    """Return the tip, its errors (linear, angular) and 1 + cos(angle left); below HALF_TURN the angular error is wrong."""
+    """Return the tip, its errors (linear, angular) and 1 + cos(angle left). If the latter is below HALF_TURN, `angular` is wrong.
+
+    turning: factor of the rotation error; 0 if only the position counts, else 1.
+    """
     now = fk(rows, s.Q, s.joints, s.trig)
     point = now.point + now.axes.times(tip)
     sine, cos1 = rotation_left(now.axes, rotation_at(s.goals, 0))
@@ -98,7 +101,7 @@ def lane_errors(rows, tip, s, turning):
 
 @spliced
 def limited_step(rows, s, ends, turning, point, linear, angular, damping):
-    """Take the damped step inside limits, where joints pushed past a limit are held. s.joints becomes the Jacobian."""
+    """Take the damped step inside the limits, holding joints that the gradient pushes past them. s.joints becomes the Jacobian."""
     n = rows.shape[0]
     zero, one = full(0.0), full(1.0)
     blocks = diagonal(damping)
@@ -146,7 +149,7 @@ def take_target(p, o, ends, table, s, lane, t, call):
 
 @spliced
 def begin_attempt(o, ends, seeds, s, lane, Q0):
-    """Set the start and the limits of the next attempt at the target of a lane."""
+    """Set the start and the give-up bound of the next attempt at the target of a lane."""
     n = s.Q.shape[0]
     k = s.tries[lane] - int(o.given)
     s.ceiling[0, lane], s.decay[0, lane] = o.c_free, o.rho_free
@@ -166,7 +169,10 @@ def begin_attempt(o, ends, seeds, s, lane, Q0):
 
 @spliced
 def hand_in(p, o, ends, s, lane, wanted, call):
-    """Write the answer of a lane, on the turn nearest its start."""
+    """Write the answer of a lane, each joint on its turn nearest the start; wanted (n,) is scratch.
+
+    If full turns bring the answer out of tolerance by rounding, nothing is written, and the target is left to the search.
+    """
     Q0, out = call.Q0, call.out
     t, q, n = s.which[lane], p.desk.q, s.Q.shape[0]
     for i in range(n):
@@ -181,7 +187,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
         # The target is in reach, so it is aimed at itself, not at the edge of the reach.
         put3(p.goal, 12, at3(p.goal, 9))
         e = p.evaluate(q)
-        if not e.good:  # A full turn changes the answer by rounding, which may exceed a tolerance that was just met.
+        if not e.good:  # A full turn changes the errors by rounding, so a tolerance that was just met may be exceeded.
             return
         p.keep(e, BEST_OF_ALL)
         position, rotation = p.left(BEST_OF_ALL)
@@ -195,7 +201,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
 
 @inline
 def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
-    """Solve until every target is done or left to the search: the arguments of `lanes` as views, and a block of scratch."""
+    """Solve until every target is done or left to the search: the work of `lanes`, with arguments as views; block: scratch."""
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)
     block[0] = 0.0
@@ -254,12 +260,12 @@ def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
 def lanes() -> Callable:
     """Return the compiled batch solver: solve(rows, ends, seeds, features, T, Q0, out, orders).
 
-    It takes poses and positions of chains without mimic joints, with limits, equal joint weights, no `closest` and no budget of
-    evaluations.
+    It serves chains of one tip without mimic joints, and targets that are whole poses or positions. The joint limits must be kept
+    and the joint weights be equal; the option `closest` and a budget of evaluations must not be set.
 
     Returns:
         A function of the arrays of a `Chain`, and of T, Q0, out and orders as `search.entry` describes them for the rule LM.
-        Rows of out with the status LEFT are for the search.
+        Rows of out with the status LEFT are those of targets that are left to the search.
     """
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders):

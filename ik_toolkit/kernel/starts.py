@@ -1,6 +1,6 @@
 """Where attempts start: first at the nearest entries of a table of known configurations, then at reproducible random places.
 
-With several tips, each coordinate starts where the tip that it moves chooses.
+With several tips, one of the tips that a coordinate moves chooses where the coordinate starts.
 """
 
 from typing import NamedTuple
@@ -15,18 +15,18 @@ from .relative import carry
 
 SEEDS = 256  # number of configurations in the table of starts; scanning more costs more than it saves in iterations
 BEST = 8  # number of attempts that start from known configurations before random ones
-FEATURES = 13  # number of features that compare a configuration with a target, see `chain.table`
+FEATURES = 13  # number of features of a configuration, by which it is compared with a target, see `chain.table`
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
 # A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm).
-# For one tip HOME_WEIGHT |q - home|^2 is added, so that of almost equal ones the one nearest home is taken.
+# For one tip HOME_WEIGHT |q - home|^2 is added, so that of configurations almost equally far away the one nearest home is taken.
 ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
 
 
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
-    """Return random configurations (count, n) [kernel units], half of each group from half the range around home.
+    """Return random configurations (count, n) [kernel units] between `low` and `high` (n,).
 
-    People expect answers near home. The seed is uncommon, so that no target that a user draws with
-    default_rng(1) is in the table by accident.
+    Half of the configurations are moved halfway towards home, because people expect answers near home; so are half of each group
+    of the table. The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
     """
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
     near = np.arange(count) // BEST % 2 == 0
@@ -42,8 +42,8 @@ class StartTable(NamedTuple):
     # The rows of the table are divided into BEST groups, and the nearest of each group is a start.
     features: Array  # (FEATURES * tips, N + PAD) features of the seeds, see `chain.table`
     score: Array  # (N,) squared distance of each configuration from the target
-    val: Array  # (BEST,) the least score of each group
-    best: Array  # (BEST,) for one tip indices of the starts, for several tips of the groups, nearest first
+    val: Array  # (BEST,) least score of each group, in the order of `best`
+    best: Array  # (BEST,) nearest first: indices of the starts (one tip) or of the groups (several tips)
     choice: Array  # (BEST, tips) for each group and tip, the row of the table nearest the tip's target
     total: Array  # (BEST,) sum of the tips' least distances in each group
     state: Array  # (1,) state of the random sequence that gives the later starts
@@ -138,14 +138,14 @@ def rnd(state):
 def rank_groups(p, table):
     """Find the best configuration for each tip in each group of the table, and sort the groups by their total distance.
 
-    A target relative to another tip is assumed where that tip's own target, or else its start, places it.
+    A target relative to another tip is placed as if the other tip were at its own target, or else at its start.
     """
     F = p.tasks.shape[0]
     for f in range(F):
         if int(p.tasks[f, WHAT.kind]) == FREE and int(p.tasks[f, WHAT.other]) < 0:
             p.place(f, p.desk.start)
             copy(p.poses[f], p.goals[f])
-    for _ in range(F):  # A target may be relative to a tip whose target is relative as well, but at most F times over.
+    for _ in range(F):  # The other tip's target may be relative as well, so placing all goals takes up to F passes.
         for f in range(F):
             other = int(p.tasks[f, WHAT.other])
             if other >= 0:
@@ -173,7 +173,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q to known start k: each tip has chosen the values of its joints; without a target it keeps q0 or home."""
+    """Set q to known start k: each joint takes the value that its tip chose, or q0 or home if that tip has no target."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
@@ -184,7 +184,7 @@ def begin_each_tip(p, table, k, q):
 
 @inner
 def draw_some(p, table, k, q):
-    """Set q to random start k, mostly keeping shared joints and those of tips that reached their targets.
+    """Set q to random start k. If any tip has reached its target, shared joints and the joints of such tips mostly stay.
 
     Drawing all joints at once seldom gives a good start for all tips.
     """

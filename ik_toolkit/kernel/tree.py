@@ -1,7 +1,7 @@
 """The problem of several tips that share joints. Its methods are described in problem.py.
 
-Each tip has a chain of its own whose rows name the shared coordinates. Joints common to two chains are evaluated once for each,
-which is cheaper than keeping account of a tree. The errors are stacked, six a tip.
+Each tip has a chain of its own, whose rows say by index which shared coordinate moves a joint. A joint that is common to two
+chains is evaluated once in each chain, which is cheaper than keeping account of a tree. The errors are stacked, six for each tip.
 """
 
 import math
@@ -34,7 +34,7 @@ from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
-# A tip keeps its joints in the next attempt if its squared error [rad^2, reach^2] is below this.
+# A tip with a squared error [rad^2, reach^2] below this counts as arrived, and mostly keeps its joints in the next random start.
 ARRIVED = 1e-4
 
 
@@ -48,15 +48,15 @@ class Looks(NamedTuple):
 
 @compiled
 class TreeProblem(NamedTuple):
-    """The search problem of F tips over n shared coordinates. Arrays of a tip are as in `Serial`."""
+    """The search problem of F tips over n shared coordinates. Arrays not explained here are those of `Serial`, one for each tip."""
 
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
     ends: Array  # (F, ...) base, tip and limits of each tip, see `records.Ends`
     tasks: Array  # (F, TASK) what counts at each tip, see `records.Task`
-    cut: Array  # (F + 1,) where the chains begin in rows: chain f is rows[cut[f] : cut[f + 1]]
-    moves: Array  # (F, n) 1 where a coordinate moves an error of the tip that counts, else 0
-    choosers: Array  # (2, n) tip that chooses the coordinate's start (-1: none), and number of tips it moves
+    cut: Array  # (F + 1,) indices at which the chains begin in `rows`: chain f is rows[cut[f] : cut[f + 1]]
+    moves: Array  # (F, n) 1 if the coordinate changes a counted error of the tip, else 0
+    choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and how many tips the coordinate moves
     goals: Array  # (F, GOAL) the target of each tip
     links: Array  # (F, LINK) targets relative to another tip, see relative.py
     kept: Array  # (F, KEPT) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
@@ -64,7 +64,7 @@ class TreeProblem(NamedTuple):
     poses: Array
     joints: Array  # (6 L,) axis and point of each joint
     trig: Array  # angles, sines and cosines of the joints of one chain at a time
-    tips: Array  # (F, 2) by how much each target is out of reach, and its squared error at the last evaluation
+    tips: Array  # (F, 2) by how much a tip's target is out of reach, and the tip's squared error at the last evaluation
     orders: Orders
     boxed: bool  # whether joint limits are kept
 
@@ -72,7 +72,7 @@ class TreeProblem(NamedTuple):
         return aim_tips(self, T, orders)
 
     def place(self, f, q):
-        """Compute the pose of tip f at q."""
+        """Compute the pose of tip f at q, and store it in poses[f]."""
         rows = self.rows[self.cut[f] : self.cut[f + 1]]
         angles = room(rows.shape[0])[1]
         axes, tip = tip_at(
@@ -258,10 +258,10 @@ class TreeProblem(NamedTuple):
         report_tips(self, place, row)
 
 
-# ----------------------------------------------------------------------------- once per target: one copy each, called
+# ----------------------------------------- These run once per target, so they are compiled once and called, not inlined.
 @inner
 def aim_tips(p, T, orders):
-    """Take a target for each tip. Returns the largest length by which one is out of reach, -1 if one is not a pose."""
+    """Take a target for each tip; return the largest length by which a target is out of reach, or -1 if one is not a pose."""
     worst = 0.0
     for f in range(p.tasks.shape[0]):
         other = int(p.tasks[f, WHAT.other])
@@ -296,7 +296,7 @@ def left_of_all(p, place):
 
 @inner
 def report_tips(p, place, row):
-    """Write the `Miss` of each tip to the end of a row of results."""
+    """Write the errors of each tip, stored at index `place`, to the end of a row of results, as a `Miss` each."""
     for f in range(p.tasks.shape[0]):
         position, rotation = p.left_at(place, f)
         excess = p.tips[f, 0] * Ends(p.ends[f], p.desk.q.shape[0]).scale()
@@ -307,7 +307,7 @@ def report_tips(p, place, row):
 def tree_on(block, rows, ends, tasks, n, orders):
     """Make the problem of several tips (Tree) with its scratch cut from a block.
 
-    The `ends` of each tip finish with its number of rows, and n numbers that are 1 if a coordinate moves the tip.
+    A row of `ends` is `records.Ends` of a tip, then its number of rows, then n flags: 1 if the coordinate moves the tip, else 0.
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
@@ -320,7 +320,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # the padding of `trig` is computed, too, so it must hold valid numbers
+    for i in range(angles):  # Sines of the padding of `trig` are computed, too, so it must hold valid numbers.
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0

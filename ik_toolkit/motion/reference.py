@@ -126,7 +126,7 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
     if not (bad.any() or reference.position_only):
         R = T[:, :3, :3]
         bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
-        # If a singular value of R is off 1 by PROJECT_WITHIN, some entry of R^T R - I is above a third of that.
+        # If a singular value of R differs from 1 by PROJECT_WITHIN, some entry of R^T R - I exceeds a third of PROJECT_WITHIN.
         # Testing R^T R - I first spares most samples the singular value decomposition.
         doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
         bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.jit import cached
 
-# Half width [samples] of the moving average of s, ds/dt and d2s/dt2; the tip would err where d2s/dt2 jumps.
+# Half width [samples] of the moving average of s, ds/dt and d2s/dt2. Without it the tip would err where d2s/dt2 jumps.
 ROUNDED = 2
 TINY = 1e-12  # a joint with |dq/ds| below this times (1 + |d2q/ds2|) does not limit the acceleration d2s/dt2
 
@@ -108,7 +108,8 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
     for k in range(last - 1, -1, -1):
         h, top, by = steps[k], z[k], -1
         # The bounds on u = d2s/dt2 are kept in the form low - low_z z <= u <= high - high_z z.
-        # The first pair keeps z at the end of the interval between 0 and z[k + 1], the second keeps |u| <= gain.
+        # The first pair keeps z + 2 h u, the z at the end of the interval, between 0 and z[k + 1].
+        # The second pair keeps |u| <= gain.
         low[0], low_z[0], low_by[0] = 0.0, 0.5 / h, -1
         high[0], high_z[0], high_by[0] = 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
         low[1], low_z[1], low_by[1] = -gain, 0.0, -1
@@ -117,7 +118,7 @@ def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
         for i in range(n):
             for at in range(2):
                 b = bend[k + at, i]
-                # At the end of the interval (at = 1) z is z + 2 h u, which adds 2 h q'' to the factor of u.
+                # At the end of the interval (at = 1) z has become z + 2 h u, which adds 2 h q'' to the factor of u.
                 g = slope[k + at, i] + at * 2.0 * h * b
                 if abs(g) <= TINY * (1.0 + abs(b)):
                     if abs(b) * top > acceleration[i]:

@@ -14,7 +14,7 @@ from ..robot.pose_files import read_poses
 from ..validate import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-# [s] Least time between two points of a spline: scipy needs its third power and the inverse of that to be finite.
+# [s] Least time between two points of a spline: scipy computes its third power and the inverse of that power.
 SHORTEST = 1e-100
 RADIAN_AS_METRES = 0.25  # [m/rad] weight of rotations when a duration is shared out among waypoints
 
@@ -70,9 +70,9 @@ def waypoints(
 def _legs(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, turns: np.ndarray, now: np.ndarray) -> Samples:
     """Sample a motion that stops at each target: straight lines with minimum jerk between them.
 
-    t (K,) [s]: times of the targets; P (K, 3): their positions; R (K, 3, 3): their rotations, None if free; turns (K -
-    1, 3): the rotation vectors from each target to the next, in the axes of the former; now (N,) [s]: the times to
-    sample at.
+    t (K,) [s]: times of the targets; P (K, 3): their positions; R (K, 3, 3): their rotations, None if free; turns
+    (K - 1, 3): the rotation vectors from each target to the next, in the axes of the first of the two; now (N,) [s]: the
+    times to sample at.
     """
     leg = np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 2)
     length = np.diff(t)[leg]

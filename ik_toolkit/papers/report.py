@@ -62,7 +62,7 @@ class Report:
     def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]], least: float = 0.0) -> None:
         """Add a table under a key of `data`; floats are shown with 5 significant digits and stored in full precision.
 
-        Smaller numbers are shown as "under LEAST", because their digits are rounding that depends on the processor.
+        Numbers below `least` are shown as "under LEAST", because their digits are rounding that depends on the processor.
         """
         self.data[key] = {"columns": list(head), "rows": [list(row) for row in rows]}
         lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]

@@ -22,15 +22,15 @@ class Continuity:
     clearance [m]: proven least distance of any two parts (0: not proven; None: collisions were not checked).
     contacts: where shapes touch. unproven: places among the poses where shapes are too close to rule out contact.
     lacking (2, M-1): the part of deviation and turn that is inevitable because the arm has too few joints to follow the
-    interpolated poses; None if it was not computed.
+    interpolated poses.
     """
 
     deviation: np.ndarray
     turn: np.ndarray
+    lacking: np.ndarray
     clearance: float | None = None
     contacts: tuple[Contact, ...] = ()
     unproven: tuple[float, ...] = ()
-    lacking: np.ndarray | None = None
 
     @property
     def largest(self) -> tuple[float, float]:
@@ -40,11 +40,7 @@ class Continuity:
     @property
     def judged(self) -> tuple[np.ndarray, np.ndarray]:
         """Return deviation (M-1,) [m] and turn (M-1,) [rad] less their inevitable part `lacking`."""
-        return (
-            (self.deviation, self.turn)
-            if self.lacking is None
-            else (self.deviation - self.lacking[0], self.turn - self.lacking[1])
-        )
+        return self.deviation - self.lacking[0], self.turn - self.lacking[1]
 
 
 def _largest(values: np.ndarray) -> float:

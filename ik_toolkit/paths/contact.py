@@ -24,12 +24,12 @@ from .certificate import Contact
 # Each further margin factor is FINER times smaller than the one before.
 LARGEST, FINER = 0.015, 4.0
 FLOOR = 1e-4  # smallest margin [m] of the pair with the longest lever arm; nearer shapes count as not proven
-# Largest number of collision tests per row of a curve, and for a short curve; the rest then counts as not proven.
+# A check may make EACH collision tests per row of a curve, but at least AT_LEAST; what is then left counts as not proven.
 EACH, AT_LEAST = 30, 20_000
 
 
 class Margins:
-    """Collision tests of a CollisionModel whose pairs count as touching below a margin.
+    """Collision tests of a CollisionModel in which a pair of shapes counts as touching if it is nearer than its margin.
 
     arms (n, pairs): lever arms, by how much a pair's distance changes at most per unit of each joint [m/rad or m/m]
     size (pairs,): longest lever arm of each pair [m]; a pair's margin is a margin factor [rad] times its size
@@ -38,7 +38,7 @@ class Margins:
     """
 
     def __init__(self, collision: Any, stroke: np.ndarray) -> None:
-        """Compute the arms for a CollisionModel; stroke (n,): largest |q| along the motion, which lengthens arms."""
+        """Compute the arms for a CollisionModel; stroke (n,): largest |q| along the motion (a prismatic joint lengthens arms)."""
         self.collision = collision
         self.arms = _arms(collision, stroke)
         self.size = np.maximum(self.arms.max(axis=0, initial=0.0), FLOOR)
@@ -50,13 +50,13 @@ class Margins:
         self.spent = 0
 
     def approach(self, dq: np.ndarray) -> np.ndarray:
-        """Return the margin factor (S,) that joint moves dq (S, n) [rad or m] use up at most, over all pairs."""
+        """Return the margin factors (S,) [rad] that the joint moves dq (S, n) [rad or m] use up at most, over all pairs."""
         if not self.arms.shape[1]:
             return np.zeros(len(dq))
         return (np.abs(dq) @ (self.arms / self.size)).max(axis=1)
 
     def free(self, q: np.ndarray, margin: float) -> bool:
-        """Return whether all pairs are farther apart than margin * size at q (n,); for margin 0, if nothing touches."""
+        """Return whether all pairs are farther apart than margin * size at q (n,); for margin 0, whether nothing touches."""
         self.spent += 1
         if margin == 0.0:
             return not self.collision.collides(q)
@@ -92,7 +92,7 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
     pin.forwardKinematics(model, data, robot._fill(robot.rest.copy(), robot.home))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
-    # The values are a joint's index in q, and its rotation and translation per unit of q.
+    # For each joint of the model: its index in q, and how far it turns and slides per unit of q.
     moved: dict[int, tuple[int, float, float]] = {}
     for j in range(1, model.njoints):
         leader = model.joints[lead.get(j, j)]
@@ -133,7 +133,8 @@ def find_contacts(
         sag: (M-1, n) upper bound on each joint's deviation from the straight line between two rows; default 0.
 
     Returns:
-        The proven clearance [m] (0: not proven), contacts (at most one per segment), and places not proven free.
+        The proven clearance [m] (0: not proven), contacts (one per row, or per segment between rows without contact, at
+            most), and places not proven free.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)
@@ -172,8 +173,8 @@ def find_contacts(
 def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag: np.ndarray | None) -> float:
     """Return a lower bound on the distance [m] of any pair along a motion that is free of contact.
 
-    It follows from the distances at the rows less the largest approach between them. A pair is measured only at rows
-    where it could be the nearest. Arguments are those of `find_contacts`.
+    The bound is the distance at the rows minus the largest possible approach between them. A pair is measured only at
+    rows where it could be the nearest pair. The other arguments are those of `find_contacts`.
     """
     space = Clearance(margins.collision)
     used = np.abs(np.diff(curve, axis=0)) @ margins.arms
@@ -194,7 +195,7 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
 
 
 class _Stretch(NamedTuple):
-    """Result for a segment: whether it is proven free, the margin left [rad], the share where it touches (else -1)."""
+    """Result for a segment: whether it is proven free, the margin factor left [rad], at which share (0 to 1) it touches, or -1."""
 
     proven: bool
     spare: float
@@ -239,7 +240,7 @@ def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: i
     """Return the corners (K, n) of a piecewise linear joint motion from a to b (n,) that is proven free of contact.
 
     Returns None if none is found within SECONDS. collision: a CollisionModel, or None for a straight motion without a
-    check; seed: of the random points. Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000.
+    check; seed: number that fixes the random points. Source: Kuffner and LaValle, "RRT-Connect", ICRA 2000.
     """
     if collision is None:
         return np.array([a, b])
@@ -322,7 +323,7 @@ class _Branches:
 
 
 def _shortened(margins: Margins, corners: np.ndarray, rng: np.random.Generator, ends: float) -> np.ndarray:
-    """Cut corners (K, n) of a motion by random shortcuts that are proven free of contact, until the time `ends`."""
+    """Shorten a motion with the corners (K, n) by random shortcuts that are proven free of contact, until the time `ends`."""
     keep = np.append(True, np.abs(np.diff(corners, axis=0)).max(axis=1) > 0.0)
     corners = corners[keep]
     for _ in range(SHORTCUTS):

@@ -66,9 +66,9 @@ def within(q, old, most):
 def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
     """Continue q (in p.desk), a solution of pose a, to a solution of pose b, in steps that are halved where they fail.
 
-    weights (n,), box: joint weights and joint limits (Bounds); flat (N, F, 16): all poses; most, deviation: as in
-    `carry_along`. pose and its view sheet (F, 16), old (n,) and new (n,) are scratch. Returns False if no continuous
-    motion was found.
+    p, o: the problem and its Orders; weights (n,), box: joint weights and joint limits (Bounds); flat (N, F, 16): all
+    poses; most, deviation: as in `carry_along`. pose and its view sheet (F, 16), old (n,) and new (n,) are scratch.
+    Returns False if no continuous motion was found.
     """
     q = p.desk.q
     copy(q, old)
@@ -107,10 +107,10 @@ def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation
 def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Continue the solutions `seeds` (M, n) of the poses numbered `at` (M,) towards both ends of the path.
 
-    Each solution is followed as far as it goes. Kernel units throughout. rows, ends, orders: arrays of a one-attempt
-    Plan; T (N, 4, 4) or (N, F, 4, 4): the poses;
-    limits (3, n): lower, upper, and 1 where both are finite; most (n,): largest step of each joint from pose to pose;
-    deviation (2,): how far [m], [rad] a tip may leave the interpolated pose halfway between two poses.
+    Each solution is followed as far as it goes. Joint values are in kernel units. rows, ends, orders: arrays of a Plan
+    with one attempt; T (N, 4, 4) or (N, F, 4, 4): the poses; limits (3, n): lower limit, upper limit, and 1 where both
+    are finite; most (n,): largest step of each joint from pose to pose; deviation (2,): how far [m], [rad] a tip may
+    leave the interpolated pose halfway between two poses.
 
     Writes the configurations of seed m to Q[:, columns[m]] (N, n), and the first and last pose reached to
     span[columns[m]].
@@ -153,10 +153,10 @@ CHUNK = 8  # number of tracks that a thread continues in one task
 
 
 def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.ndarray:
-    """Choose at most `count` well-spaced configurations of found (M, n), each time the one farthest from all others.
+    """Choose at most `count` well-spaced configurations of found (M, n).
 
-    Each is farther than `least` (largest difference of a joint) from those in `have` (K, n) and from those chosen
-    before.
+    Each time the one is chosen that is farthest from those in `have` (K, n) and those chosen before, if its distance (the
+    largest difference of a joint) is above `least`.
     """
     gap = np.full(len(found), np.inf)
     joints = np.ascontiguousarray(found.T)  # NumPy takes a maximum faster over the first axis than over the last.
@@ -184,7 +184,7 @@ class Tracks:
     """
 
     def __init__(self, problem: Problem, most: int, threads: int, seed: int) -> None:
-        """Start without tracks; most: their largest number, seed: of the random starts."""
+        """Start without tracks; most: the largest number of tracks, seed: number that fixes the random starts."""
         self.problem, self.most, self.threads = problem, most, threads
         self.rng = np.random.default_rng(seed)
         self.size = 0

@@ -2,9 +2,9 @@
 
 Let the joints move linearly from one row of a curve to the next by dq. Then the tip's position p has the second
 derivative p'' = sum_ij dq_i dq_j d2p/dq_i dq_j, where each d2p/dq_i dq_j is at most the distance of the tip from the
-axis of the joint nearer the tip. A curve with |p''| <= c over a unit interval leaves its chord by at most c / 8. The
-same holds for a rotation and its geodesic, with all distances 1 and an extra factor for the curvature of the rotation
-group.
+axis of the joint nearer the tip. A curve with |p''| <= c over a unit interval leaves its chord by at most c / 8. For a
+rotation and its geodesic the bound is similar: the distances are replaced by 1, and a factor allows for the curvature of
+the rotation group.
 """
 
 import math
@@ -25,7 +25,8 @@ from .smoothing import settle_rows as settle_rows
 
 # Largest number of rounds of inserting rows. Bounds fall with the square of the number of pieces, so few suffice.
 ROUNDS = 12
-# Largest number of pieces per max_step between two poses; a motion that needs more counts as not continuous there.
+# A motion between two poses that is k times as long as max_step (k >= 1) is divided into at most 256 k pieces.
+# A motion that needs more pieces counts as not continuous there.
 MOST_PIECES = 256
 MOST_ROWS = 200_000  # largest number of rows of a curve
 LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for rotation vectors up to half a turn
@@ -35,9 +36,9 @@ LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, 
 class Speeds(NamedTuple):
     """Upper bounds (M-1,) on a tip's motion over each segment between two rows, whose parameter runs from 0 to 1.
 
-    speed, bend: of the tip's first and second derivative [m]; turn, twist: of its angular speed and the derivative of
-    that [rad]; off [m], off_turn [rad]: of the tip's deviation that is due to joints leaving the straight line (`sag`
-    of `bounds`).
+    speed, bend [m]: bounds on the first and second derivative of the tip's position; turn, twist [rad]: bounds on its
+    angular velocity and angular acceleration; off [m], off_turn [rad]: bounds on the tip's deviation that is due to
+    joints leaving the straight line between the rows (`sag` of `bounds`).
     """
 
     speed: np.ndarray
@@ -65,8 +66,8 @@ def check(
     moving = ~cut & np.isfinite(curve[1:] + curve[:-1]).all(axis=1)
     deviation[~moving], turn[~moving] = np.nan, np.nan
     if collision is None:
-        return Continuity(deviation, turn, lacking=lacking)
-    return Continuity(deviation, turn, *find_contacts(collision, curve, at, moving), lacking=lacking)
+        return Continuity(deviation, turn, lacking)
+    return Continuity(deviation, turn, lacking, *find_contacts(collision, curve, at, moving))
 
 
 def densify(
@@ -199,7 +200,7 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
     sag = (sag / chain.unit)[:, owner]
     speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
     for r in range(len(rows) - 1, -1, -1):
-        # The joints from r to the tip move the tip by at most `speed` over the segment, seen from joint r.
+        # At this point `speed` bounds how far the joints after joint r move the tip over the segment, seen from joint r.
         # The tip's distance from axis r is therefore at most the mean of both ends' distances plus half of `speed`.
         arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
         bend += turns[:, r] * (turns[:, r] * arm + 2.0 * speed)
@@ -248,7 +249,7 @@ class Between:
     def position(self, counts: Any) -> np.ndarray:
         """Return by how much [m] (M-1,) the counted position error may exceed its value at the rows.
 
-        counts: what counts of the error (mask, slack, frame).
+        counts: the tip's Counts (mask, slack, frame), which say which part of the error counts.
         """
         if counts.mask is None and counts.slack is None:
             return 0.125 * self.bend + self.off  # The norm of the whole error does not depend on the axes.
@@ -259,9 +260,10 @@ class Between:
         return max((counts.mask or (1.0,))[:3]) * 0.125 * second
 
     def rotation(self, counts: Any, axis: bool, tolerance: np.ndarray) -> np.ndarray:
-        """Return an upper bound [rad] (M-1,) on the rotation error that counts (`counts`: mask, slack, frame).
+        """Return an upper bound [rad] (M-1,) on the counted rotation error between the rows.
 
-        axis: whether only the direction of an axis counts; tolerance (M-1,) [rad]: bound on the errors at the rows.
+        counts: as in `position`; axis: whether only the direction of an axis counts; tolerance (M-1,) [rad]: bound on
+        the errors at the rows.
         """
         if any(counts.mask or ()) or any((counts.slack or (0.0,))[3:]):
             weight = max((counts.mask or (1.0,))[-3:])

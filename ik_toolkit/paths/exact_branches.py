@@ -20,11 +20,12 @@ from ..solvers.closed_form.geometry import Screws, read_screws
 PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
 # Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
 DOUBTFUL = 1e-7
-EXACT = 1e-5  # largest pose error of a solution [m, or in rotation matrix entries]; descriptions are rounded
+# largest pose error of a solution [m, or in rotation matrix entries]; not smaller, because robot files hold rounded numbers
+EXACT = 1e-5
 
 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and where (N,) these are proven to be all.
+    """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and for each pose (N,) whether they are proven to be all.
 
     A pose with fewer than K solutions has rows of NaN. Joint limits and full turns are ignored. Returns None for an arm
     of another structure.
@@ -52,7 +53,7 @@ def _parallel(axes: np.ndarray) -> bool:
 
 
 def _meeting(s: Screws, reach: float) -> np.ndarray | None:
-    """Return the point (3,) [m] at q = 0 where axes 5 and 6 meet, None if they do not; reach [m]: the arm's."""
+    """Return the point (3,) [m] at q = 0 where axes 5 and 6 meet, None if they do not; reach: the arm's reach [m]."""
     across = np.cross(s.axis[4], s.axis[5])
     size = np.linalg.norm(across)
     if size < PARALLEL or abs((s.point[5] - s.point[4]) @ across) > PARALLEL * reach * size:
@@ -79,7 +80,7 @@ def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
 def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
     """Solve a cos q + b sin q = c for N equations.
 
-    Returns both solutions, each (N,) [rad] and NaN where none exists, and where (N,) their number is beyond doubt.
+    Returns both solutions, each (N,) [rad] and NaN where none exists, and whether (N,) their number is beyond doubt.
     """
     size = np.hypot(a, b)
     cosine = c / size
@@ -91,7 +92,7 @@ def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
 def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the angles (N,) [rad] about a unit axis (3,) that rotate the vectors `start` into `end` (N, 3).
 
-    Also returns where (N,) the angle is defined: where `start` is not along the axis.
+    Also returns whether (N,) the angle is defined, which it is unless `start` is along the axis.
     """
     x = start - (start @ axis)[:, None] * axis
     y = end - (end @ axis)[:, None] * axis
@@ -99,9 +100,9 @@ def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.nda
 
 
 def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the joints k, k + 1, k + 2, whose axes are parallel, for the motion E (N, 4, 4) from q = 0 that they make.
+    """Solve the joints k, k + 1, k + 2, whose axes are parallel, so that they make the displacements E (N, 4, 4) from q = 0.
 
-    Returns the solutions (N, 2, 3) [rad], NaN where none exists, and where (N,) their number is beyond doubt.
+    Returns the solutions (N, 2, 3) [rad], NaN where none exists, and whether (N,) their number is beyond doubt.
     """
     a, N = s.axis[k], len(E)
     signs = np.sign(s.axis[k : k + 3] @ a)
@@ -123,7 +124,7 @@ def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _arm(s: Screws, w: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solve an arm of six joints for poses T (N, 4, 4): axes 2, 3, 4 are parallel, axes 5 and 6 meet in w (3,).
 
-    The point w [m] is given at q = 0. Returns the solutions (N, 8, 6) [rad], NaN where none exists, and where (N,)
+    The point w [m] is given at q = 0. Returns the solutions (N, 8, 6) [rad], NaN where none exists, and whether (N,)
     their number is beyond doubt.
     """
     a, N = s.axis, len(T)
@@ -154,7 +155,7 @@ ROUNDING = 1e-6  # [rad] by which a joint limit may be exceeded, because solutio
 
 
 def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Return which configurations (N, K) of the tracks Q (N, K, n) exist and keep the limits.
+    """Return whether (N, K) each configuration of the tracks Q (N, K, n) exists and keeps the limits.
 
     A track is one solution continued along the poses, from pose span[k, 0] to pose span[k, 1]. limits (2 or more, n):
     lower and upper; joints (n,): which joints must keep them. All in kernel units.

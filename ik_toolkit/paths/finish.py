@@ -134,9 +134,9 @@ def finished(
 STEPS = 40  # largest number of Gauss-Newton steps; ten usually suffice
 # The cost of a joint step is quadratic below this share of the mean step, so that joints do not stop and start again.
 QUADRATIC_BELOW = 0.5
-# Weight of squared second differences against joint steps; its square root, about three poses, is the corners' width.
+# Weight of squared second differences against joint steps; its square root is the number of poses that round off a corner.
 SMOOTHNESS = 10.0
-ROUNDS = 6  # largest number of rounds of smoothing; each holds more poses, where the previous round touched
+ROUNDS = 6  # largest number of rounds of smoothing; each also holds the poses near a contact of the previous round
 WINDOW = 4  # number of poses held on either side of a pose in contact, doubled in each further round
 
 
@@ -151,7 +151,7 @@ def smooth(
 ) -> np.ndarray:
     """Shorten and smooth a motion q (N, n) [rad or m] through poses T (N, F, 4, 4), staying inside the tolerances.
 
-    max_step (rad, m): no step grows beyond it, or beyond the longest step of q. fixed (N,): poses whose rows stay.
+    max_step (rad, m): no step grows beyond the larger of it and q's longest step. fixed (N,): poses whose rows stay.
     bad: a function of a motion (N, n) that returns the numbers of the poses where it is not acceptable, such as those
     in contact; these and their neighbours are held at q, and the rest is smoothed again. Returns q itself if nothing
     better is found.
@@ -249,10 +249,10 @@ def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
     proof = Continuity(
         np.where(next_to, proof.deviation[kept[:-1]], np.nan),
         np.where(next_to, proof.turn[kept[:-1]], np.nan),
+        np.where(next_to, proof.lacking[:, kept[:-1]], 0.0),
         proof.clearance,
         tuple(one._replace(place=x) for one in proof.contacts for x in where([one.place])),
         tuple(where(proof.unproven)),
-        None if proof.lacking is None else np.where(next_to, proof.lacking[:, kept[:-1]], 0.0),
     )
     found = found._replace(q=found.q[asked], tracks=found.tracks[asked], breaks=sorted(broken))
     return ProvenMotion(found, q, motion.curve[kept], places[kept], proof, where(motion.leaps))

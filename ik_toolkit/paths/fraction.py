@@ -20,8 +20,8 @@ STARTS = 16  # largest number of configurations at the first pose from which the
 def lengths(poses: np.ndarray, kinds: tuple) -> np.ndarray:
     """Return the share (N,) of the path's length up to each of the poses (N, F, 4, 4), from 0 to 1.
 
-    The length is the sum of the tips' travel, without tips whose kind in `kinds` is FREE; if no position changes, the
-    sum of their rotation angles.
+    The length is the sum of the tips' travel, without tips whose kind in `kinds` is FREE. If no position changes, it is
+    the sum of the rotation angles of all tips.
     """
     moves = np.linalg.norm(np.diff(poses[..., :3, 3], axis=0), axis=2)
     moves[:, [kind == FREE for kind in kinds]] = 0.0
@@ -35,9 +35,9 @@ def lengths(poses: np.ndarray, kinds: tuple) -> np.ndarray:
 def fraction(search: Search, motion: ProvenMotion) -> float:
     """Return the share (0 to 1, to better than 0.1 %) of the path's length that one motion follows from the start.
 
-    It ends at the first jump, contact or pose out of reach. The motion found is continued step by step from where it
-    first ends. If no start q0 is fixed, motions from other configurations at the first pose are tried as well. The
-    result is a lower bound: another posture of a redundant arm may go further.
+    A motion ends at its first jump, contact or pose out of reach. From there the given motion is continued step by step.
+    If no start q0 is fixed, motions from other configurations at the first pose are tried as well. The result is a lower
+    bound: another posture of a redundant arm may go further.
     """
     p = search.problem
     way, at = lengths(p.poses, p.kinds), p.at
@@ -55,7 +55,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
 
         def step(s: float) -> np.ndarray | None:
             T = interpolate_poses(p.poses, np.array([np.interp(s, way, np.arange(len(way)))]), p.kinds)
-            row = p.single.solve(T if p.robot.by_tip else T[:, 0], p.kinds, q[None], True)
+            row = p.single.solve(T.reshape(-1, *p.robot.pose_shape), p.kinds, q[None], True)
             new = row[ANSWER : ANSWER + p.robot.n].copy()
             near = (np.abs(new - q) <= p.most * p.unit).all()
             free = search.collides is None or not search.collides(new)

@@ -1,7 +1,7 @@
 """The degrees of freedom of an arm's tips: with fewer than the targets need, interpolated poses cannot be followed.
 
-Between two poses that it reaches, such an arm moves as near to the interpolated poses as it can. The error that it
-cannot avoid is not counted there against the path tolerance; at the poses themselves every error counts.
+Between two poses that it reaches, such an arm moves as near to the interpolated poses as it can. Between the poses, the
+error that it cannot avoid is not counted against the path tolerance. At the poses themselves every error counts.
 """
 
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ class Freedom(NamedTuple):
     """Which components of the targets of a path the joints can change.
 
     rank: number of independent components of the targets that the joints can move (generic rank of the task Jacobian).
-    lacks: whether that is too few to follow the interpolated poses between two poses.
+    lacks: whether this rank is too low to follow the interpolated poses between two poses.
     """
 
     rank: int
@@ -30,7 +30,7 @@ class Freedom(NamedTuple):
 
 
 def freedom(plan: Any, kinds: tuple) -> Freedom:
-    """Return what the joints of a plan, but for those of weight 0, can do about targets of these kinds, one per tip."""
+    """Return the Freedom that a plan's joints, without those of weight 0, have for targets of these kinds (one per tip)."""
     key = "freedom", kinds
     if key not in plan.memo:
         plan.memo[key] = _freedom(plan, kinds)
@@ -57,7 +57,7 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
     own = max((rank(one.reshape(-1, len(moving))) for one in J), default=0)
     everywhere = np.moveaxis(J, 0, 2).reshape(len(blocks), 3, -1)
     # Planar arms, gantries and SCARA arms can move in the same directions everywhere, with uncoupled rotations.
-    # Interpolating between two poses of such an arm therefore takes no direction in which it cannot move.
+    # Interpolation between two poses of such an arm therefore needs no direction in which the arm cannot move.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows
     plain = all(kind in (POSE, POSITION, FREE) for kind in kinds) and not counts_in_part(kinds, plan.options)

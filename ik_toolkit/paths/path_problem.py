@@ -35,9 +35,10 @@ class Problem:
     plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
     rows, ends, orders: the arrays of `single` that compiled functions take
     limits (3, n): lower limit, upper limit [kernel units], and 1 where both are finite
-    endless (n,), turning: revolute joints without limits; indices of limited ones whose range exceeds a full turn
+    endless (n,): whether a joint is revolute without limits
+    turning: indices of revolute joints with limits whose range exceeds a full turn
     redundant: whether there are more joints than the targets need, so that solutions are not isolated
-    room (3, n): limits in the search; without redundancy `turning` joints have none, as turns are chosen later
+    room (3, n): limits in the search; if not `redundant`, `turning` joints have none, as their turns are chosen later
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Problem:
         return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Return Q (m, n) [kernel units] with joints that wrap on the full turn nearest the middle of their limits."""
+        """Return Q (m, n) [kernel units]; each joint that can make a full turn is moved to the turn nearest its mid-range."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False

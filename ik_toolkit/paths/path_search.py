@@ -1,7 +1,7 @@
 """The search for a path: solve some poses, continue their solutions along the path, link them by dynamic programming.
 
 An anchor is a pose that is solved from many random starts. A track is one of its solutions, continued along the path as
-far as it goes. The dynamic program over the tracks (`shortest_path.Program`) finds the best path; where that still
+far as it goes. The dynamic program over the tracks (`shortest_path.Program`) finds the best path. Where this path still
 reconfigures, the poses around the break become anchors, too, and the program is run again.
 """
 
@@ -31,7 +31,8 @@ PATIENCE = 2  # the search ends after this many successive rounds of further anc
 # The first search keeps a margin of NEAR [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
 # This margin makes it easy to prove the motion between poses free of contact.
 NEAR = 0.003
-PROBES = 9  # After this many poses without a solution, the others in a gap between tracks are given up.
+# A gap is a run of poses without tracks. After this many of its poses had no solution, the others are given up.
+PROBES = 9
 LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.
 
 
@@ -55,7 +56,7 @@ def _within(best: tuple[int, int], allowed: float) -> bool:
 
 
 class Found(NamedTuple):
-    """A path found: q (N, n) [kernel units], NaN at poses that it does not pass, and its tracks (N,), -1 there.
+    """A path found: q (N, n) [kernel units] and its tracks (N,); at poses that it does not pass q is NaN and the track -1.
 
     breaks: poses after which it reconfigures; contacts: number of poses at which it is in contact.
     """
@@ -88,8 +89,8 @@ class Search:
         """Take the options of a search.
 
         model: a CollisionModel or None; q0, q_end (n,) [kernel units] or None: start and end of the path, or
-        configurations near which it starts and ends; seed: of the random starts; progress: function of a share and a
-        text.
+        configurations near which it starts and ends; seed: number that fixes the random starts; progress: function of a
+        share (0 to 1) and a text.
         """
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
         self.collides: Any = None
@@ -97,7 +98,7 @@ class Search:
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
-        self.anchored: dict[int, float] = {}  # by anchor, how far [m] it is proven out of reach, else 0
+        self.anchored: dict[int, float] = {}  # for each anchor how far [m] it is proven out of reach (0: not proven)
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
@@ -219,7 +220,7 @@ class Search:
             self.tester = self.tester.of(program)
 
     def best(self, allowed: float | None = None) -> Found:
-        """Return the best path to the last pose; with `allowed`, to the farthest pose by that many reconfigurations.
+        """Return the best path to the last pose or, with `allowed`, to the farthest pose that so many reconfigurations reach.
 
         Tracks are copied to all turns of a joint whose winding along the best path does not fit its limits.
         """
@@ -253,7 +254,7 @@ class Search:
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
         breaks = []
-        # A jump across unreached poses is a reconfiguration only if all of these are inserted poses.
+        # A jump across unreached poses is a reconfiguration only if all the unreached poses were inserted.
         for t in np.flatnonzero(jumps).tolist():
             before = int(on[np.searchsorted(on, t) - 1])
             if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():
@@ -318,7 +319,7 @@ class Search:
             self.lower_bound = len(self.found.breaks)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Return which of the solutions Q (N, K, n) [kernel units] lie on some track (N, K), full turns aside."""
+        """Return whether (N, K) each of the solutions Q (N, K, n) [kernel units] lies on a track; full turns are ignored."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):

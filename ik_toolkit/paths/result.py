@@ -219,10 +219,10 @@ class PathResult:
             velocity: largest joint speeds [rad/s or m/s], one number or one per joint (n,); default the robot's own.
             acceleration: largest joint accelerations [rad/s^2 or m/s^2], likewise; must be given.
             rate: samples per second.
-            seed: of the random search for a free motion from one branch to another.
-            path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the one
-                given to `solve_path`. If none was given, the larger of that function's default and the chord's sagitta,
-                which is how far an arc through the poses leaves it.
+            seed: number that fixes the random search for a free motion from one branch to another.
+            path_tolerance: how far (m, rad) a tip may leave the straight chords between the poses. Default: the
+                path_tolerance given to `solve_path`. If none was given, it is the larger of the default of `solve_path`
+                and the chord's sagitta, which is how far an arc through the poses leaves the chord.
             tip_speed: speed [m/s] of the fastest tip, kept wherever the limits allow (see `Trajectory.slower`).
 
         Returns:
@@ -231,7 +231,7 @@ class PathResult:
         Raises:
             InvalidOption: limits are missing or not positive.
             NotSolved: the path was not followed.
-            MissingExtra: without toppra or SciPy.
+            MissingExtra: SciPy is not installed.
         """
         from .timing import retime
 

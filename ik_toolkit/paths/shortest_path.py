@@ -18,14 +18,15 @@ from ..kernel.kinematics import TAU
 
 # A state is a track at a pose. DEAD: it does not exist or violates a limit; otherwise what is known of contact.
 DEAD, UNTESTED, FREE, TOUCHING = range(4)
-# A state's parent is the track k of the preceding state, -2 - k if a reconfiguration leads from it, or NONE.
+# A state's parent is the track k of the state before it on the best path, or -2 - k if it is reached from there by a
+# reconfiguration; a state without one has the parent NONE.
 NONE = -1
 CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, more than any path has.
 
 
 @inline
 def shortest_difference(d, endless):
-    """Return a joint value or difference d, less its full turns [rad] if endless > 0."""
+    """Return a joint value or difference d [rad]; if endless > 0, moved by full turns into the range from -pi to pi."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 
@@ -33,7 +34,7 @@ def shortest_difference(d, endless):
 def step(Q, t, a, u, b, most, endless, price, near, enough):
     """Return the cost of the joint move from track a at pose t to track b at pose u; infinite if `enough` or more.
 
-    A joint that moves further than `most` (n,) makes the cost infinite if near > 0, and adds price[2, 0] if near is 0.
+    If a joint moves further than `most` (n,), the cost is infinite if near > 0; if near is 0, price[2, 0] is added once.
     Other arguments are those of `link_layers`.
     """
     total, over = 0.0, 0.0
@@ -51,7 +52,7 @@ def step(Q, t, a, u, b, most, endless, price, near, enough):
 
 @inner
 def barred(blocked, low, high, a, b):
-    """Return whether the step from track a to track b is among the excluded steps blocked[low:high]."""
+    """Return whether the step from track a to track b is one of the excluded steps blocked[low:high], see `link_layers`."""
     for k in range(low, high):
         if blocked[k, 1] == a and blocked[k, 2] == b:
             return True
@@ -60,7 +61,7 @@ def barred(blocked, low, high, a, b):
 
 @inner
 def window(keys, size, low):
-    """Return the first index at which the ascending keys[:size] are not below `low` (binary search)."""
+    """Return the index of the first of the ascending keys[:size] that is not below `low`, or `size` (binary search)."""
     a, b = 0, size
     while a < b:
         m = (a + b) // 2
@@ -78,13 +79,14 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
     Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING
     most (n,): largest step of each joint; endless (n,): 1 if full turns of a joint do not count
-    price (3, n): cost per unit of a joint's move; per unit of its square; [2, :2]: of a too long step, of a new branch
+    price (3, n): [0]: cost per unit of a joint's move; [1]: cost per unit of its square;
+        [2, :2]: cost of a step longer than `most`, and of a reconfiguration
     begin (2, K): reconfigurations and cost counted for starting on each track; toll (N, K): extra cost of a state
     blocked (B, 3): excluded steps, as pose they lead to, track before, track after; sorted
     axis: index of the joint whose value sorts the states, to look up near ones
 
     Written are counts (N, K) and costs (N, K), the reconfigurations (contacts as CONTACT each) and the cost of the best
-    path to each state; parents (N, K), see NONE; prior (N,), the last layer before with states, -1 if there is none.
+    path to each state; parents (N, K), see NONE; prior (N,), the last earlier layer that has states, or -1.
     """
     N, K, _ = Q.shape
     keys, order = np.empty(K), np.empty(K, np.int64)
@@ -283,7 +285,7 @@ class Tester:
         self.looked = False  # whether all tracks were tested at every 16th pose, after a first contact
 
     def of(self, program: Program) -> "Tester":
-        """Test another dynamic program, and return self; results are copied if its first tracks are the same."""
+        """Test the states of another program from now on, and return self; if its first tracks are the same, results are kept."""
         # Dynamic programs have the same track in the same column only if they share the tracks' memory.
         if self.program is not None and np.shares_memory(self.program.Q, program.Q):
             K = self.program.state.shape[1]
@@ -350,7 +352,7 @@ def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]
     """
     N = len(program.Q)
     order = middle_first(N)
-    # Each round finds one contact more before the dynamic program is run again, because that takes time.
+    # Each round looks for one contact more before the dynamic program is run again, because running it takes time.
     for most in itertools.count(HITS):
         program.run()
         tracks, jumps = program.path(N - 1)

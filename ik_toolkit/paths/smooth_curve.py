@@ -94,10 +94,10 @@ def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.nda
 def _judged(
     plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at: np.ndarray
 ) -> tuple[Curve, np.ndarray]:
-    """Return the spline through the rows `curve` (M, n) [rad or m], and where (M-1,) it is not acceptable.
+    """Return the spline through the rows `curve` (M, n) [rad or m], and whether (M-1,) it fails between two rows.
 
-    Between two rows it is not acceptable if a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or if
-    the motion is not proven free of contact. at (M,): places of the rows among the poses.
+    It fails if a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or if the motion is not proven free of
+    contact. at (M,): places of the rows among the poses.
     """
     robot = plan.robot
     knots = coordinate(curve, robot.chain.unit)
@@ -137,7 +137,7 @@ def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tup
 
 
 def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return the place among the poses of each row of a spline: where the tips are nearest the chord there.
+    """Return the place among the poses of each row of a spline: the point of the chord that is nearest the tips.
 
     rows (K, n) [rad or m]: the spline at the ends of all parts; at (M,): places of the rows that were interpolated;
     parts (M-1,): number of parts between two of these. The result (K,) never decreases.
@@ -162,7 +162,7 @@ def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np
 
 
 def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Return at which of the poses T (N, F, 4, 4) a tip's path turns by more than CORNER (N,); never at the ends."""
+    """Return whether (N,) a tip's path turns by more than CORNER at each of the poses T (N, F, 4, 4); False at both ends."""
     found = np.zeros(len(T), dtype=bool)
     for f, kind in enumerate(kinds):
         chords = np.diff(T[:, f, :3, 3], axis=0)
@@ -174,9 +174,10 @@ def corners(T: np.ndarray, kinds: tuple) -> np.ndarray:
 
 
 def sagittas(T: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Return how far [m] and [rad] (2, N-1) an arc through the poses T (N, F, 4, 4) leaves each chord.
+    """Return how far [m] and [rad] (2, N-1) a smooth curve through the poses T (N, F, 4, 4) leaves each chord.
 
-    An arc ends at a corner. kinds: a target kind per tip; tips whose kind is FREE are left out.
+    That is ARC times the sagitta of an arc through the poses; an arc ends at a corner. kinds: a target kind per tip; tips
+    whose kind is FREE are left out.
     """
     found, corner = np.zeros((2, len(T) - 1)), corners(T, kinds)
     for f, kind in enumerate(kinds):
@@ -208,10 +209,11 @@ class Arcs:
 
     @functools.cached_property
     def _splines(self) -> list[tuple[int, int, int, np.ndarray, Any, Any]]:
-        """Return the splines between two corners, which are the poses a and b.
+        """Return the splines of each tip, from every corner or end of the path to the next.
 
-        Of each: a, b, the tip's index, the tip's path length (b - a + 1,) [m] at the poses, and the splines of position
-        and rotation (None if only the position counts) over that length.
+        Each entry is: the numbers a and b of the poses at the two corners, the tip's index, the tip's path length
+        (b - a + 1,) [m] at these poses, and the splines of position and of rotation (None if only the position counts)
+        over that length.
         """
         from scipy.interpolate import CubicSpline
         from scipy.spatial.transform import Rotation, RotationSpline

@@ -85,7 +85,10 @@ def differences(Q, first, second, rounding, H, g):
 
 @inner
 def held_system(H, g, held, A, x):
-    """Write to A and x the system H x = -g without its held coordinates (`held` (N n,)), whose steps become 0."""
+    """Write the system H x = -g to A (its matrix) and x (its right-hand side), with the steps of held coordinates 0.
+
+    held (N n,): whether a coordinate is held; its row and column are replaced by those of the identity.
+    """
     M, b = H.shape[0], H.shape[1] - 1
     for r in range(M):
         x[r] = 0.0 if held[r] else -g[r]
@@ -178,7 +181,8 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
 
     rows, ends, orders: arrays of a Plan; T (N, ...): the targets; fixed (N,): poses whose joints do not move;
     first, second, rounding: as in `cost_of`; longest (n,) [rad or m]: largest joint step between neighbouring poses;
-    steps: largest number of Gauss-Newton steps. Writes to good (N,) whether each pose was on its target at first.
+    steps: largest number of Gauss-Newton steps. Writes to good (N,) whether each pose was brought onto its target before
+    the first step.
     """
     N, n = Q.shape
     o = read(Orders, orders)

@@ -90,7 +90,7 @@ def solve_path(
             1 deg, or twice the tolerances at the poses if that is more.
         avoid_collisions: as for `solve`.
         reconfigurations: 'fewest', 'none', or the largest number of changes of branch.
-        seed: of the random starts.
+        seed: number that fixes the random starts.
         threads: number of threads; default all cores.
         progress: function (fraction, text) that is called regularly.
         options: as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.
@@ -277,15 +277,15 @@ def _result(
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
 
 
-DOUBT = 0.1  # A rotation that is within this share of the orientation tolerance of half a turn may go either way.
+DOUBT = 0.1  # A rotation that differs from half a turn by less than 0.1 orientation tolerances may go either way.
 SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than half a turn, well above rounding (1e-16)
 
 
 class HalfTurns:
     """The P rotations of 180 degrees between neighbouring poses, each of which may go either way round.
 
-    gaps (P,): the pose before each; tips (P,): the tip that it belongs to; axes (P, 3): the chosen unit axis in base
-    axes. At first each half turn is opposite to the one before.
+    gaps (P,): the pose before each half turn; tips (P,): the tip that turns; axes (P, 3): the chosen unit axis in base
+    axes. At first each half turn of a tip goes the opposite way to the tip's half turn before.
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, tolerance: float) -> None:
@@ -301,7 +301,7 @@ class HalfTurns:
             )
             before = np.zeros(3)
             for k in np.flatnonzero((sine <= DOUBT * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
-                # For a half turn this is the outer product of its axis.
+                # For a half turn about the unit axis a, this is the matrix a a'.
                 square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)
                 axis = square[:, np.argmax(np.diag(square))]
                 before = axis * ((-1.0 if axis @ before > 0.0 else 1.0) / np.linalg.norm(axis))
@@ -317,7 +317,7 @@ class HalfTurns:
         return bool(meant.any())
 
     def poses(self) -> np.ndarray:
-        """Return the poses (N, F, 4, 4), rotated a little where the shortest rotation to the next was not unique."""
+        """Return the poses (N, F, 4, 4); one whose shortest rotation from the pose before is not unique is rotated a little."""
         T = self._T.copy() if len(self.gaps) else self._T
         for p in np.argsort(self.gaps, kind="stable").tolist():
             k, f = self.gaps[p], self.tips[p]

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,12 @@ from .contact import connect
 from .smooth_curve import LEAST, Curve, corners, sagittas, smooth_curve
 
 GRID = 200  # least number of grid points of the time law of a smooth piece
-TOO_FAST = 1.001  # Below this factor the whole piece is slowed down instead.
+TOO_FAST = 1.001  # A piece that exceeds its limits by no more than this factor is slowed down as a whole.
 LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
 MOST_SAMPLES = 1e7  # largest number of samples of a trajectory, so that a far too high rate is an error
 NOWHERE = np.full(2, np.nan)  # NaN as the place of both ends of a free motion, which is nowhere among the poses
-KEPT = 0.99  # A tip speed counts as the one asked for from this share of it on.
+KEPT = 0.99  # A tip counts as keeping the speed asked for if it has at least this share of it.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
 TOLD = 3  # largest number of places that a message lists
 
@@ -39,34 +40,34 @@ def retime(
     result.raise_for_status()
     row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), result.options)
-    allowed = _allowed(result, path_tolerance)
     made: list[Piece] = []
     missing, stops = "", []
-    runs, deviation, turn, clearance = result.pieces, 0.0, 0.0, math.inf
+    runs, places, count, result = result.pieces, result.at, len(result.q), _without_repeats(result)
+    allowed, deviation, turn, clearance = _allowed(result, path_tolerance), 0.0, 0.0, math.inf
     for k, run in enumerate(runs):
         if k:
             way = connect(robot, result.collision, result.curve[runs[k - 1].stop - 1], result.curve[run.start], seed)
             if way is None:
-                pose = int(result.at[run.start])
+                pose = int(places[run.start])
                 missing = f"it ends at pose {pose - 1}: no collision-free motion to the other branch, at pose {pose}, was found"
                 break
             made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
         for j, (found, piece, rows) in enumerate(_pieces(plan, result, allowed, run, limits, asked)):
-            if j:
-                stops.append(float(result.at[rows.start]))
+            if j and piece.duration:
+                stops.append(float(places[rows.start]))
             off, turned, free = (
                 (*result.deviation, math.inf if result.clearance is None else result.clearance)
                 if found is None
                 else (found.deviation, found.turn, found.clearance)
             )
             deviation, turn, clearance = max(deviation, off), max(turn, turned), min(clearance, free)
-            made.append(piece)
+            made.append(piece._replace(at=np.interp(piece.at, result.at[run], places[run])))
     if not made:  # A path of a single pose has no motion.
-        made = [_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits)]
+        made = [_straight(result.curve[0], result.curve[0], places[[0, 0]], limits)]
     pieces, t = _instants(made, rate)
     total = float(t[-1])
     slow = () if tip_speed is None else _slower(robot, pieces, asked)
-    message = missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
+    message = missing or f"all {count} poses are passed in {total:.4g} s"
     if stops:
         message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
     if tip_speed is not None:
@@ -85,7 +86,7 @@ def through(
     """Return the motion through configurations Q (N, n) [rad or m], straight in the joints, at rest at each one.
 
     `place` of the result counts configurations. Limits, rate and errors are as in `PathResult.retime`. With a
-    CollisionModel as `collision` it goes around what is in the way, or ends where no way was found.
+    CollisionModel as `collision` the motion goes around obstacles, or ends where no way around was found.
     """
     limits, rate = _limits(robot, velocity, acceleration), positive(rate, "rate [1/s]")
     rows = np.array([robot.check_q(q) for q in Q])
@@ -107,7 +108,10 @@ def through(
 
 
 def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.ndarray]:
-    """The pieces that last, or one that does not, and the times (N,) [s] of their samples."""
+    """Return the pieces that take time, or the first one if none does, and the times (N,) [s] of their samples.
+
+    Raises InvalidOption if there would be too many samples.
+    """
     pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
     total = sum(piece.duration for piece in pieces)
     if total * rate > MOST_SAMPLES:
@@ -115,6 +119,20 @@ def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.nda
             f"rate = {rate:g} gives {figure(total * rate)} samples in {duration(total, 4)}; at most {MOST_SAMPLES:g}"
         )
     return pieces, np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
+
+
+def _without_repeats(result: Any) -> Any:
+    """Return a PathResult without the poses that repeat the pose before, at which the joints stand still.
+
+    Only `targets` (N, F, 4, 4) and `at` (M,) change: a spline over the poses needs a distance between any two of them.
+    """
+    T, q = result.targets, result.q
+    still = (np.abs(np.diff(T, axis=0)).max(axis=(1, 2, 3)) <= LEAST) & (
+        np.abs(np.diff(q, axis=0)).max(axis=1) <= LEAST
+    )
+    kept = np.append(True, ~still)
+    at = np.interp(result.at, np.arange(len(T)), np.cumsum(kept) - 1.0)
+    return replace(result, targets=T[kept], q=q[kept], at=at)
 
 
 def _listed(places: list[Any]) -> str:
@@ -149,24 +167,30 @@ def _pieces(
 
     The result is one smooth curve if there is one within the bounds `allowed` (2, N-1) [m], [rad] on leaving the
     chords. Else the run is divided at its corners, and a part without corners becomes straight lines from row to row.
-    limits: joint speeds and accelerations (n,); tip_speed [m/s]. Returns of each piece its verified Curve (None if
+    limits: joint speeds and accelerations (n,); tip_speed [m/s]. Returns for each piece its verified Curve (None if
     straight), its timed Piece, and its rows.
     """
     if run.stop - run.start < 2:
         return []
     found = smooth_curve(plan, result, allowed, run)
     if found is not None:
-        return [(found, _spline(found, plan.robot, limits, tip_speed), run)]
+        curve = Piece(found.knots, found.cubics, found.knots, found.knots, found.knots, found.at)
+        return [(found, _fastest(curve, plan.robot, limits, tip_speed), run)]
     places = np.flatnonzero(corners(result.targets, result.kinds))
     cuts = [int(k) for k in np.searchsorted(result.at, places) if run.start < k < run.stop - 1]
     if cuts:
         bounds = [run.start, *cuts, run.stop - 1]
         parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
         return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
-    return [
-        (None, _straight(result.curve[k], result.curve[k + 1], result.at[k : k + 2], limits), slice(k, k + 2))
-        for k in range(run.start, run.stop - 1)
+    rows = [slice(k, k + 2) for k in range(run.start, run.stop - 1)]
+    lines = [
+        _straight(result.curve[k], result.curve[k + 1], result.at[two], limits) for k, two in enumerate(rows, run.start)
     ]
+    slow = [
+        one if tip_speed == math.inf or not one.duration else _fastest(one, plan.robot, limits, tip_speed)
+        for one in lines
+    ]
+    return [(None, one, two) for one, two in zip(slow, rows, strict=True)]
 
 
 def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
@@ -198,7 +222,7 @@ def _slower(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tup
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint limits of speed and of acceleration, each (n,), per s and s^2 [rad or m].
+    """Return the joint limits (n,) of speed [rad/s or m/s] and of acceleration [rad/s^2 or m/s^2].
 
     velocity: one number, one per joint, or None for the robot's own; acceleration: one number or one per joint. Raises
     InvalidOption, naming the joint.
@@ -225,15 +249,19 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 
 
 # ------------------------------------------------------------------------------------------------------------- the times
-def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
-    """Return the time-optimal motion along a curve, from rest to rest; limits also hold between the grid points.
+def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray], tip_speed: float) -> Piece:
+    """Return a piece with its time-optimal law, from rest to rest; limits also hold between the grid points.
 
     limits: joint speeds and accelerations (n,); tip_speed: the highest speed of any tip [m/s], infinite for none.
     """
-    knots = found.knots
-    piece = Piece(knots, found.cubics, knots, knots, knots, found.at)
+    knots = piece.knots
     between = max(2, math.ceil(GRID / (len(knots) - 1)))
     grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
+    # From rest to a low tip speed takes a small part of the first interval, within which the acceleration is constant.
+    nearer = 4.0 ** -np.arange(1.0, 8.0)
+    grid = np.unique(
+        np.concatenate([grid, grid[0] + nearer * (grid[1] - grid[0]), grid[-1] - nearer * (grid[-1] - grid[-2])])
+    )
     _, slope, bend = piece.curve(grid)
     top = _ceiling(robot, piece, grid, tip_speed)
     for _ in range(LOWERED):
@@ -248,7 +276,7 @@ def _spline(found: Curve, robot: Joints, limits: tuple[np.ndarray, np.ndarray], 
 
 
 def _ceiling(robot: Joints, piece: Piece, grid: np.ndarray, tip_speed: float) -> np.ndarray:
-    """Return the highest ds/dt at grid points (G,) for which no tip exceeds `tip_speed` [m/s] there or half way to the next."""
+    """Return the highest ds/dt (G,) at which no tip exceeds `tip_speed` [m/s] at a grid point and half way to its neighbours."""
     if tip_speed == math.inf:
         return np.full(len(grid), np.inf)
     middle = _tip_rates(robot, piece, 0.5 * (grid[1:] + grid[:-1]))
@@ -257,12 +285,12 @@ def _ceiling(robot: Joints, piece: Piece, grid: np.ndarray, tip_speed: float) ->
 
 
 def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the factors (G-1,), 1 or more, by which each grid interval of a piece exceeds its joint limits somewhere.
+    """Return for each grid interval of a piece the factor (G-1,), 1 or more, by which it is too fast for the joint limits.
 
-    A piece that is slowed down as a whole by the largest of them keeps its limits at every instant.
+    A piece that is slowed down as a whole by the largest factor keeps its limits at every instant.
 
     Between two grid points the squared path speed is linear in s and the curve is cubic, so joint accelerations are
-    quadratic in s. So their extrema, and their zeros, where joint speeds are extreme, are known in closed form.
+    quadratic in s. Their extrema, and their zeros (at which joint speeds are extreme), therefore have a closed form.
     """
     k = np.searchsorted(piece.knots, 0.5 * (piece.s[1:] + piece.s[:-1]), side="right") - 1
     step, squares = np.diff(piece.s), piece.speed**2
@@ -298,7 +326,8 @@ def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.nda
     length = float(np.abs(way).max())
     if length <= LEAST:
         still = np.zeros(2)
-        return Piece(np.array([0.0, 1.0]), np.zeros((4, 1, len(a))), still, still, still, at)
+        cubics = np.stack([0.0 * a, 0.0 * a, 0.0 * a, a])[:, None]
+        return Piece(np.array([0.0, 1.0]), cubics, still, still, still, at)
     slope = way / length
     moving = np.abs(slope) > 0.0
     top, gain = (float((limit[moving] / np.abs(slope[moving])).min()) for limit in limits)

@@ -108,7 +108,6 @@ def shipped_robots() -> dict[str, RobotEntry]:
             base=row["base"],
             tips=tuple(row["tips"]),
             home=tuple(row["home"]),
-            package_dirs=(folder,),
             description=row["description"],
             paper=row["paper"],
             table=row["table"],

@@ -1,6 +1,6 @@
-"""One interface for what a tracker can drive: a published tracking method, or a solver's rule iterated once per sample.
+"""One interface for the two things that can drive a tracker: a published tracking method, or a solver's rule.
 
-`Tracker` and `track` use either class without knowing which.
+`Tracker` and `track` use the classes `Published` and `RuleSteps` without knowing which one it is.
 """
 
 import math
@@ -22,7 +22,7 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
-RELATIVE = 10.0  # weight of the errors of a tip relative to another tip: the grasp matters more than where it is held
+RELATIVE = 10.0  # weight of errors relative to another tip: how two hands hold a thing matters more than where they do
 LEVER = 0.2  # [m] lever arm by which an angle is compared with a length: about the length of a hand
 ALIKE = 0.6  # similarity (difflib) above which an unknown option is taken for a misspelt one of another method
 WORDS = (*COUNTING, "relative_to")  # options that select which errors count
@@ -78,7 +78,7 @@ class Published:
         return self.method.pack(h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the compiled loop must know about the errors, for one kind of target (POSE, POSITION) per tip.
+        """Return what the compiled loop must know about the errors; kinds: kind of target (POSE or POSITION) of each tip.
 
         Returns:
             The packed task parameters `orders` (see servo/loop.py), and an array (3, m) with a column for each error:
@@ -144,7 +144,7 @@ class RuleSteps:
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Return the packed task parameters (see servo/loop.py) and an array (3, m), as `Published.orders` does.
 
-        Of the array only the first row is used, the error weights for null-space motion; the rule itself handles slack.
+        Only the first row of the array is used: the weights of the errors for null-space motion. The rule itself handles slack.
         """
         scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))
@@ -155,14 +155,14 @@ class RuleSteps:
 def bind(
     robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any], known: Iterable[str]
 ) -> Published | RuleSteps:
-    """Return the adapter for a method name, a Method, a solver name or a rule.
+    """Return the adapter that drives a robot by a method.
 
     Args:
         robot: The robot.
         method: Name of a method or solver, a Method, or a rule.
         limits: Whether joint limits apply.
         options: Options of the method, and those that say which errors count.
-        known: Names of the caller's own options, which an error message may suggest.
+        known: Names of options of the caller itself, which an error message may suggest.
 
     Raises:
         InvalidOption: There is no such method, or it does not take one of the options.

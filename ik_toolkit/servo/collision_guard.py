@@ -15,14 +15,14 @@ from ..robot.geometry.distance import Clearance
 from .viability import bending
 
 ROWS = 12  # largest number of inequalities per step: enough for a polyhedron's corner, few enough for a fast QP
-KEEP = 0.005  # [m] distance to obstacles that the inequalities keep, more than the lag of a controller in a slow motion
+KEEP = 0.005  # [m] distance from obstacles that the inequalities keep; a controller in slow motion lags by less
 INFLUENCE = 0.1  # [m] distance between two bodies below which their inequality applies
 # [m/s] approach speed allowed at the distance INFLUENCE; it falls linearly to 0 at KEEP, with a time constant of 0.1 s
 SPEED = 1.0
-FLAT = 1e-9  # [m per rad or m] an inequality with only smaller entries is dropped: no joint changes the distance
-SHARE = 0.1  # an inequality relies on the braking of joints whose entry is above this share of its largest one
+FLAT = 1e-9  # [m per rad or m] An inequality with only smaller entries is dropped: no joint changes the distance.
+SHARE = 0.1  # An inequality relies on the braking of joints whose entry in it exceeds this share of the largest entry.
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
-NEAREST = 1e-4  # [m] a motion that comes nearer than this is rejected without checking whether it touches
+NEAREST = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
 # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
 LOOKS = 12
 # shares of a step that are tried if the arm is at rest and the whole step is not allowed
@@ -32,9 +32,9 @@ PARTS = (1 / 4, 1 / 16, 1 / 64)
 class Path(NamedTuple):
     """A step and the full brake after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
 
-    The first piece lasts h [s]. even: share [1/s] of its initial rate that the brake takes off all joints alike, see
-    `Guard._follow`; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of
-    the others; aside (n,): the distance that takes, else 0.
+    The first piece lasts h [s]. even [1/s]: share of its initial rate that a joint loses per second of the brake, see
+    `Guard._follow`; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of the
+    others; aside (n,): the distance that such a joint needs for braking, 0 for other joints.
     """
 
     q: np.ndarray
@@ -137,18 +137,16 @@ class Guard:
         # (P,) bounds [m] on how much closer each pair can come in a step and brake like the last one
         self._stop = np.zeros(len(self._low))
         self._path: Path | None = None
-        self._left = 1.0  # present rates of the proven brake over the rates that it began with
+        self._left = 1.0  # ratio of the present rates in the proven brake to the rates with which it began
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
     # ------------------------------------------------------------------------------------------------ rows
     def rows(self, q: np.ndarray, rate: np.ndarray, h: float) -> int:
-        """Write inequalities A x <= b on the next joint rates x [rad/s or m/s] to `self.A` (r, n) and `self.b` (r,).
+        """Write r inequalities A x <= b on the next joint rates x [rad/s or m/s] to self.A (r, n) and self.b (r,); return r.
 
-        Return r.
-
-        Each limits how fast a pair comes closer, so that the arm can still brake. q, rate (n,): present joint values
-        and rates; h [s]: length of the step.
+        Each inequality limits how fast a pair of bodies comes closer, so that the arm can still brake. q, rate (n,): present joint
+        values and rates; h [s]: length of the step.
         """
         self.pairs = []
         if self._version != self.model.version:  # something was added, moved or removed
@@ -236,11 +234,9 @@ class Guard:
         self._known = False
 
     def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
-        """Try to prove the motion through the states Q, R (1 or 2, n) and the brake after it.
+        """Try to prove the motion through the states Q, R (1 or 2, n) and the brake after it; return whether it is free.
 
-        Return whether it is free.
-
-        A motion that is free, or any motion if `anyway`, counts as taken.
+        A motion that is free, or any motion if `anyway`, counts as taken. h [s]: length of the step.
         """
         path = self._follow(Q, R, h)
         if path is None:
@@ -273,10 +269,10 @@ class Guard:
     def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
         """Return the path through the states Q, R (1 or 2, n) and a full brake after them; None if there is no brake.
 
-        The brake must hold for later steps of any lengths up to `late`: after a long step, the acceleration limit
-        allows a short one hardly any other rate. All joints therefore lose the same share of their rates per second.
-        The arm then stays on one line in joint space whatever the steps, and stops no later than with the worst ones. A
-        joint whose position limit is nearer brakes on its own.
+        The brake must hold for later steps of any lengths up to `late`, while a short step can hardly change the rates within the
+        acceleration limits. All joints therefore lose the same share of their initial rates per second. The arm then stays on one
+        line in joint space whatever the lengths of the steps, and stops no later on it than with the worst lengths. A joint whose
+        position limit is nearer than that brakes on its own.
         """
         q, rate = Q[-1], R[-1]
         lower, upper = self.limits[:2]
@@ -302,9 +298,9 @@ class Guard:
         return Path(all_q, rates, length, h, float(even), alone, aside)
 
     def _gone(self, Q: np.ndarray, rate: np.ndarray, h: float) -> np.ndarray:
-        """Return the distances (n,) that joints cover in a step between Q (2, n), in which they may reverse.
+        """Return the distances (n,) that joints cover in a step from Q[0] to Q[1], in which they may reverse.
 
-        rate: at its start.
+        rate (n,): joint rates at the start of the step; h [s]: length of the step.
         """
         move = Q[1] - Q[0]
         start = move if self.gamma == 1.0 else h * rate

@@ -1,4 +1,4 @@
-"""The joint rates that a method commands, before limits: those of a published law or of a solver's rule."""
+"""The joint rates that a method commands before limits are applied, for published laws and for solvers' rules."""
 
 # Pyright does not know that numba calls the overloads below and takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -41,7 +41,7 @@ from .singular_step import CLOSE, along_lost, begin_anew, down_slopes, hold_back
 # The characteristic polynomial z^2 - (1 - 3/2 s) z - s/2 is stable for s < 1, and best at s = 2/3 (largest root 0.58).
 # Method cv (velocity level) has the same polynomial in s = kappa h (Patko and Zelei, 2019).
 SHARE = 2.0 / 3.0
-# [1/s] least rate at which the null-space velocity converges to the desired one; if slower, joints run into limits
+# [1/s] rate at which the null-space velocity converges to the desired velocity; with a lower rate joints run into limits
 TAKEN_UP = 20.0
 # [rad/s or arm reaches/s] desired null-space speed at which the rate TAKEN_UP is halved, so that the motion fades
 LITTLE = 0.004
@@ -78,8 +78,8 @@ def inverse_of(s):
 def find_wishes(law, s, limits, wish, base):
     """Write to s.g (n,) the desired null-space velocity; return False, with s.g undefined, if there is none.
 
-    It is the sum of the motions away from limits, towards a posture and down the caller's cost, projected into the null
-    space of the task and scaled to half of the margin that the rates base (n,) leave to the rate bounds.
+    It is the sum of the motions away from limits, towards a posture and down the caller's cost. This sum is projected into the
+    null space of the task, and scaled down to at most half of the margin between the rates base (n,) and the rate bounds.
     """
     n, m = s.J.shape
     some = False
@@ -108,9 +108,9 @@ def lean_not(law, rule, s, limits, wish, rate, h):
 
 @inline
 def lean_over(law, rule, s, limits, wish, rate, h):
-    """Shift s.at (n,) by the secondary motion of one step, so that the rule's iteration cancels its effect on the tip.
+    """Shift s.at (n,) by the secondary motion of one step, so that the rule's iteration cancels that motion's effect on the tip.
 
-    Returns whether there was such a motion; it is also left in s.g (n,) as a rate.
+    Returns whether there was a secondary motion; s.g (n,) receives its rate, or zeros.
     """
     if law.mode != CLIP:
         factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
@@ -125,11 +125,11 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 @inline
 def add_wishes(law, s, given, ratio, h, memory):
-    """Add the secondary motion to the rates s.x, and for methods cv and ca to the previous command they extrapolate.
+    """Add the secondary motion to the rates s.x, and for methods cv and ca to the previous command, which they extrapolate.
 
-    If it were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level
-    (methods ca, aa, aad) the present null-space velocity converges to the desired one, at a rate that fades to 0 with
-    the desired speed. ratio: this h over the last one.
+    If the secondary motion were not extrapolated like the rest of the command, the tip would leave its path. At acceleration level
+    (methods ca, aa, aad) the present null-space velocity converges to the desired velocity, at a rate that fades to 0 with the
+    desired speed. ratio: this step's h over that of the last step.
     """
     if find_wishes(law, s, given.limits, given.wish, s.x):
         kept, share = 0.0, 1.0
@@ -229,7 +229,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
         down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
-        # method cv extrapolates from its previous command, which gets the same rates along removed directions
+        # Method cv extrapolates from the command in own.memory, so that command, too, gets the rates along lost directions.
         if law.code == CV:
             along_lost(s.V, s.lost, s.xk, own.memory, 1.0)
     add_wishes(law, s, given, ratio, h, own.memory)
@@ -238,15 +238,15 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
 
 @inline
 def by_rule(law, rule, task, look, weights, s, given, own, now):
-    """Write to s.x (n,) the joint rates of a solver's rule: its step towards the target's next pose, over the time h.
+    """Write to s.x (n,) the joint rates of a solver's rule: its step towards the target's next pose, divided by the time h.
 
-    Returns 0, the number of directions removed from the task.
+    Returns 0, because no directions are removed from the task.
     """
     d = task.desk
     leaned = False
     for i in range(s.g.shape[0]):
         leaned = leaned or s.g[i] != 0.0
-    if leaned or not task.plain():  # otherwise the Jacobian of `take_stock` is still valid
+    if leaned or not task.plain():  # Otherwise the Jacobian that `take_stock` computed is still valid.
         task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)
@@ -281,7 +281,7 @@ def _wanted(law, rule, task, look, weights, s, given, own, now):
 
 
 def lean(law, rule, s, limits, wish, rate, h):
-    """Shift joint values for the command, by `lean_not` or `lean_over`; numba compiles the overload below."""
+    """Shift joint values for the command, by `lean_not` or `lean_over`; numba compiles the overload below instead."""
     how = lean_not if isinstance(rule, Published) else lean_over
     return how(law, rule, s, limits, wish, rate, h)
 

@@ -19,11 +19,11 @@ from ..kernel.records import Array, copy
 from .equality_qp import dot, problem_on, problem_space, resized, square
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
-LEAVE, DIRECT = range(2)
-WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-LOOSE = 1e-9  # inequalities are loosened by this more than needed, so that rounding leaves a solution
+LEAVE, DIRECT = range(2)  # modes, explained above
+WANTED, MET, SHORT, RELAXED, INEXACT = range(5)  # statuses, see `constrain`
+LOOSE = 1e-9  # Inequalities are loosened by this more than needed, so that a solution exists despite rounding.
 CAUTIOUS = 1.5  # safety factor on the bound of the neglected curvature, see `damping`
-# weight of error across the direction asked for, over that of falling behind along it, if nothing is blocked
+# An error across the direction asked for has this weight, if nothing is blocked; falling behind along that direction has weight 1.
 STRAIGHT = 100.0
 
 
@@ -39,7 +39,7 @@ class TaskRate(NamedTuple):
     size: Array  # (n,) speed limit (or a typical speed) of each joint, the unit for its rate
     mode: int  # LEAVE or DIRECT
     h: float  # [s] length of the step, which sets the damping of a task that is not met; 0: no such damping
-    mu: float  # damping of the task from the first attempt on; 0: only if the task is not met
+    mu: float  # damping of the task from the first attempt on; 0: the task is damped only if it is not met
 
 
 @compiled
@@ -70,7 +70,7 @@ def room_space(n, m, rows):
 
 @spliced
 def room_on(block, n, m, rows):
-    """Lay out a `TwoLevels` problem for n joints, m task rows and so many inequalities in a block of zeros."""
+    """Lay out a `TwoLevels` problem for n joints, m task rows and `rows` inequalities in a block of zeros."""
     return problem_on(block, n + m + 1, rows + m + 1)
 
 
@@ -102,10 +102,10 @@ def fitting(asked, allowed):
 
 @inline
 def lay_out(asked, allowed, loose, fastest, room):
-    """Write the quadratic program to `room`; unknowns are joint rates over joint speeds, or over `fastest` if > 0.
+    """Write the quadratic program to `room`; return the number of task rows, without rows that no joint can change.
 
-    loose: amount by which inequalities are loosened. Returns the number of task rows; rows that no joint can move are
-    left out.
+    The unknowns are the joint rates divided by the joints' speeds, or by `fastest` if that is above 0. loose: amount by which
+    inequalities are loosened.
     """
     u, r, J, count, n = room.u, room.r, asked.J, allowed.rows, asked.J.shape[0]
     for i in range(n):
@@ -123,7 +123,7 @@ def lay_out(asked, allowed, loose, fastest, room):
         for i in range(n):
             r.P[k, i] = asked.weight[c] * J[i, c] * (fastest if fastest > 0.0 else asked.size[i])
         r.rhs[k] = asked.weight[c] * asked.ask[c]
-        if square(r.P, k, n) > 0.0:  # a row that no joint moves cannot be met
+        if square(r.P, k, n) > 0.0:  # A row that no joint can change cannot be met, so it is overwritten.
             k += 1
     return k - count
 
@@ -132,7 +132,7 @@ def lay_out(asked, allowed, loose, fastest, room):
 def share_allowed(asked, allowed):
     """Return the share (0 to 1) of the desired rates that bounds and constraints allow.
 
-    Rates above the joints' speeds are first scaled down to them, all by the same factor.
+    If rates exceed the joints' speeds, all rates are first scaled down by one factor until none does.
     """
     want, pace, share = asked.want, 1.0, 1.0
     for i in range(want.shape[0]):
@@ -153,9 +153,9 @@ def share_allowed(asked, allowed):
 def keep_straight(p, share):
     """Weight the task error across the direction asked for, so that the tip falls behind rather than leaves its path.
 
-    The weight is 1 + (STRAIGHT - 1) share: STRAIGHT if nothing is blocked, 1 if no motion along the direction is
-    possible. Without it the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py).
-    Acceleration limits weaken it, as they block most of what is asked while joints start and brake.
+    The weight is 1 + (STRAIGHT - 1) share: STRAIGHT if nothing is blocked, 1 if no motion along the direction is possible.
+    Without this weight the tip leaves a line that is too fast for the joints (tests/servo/test_motion_limits.py). With
+    acceleration limits the weight is lower, as they block most of the motion asked for while joints start and brake.
     """
     r, asked = p.r, 0.0
     for k in range(p.planes, p.planes + p.task):
@@ -248,8 +248,8 @@ def answer(p, asked, allowed, fastest, taken):
 def damping(p, asked):
     """Return the damping mu that an unmet task calls for, and the speed of the fastest joint.
 
-    The curvature of the tip's path that the linear model neglects is at most that of a circle of one kernel unit (the
-    arm's reach), and the same for all joints, however slow. CAUTIOUS adds the margin of 3/2 because full steps zigzag
+    The linear model neglects the curvature of the tip's path. This is at most the curvature of a circle whose radius is one kernel
+    unit (the arm's reach), for slow joints as for fast ones. CAUTIOUS adds a margin of 3/2 because full steps zigzag
     (`Weak.caution`).
     """
     miss, heavy, fastest = 0.0, 0.0, 0.0
@@ -266,13 +266,11 @@ def damping(p, asked):
 def constrain(asked, allowed, room, taken):
     """Find the joint rates that do the task as well as possible and, among those, are nearest to the desired ones.
 
-    Return a status.
-
-    WANTED: the desired rates are admissible and do the task; they are taken bit for bit. MET: the task is done. SHORT:
-    not all of the task can be done; the remaining error then damps the motion (`damp`), since joints would otherwise go
-    to and fro at full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration). RELAXED:
-    the inequalities contradict each other or the bounds and were loosened (tests/servo/test_obstacles.py). INEXACT: the
-    solver found no optimum in the iterations allowed; the rates only keep the bounds.
+    Returns a status. WANTED: the desired rates are admissible and do the task; they are taken bit for bit. MET: the task is done.
+    SHORT: not all of the task can be done; the remaining error then damps the motion (`damp`), since joints would otherwise go to
+    and fro at full speed for the last bit of the task (tests/servo/test_chatter.py: ur5, a fast vibration). RELAXED: the
+    inequalities contradict each other or the bounds, and were loosened (tests/servo/test_obstacles.py). INEXACT: the solver found
+    no optimum in the iterations allowed; the rates only keep the bounds.
     """
     if fitting(asked, allowed):
         as_wanted(asked, taken)

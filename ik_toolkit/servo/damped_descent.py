@@ -6,10 +6,11 @@ joint rates y of
 
     min |W (J y - K e)|^2 + mu |y|^2    inside all bounds and inequality constraints,    mu = share * max W * |W e|
 
-(Levenberg-Marquardt; e: error, W: weights, K: gain). max W * |W e| is the most that the curvature of one joint can add
-to J'W^2 J: that of a circle of one kernel unit (the arm's reach). With more damping the motion is closer to steepest
-descent along the limits, so the joints only stop where no descent is left. The share is adapted: it is raised when
-joints turn back (they went too far) or the error does not fall, and lowered while the error falls.
+(Levenberg-Marquardt; e: error, W: weights, K: gain). The neglected curvature of the tip's path under one joint adds at most
+max W * |W e| to J'W^2 J, because the path is curved at most like a circle with a radius of one kernel unit (the arm's reach).
+With more damping the motion is closer to steepest descent along the limits, so the joints only stop where no descent is left.
+The share is adapted: it is raised when joints turn back (they went too far) or the error does not fall, and lowered while the
+error falls.
 """
 
 import math
@@ -24,18 +25,21 @@ from .viability import POSITION, ROW, approach, box_of, narrow
 STANDS = 1e-6  # [arm reaches/s or rad/s] speed below which a target counts as standing still
 SMALL = 1e-4  # [arm reaches, rad] weighted error below which the tracking method continues without a descent
 STALLED = 0.1  # [s] without progress after which an arm counts as stuck
-# Progress: the weighted error falls by PROGRESS within STALLED, or at PACE times its rate at full joint speed.
+# An arm makes progress if within STALLED [s] the weighted error falls by PROGRESS, or by what it would fall at PACE times the rate
+# that full joint speed allows, whichever is less.
 PROGRESS, PACE = 1e-3, 0.1
-# share of the commanded feedback that idle joints execute at most; moving joints usually execute 0.3 or more
+# Joints are idle if they execute no more than this share of the commanded feedback; moving joints usually execute 0.3 or more.
 IDLE = 0.01
-BACK = 0.1  # share of the joints' motion that must reverse in a step to count as turning back
-TURNS, FORGOTTEN = 2.0, 0.1  # reversals of joints that make an arm count as stuck, and [s] after which one is forgotten
-# First, least and largest share, the factor in the damping mu; below the least, joints turn back repeatedly.
+BACK = 0.1  # Joints turn back if at least this share of their motion is reversed in a step.
+TURNS, FORGOTTEN = 2.0, 0.1  # An arm is stuck after so many joint reversals; one is forgotten after FORGOTTEN [s].
+# First, least and largest value of the share, the factor in the damping mu. Below the least value joints turn back repeatedly.
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-# factors of the share (in mu) when joints turn back, when the error does not fall, and when it falls
+# The share is multiplied by these when joints turn back, when the error does not fall, and when the error falls.
 TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
-FLOOR = 0.25  # after joints turned back, least share over the raised one: twice the share found too small
-FADING = 0.3  # [s] time constant with which the raised least share fades
+# When joints turn back, the share is raised, and must not fall below this fraction of its raised value for a while. That is
+# FLOOR * TURNED = 2 times the share with which the joints turned back.
+FLOOR = 0.25
+FADING = 0.3  # [s] time constant with which this lower bound on the share fades
 BRISK = 0.5  # share of the acceleration limit used to brake before the end of a joint's motion
 
 
@@ -49,11 +53,9 @@ def feedback(law, h):
 def stuck(law, s, limits, square, h, state):
     """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped descent.
 
-    Updates `state`.
-
-    square: squared weighted error now. The target stands if neither its twist s.f (m,) nor the difference between the
-    errors now (s.e) and at the next sample (s.ahead) is noticeable: a caller may give a zero twist for a target that
-    moves. Always False in mode CLIP, which keeps the published form.
+    square: squared weighted error now; `state` is updated. The target stands if neither its twist s.f (m,) nor the difference
+    between the errors now (s.e) and at the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may
+    give a zero twist for a target that moves. The result is always False in mode CLIP, which keeps the published form.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
@@ -71,7 +73,7 @@ def stuck(law, s, limits, square, h, state):
 
 @inner
 def fastest(s, limits, error):
-    """Return the rate [1/s] at which the weighted error would fall if all joints not at limits moved at full speed."""
+    """Return how fast [per s] the weighted error would fall if all joints that are not at limits moved at full speed."""
     total = 0.0
     for i in range(s.J.shape[0]):
         slope = 0.0
@@ -84,10 +86,10 @@ def fastest(s, limits, error):
 
 @inner
 def notice(law, before, x, size, swings, code, square, h, state):
-    """Update `state` after a step from the rates `before` to x (n,): hindrance, reversals of joints, fall of the error.
+    """Update `state` after a step from the rates `before` to x (n,): count the time in which joints are hindered, and reversals.
 
-    size (n,): a speed for each joint; swings: see `viability.watch`; code (n,): limit bits; square: squared weighted
-    error.
+    In a descent its share is adapted. size (n,): a speed for each joint; swings: see `viability.watch`; code (n,): bits of the
+    limits that held joints back; square: squared weighted error.
     """
     on, back, speed, swing, held = 0.0, 0.0, 0.0, False, False
     hindered, error = state[STATE.near] > 0.0, math.sqrt(square)
@@ -112,7 +114,7 @@ def notice(law, before, x, size, swings, code, square, h, state):
 def adapt(turned, error, h, state):
     """Adapt the share, the factor in the damping mu of a descent, after a step.
 
-    It is raised if joints turned back or the weighted error has stalled, and lowered while that error falls.
+    It is raised if joints turned back or the weighted error has not fallen for STALLED [s], and lowered while that error falls.
     """
     share = state[STATE.share]
     state[STATE.stalled] += h
@@ -132,10 +134,7 @@ def adapt(turned, error, h, state):
 
 @inner
 def descend(law, s, limits, h, state):
-    """Write the task of a damped descent step (s.ask, s.weight, desired rates 0) for `constrain`.
-
-    Return its damping mu.
-    """
+    """Write the task of a damped descent step for `constrain`: s.ask, s.weight and desired rates of 0; return the damping mu."""
     n, m = s.J.shape
     heavy, size, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), 0.0, feedback(law, h), False
     for k in range(m):
@@ -154,9 +153,9 @@ def descend(law, s, limits, h, state):
 
 @inner
 def brake(s, limits, mu, h):
-    """Narrow the rate bounds so that each joint can stop at the end of its motion, that of an unbounded damped step.
+    """Narrow the rate bounds so that each joint can stop at the end of the move that a damped step without bounds would make.
 
-    Joints at limits that would have to go beyond them are left out of that step.
+    Joints at limits that would have to go beyond them are left out of this damped step.
     """
     n, m = s.J.shape
     for i in range(n):

@@ -17,9 +17,10 @@ from .result import ORIENTATION_TOLERANCE, POSITION_TOLERANCE
 
 DURATION = 10.0  # [s] default time for a path
 SWING = 0.15  # [rad or arm reaches] largest move of a joint in `joint_motion`
-ROOM = 0.5  # largest share of the distance to its farther limit that a joint moves in `joint_motion`
+ROOM = 0.5  # In `joint_motion` a joint moves at most this share of the distance to its farther limit.
 SPEED = 0.5  # share of a joint's speed limit that `joint_motion` uses at most
-STRAIGHT = 0.4  # share of the tolerances by which a step at constant twist (first step of method cv) may leave the path
+# A step at constant twist, such as the first step of method cv, may leave the path by this share of the tolerances.
+STRAIGHT = 0.4
 SEEN = 1000  # number of samples at which a path is compared with steps at constant twist
 
 
@@ -31,7 +32,7 @@ def eight(
     Args:
         center: Crossing point of the figure, as a pose or position, base frame [m].
         radius: Distance [m] from the centre to either end of the figure.
-        normal: Normal (3,) of its plane, base axes.
+        normal: Normal (3,) of the figure's plane, base axes.
         turns: How often the figure is run through.
         duration: Time for all turns [s].
         law: "constant" or "minimum-jerk".
@@ -67,7 +68,7 @@ def draw(
         kind: "circle", "line" or "eight".
         at: Where the tip is, as a pose or position, base frame [m].
         size: Length of a line, radius of a circle or figure of eight [m].
-        axis: Direction of a line (default base x), normal of the others (default base z), base axes.
+        axis: Direction of a line (default base x), or normal of a circle or eight (default base z), base axes.
         duration: Time for the path [s].
         law: "constant" or "minimum-jerk"; default: minimum-jerk for a line, else constant.
         turns: Turns of a circle or eight (0: one), round trips of a line (0: one way).
@@ -104,8 +105,8 @@ def joint_motion(
         robot: The robot.
         q0: Joint values (n,) at start and end; default home.
         position_only: Leave the orientation free.
-        duration: Time for the motion [s]. Default: such that joint speeds stay below half of their limits and a step of
-            dt at constant twist stays within a share of the tolerance.
+        duration: Time for the motion [s]. By default it is at least DURATION, and so long that joint speeds stay below half of
+            their limits and a step of dt at constant twist leaves the path by no more than a share of the tolerances.
         dt: Sample time [s] of the run.
         position_tolerance: Tolerance [m] of the run.
 
@@ -161,15 +162,12 @@ def paths(
             frame.
         rest: Other arguments of `draw`.
     """
-    T: Any = robot.fk(q)
-    if not robot.by_tip:
-        return _drawn(T.homogeneous, kind, size, axis, free, rest)
-    made = {}
+    T, made = robot.each_tip(robot.fk(q)), {}
     for tip in robot.tips:
         held = tip in relative and relative[tip] in T
         at = T[relative[tip]].actInv(T[tip]) if held else T[tip]
         made[tip] = _drawn(at.homogeneous, "line" if held else kind, 0.0 if held else size, axis, free, rest)
-    return made
+    return robot.for_tips(made)
 
 
 def _drawn(at: np.ndarray, kind: str, size: float, axis: Any, free: bool, rest: Mapping[str, Any]) -> Reference:

@@ -1,7 +1,7 @@
 """Two least-squares objectives in order of priority, with the active constraints as equalities.
 
-This is one iteration of hierarchical_qp.py. It is solved from scratch each time, by Gram-Schmidt with pivoting and
-reorthogonalisation at a cost of N r^2 for N unknowns and r rows, so that errors do not accumulate.
+This is the problem of one iteration of hierarchical_qp.py. It is solved anew in each iteration, so that errors do not accumulate,
+by Gram-Schmidt with pivoting and reorthogonalisation. That costs N r^2 operations for N unknowns and r rows.
 """
 
 import math
@@ -13,13 +13,13 @@ from ..compile.array_view import LINE, cut
 from ..compile.jit import compiled, inline, spliced
 from ..kernel.records import Array
 
-NONE = -1
-SAME = 1e-10  # a row is linearly dependent if projection on the others leaves less than this share of its length
-# Gram-Schmidt needs no second pass for a row of which this share of the squared length remains (Daniel et al., 1976)
+NONE = -1  # says that no row is meant
+SAME = 1e-10  # A row is linearly dependent if the part perpendicular to the others is below this share of its length.
+# Gram-Schmidt needs no second pass for a row of which this share of the squared length remains (Daniel et al., 1976).
 CLEAR = 0.5
-# a remainder below this share of a row's squared length is computed anew, as subtraction has lost its digits
+# A squared length below this share of the original one is computed anew, because subtraction has lost its digits.
 DOUBTFUL = 1e-6
-ROUNDING = 1e-13  # a sum below this share of the sum of its terms' magnitudes is rounding
+ROUNDING = 1e-13  # A sum below this share of the sum of its terms' magnitudes is rounding.
 
 
 @compiled
@@ -156,10 +156,10 @@ def take_in(b, row, q, size, n):
 
 @inline
 def row_basis(p, last):
-    """Build the orthonormal basis of the rows in the free unknowns: active inequalities (`last` last), then the task.
+    """Build an orthonormal basis of the active rows in the free unknowns: first of the inequalities, then of the task rows.
 
-    Returns the number of basis vectors from inequalities, their total number, and an active inequality that depends
-    linearly on the others, or NONE.
+    last: inequality that is taken after all others, or NONE. Returns the number of basis vectors from inequalities, the number of
+    all basis vectors, and an active inequality that depends linearly on the others, or NONE.
     """
     u, r, b = p.u, p.r, p.b
     n, K = p.size, p.planes + p.task
@@ -214,10 +214,10 @@ def row_basis(p, last):
 
 @inline
 def back(p, first, end, out, sign, lower):
-    """Solve L' out = -sign off for the multipliers out (K,) of the rows behind basis vectors first to end.
+    """Solve L' out = -sign off for the multipliers out (K,) of the rows from which basis vectors first to end - 1 were made.
 
-    sign: 1 for the second objective, 0 for the first, which has no right side of its own. lower: whether `out` already
-    holds the multipliers of the task rows, whose part is then subtracted.
+    sign: 1 for the second objective, 0 for the first, which has no right side of its own. lower: whether `out` already holds the
+    multipliers of the task rows; their contribution is then subtracted.
     """
     b = p.b
     for j in range(end - 1, first - 1, -1):
@@ -235,8 +235,8 @@ def back(p, first, end, out, sign, lower):
 def equality(p, last):
     """Solve both objectives for y with all active constraints as equalities; write y and the new multipliers.
 
-    Returns NONE, or an active inequality that depends linearly on the others (`last` if that is one); then nothing is
-    solved.
+    Returns NONE, or, without solving anything, an active inequality that depends linearly on the others (`last` if it does). The
+    inequality `last` is added to the basis after all other inequalities.
     """
     u, r, b = p.u, p.r, p.b
     n, K = p.size, p.planes + p.task
@@ -280,7 +280,7 @@ def equality(p, last):
 
 @inline
 def price_bounds(p, noise):
-    """Compute the multipliers of the active bounds; in those of the first objective, values up to `noise` become 0."""
+    """Compute the multipliers of the active bounds; multipliers of the first objective up to `noise` in size become 0."""
     u, r = p.u, p.r
     for i in range(p.size):
         u.new.first[i], u.new.second[i] = 0.0, u.want[i] - u.y[i]
@@ -304,8 +304,8 @@ def price_bounds(p, noise):
 def least_squares(p, planes, rank):
     """Solve linearly dependent task rows for y by least squares; write y in basis coordinates to b.along.
 
-    planes: number of basis vectors from active inequalities, which come first; rank: number from task rows. The scratch
-    U (see `Basis`) receives the QR factors.
+    planes: number of basis vectors from active inequalities, which come first; rank: number of basis vectors from task rows. The
+    scratch U (see `Basis`) receives the QR factors.
     """
     b = p.b
     U, K, m = b.U, p.planes + p.task, p.task
@@ -347,7 +347,7 @@ def least_squares(p, planes, rank):
 
 @inline
 def closeness_of_task(p, planes, rank):
-    """Write the multipliers of the second objective for linearly dependent task rows: the solution of least norm."""
+    """Write multipliers of the second objective for linearly dependent task rows; of all solutions, that of least norm."""
     b, K = p.b, p.planes + p.task
     for j in range(rank):  # Forward substitution: transpose(U's coefficients) times along equals -off.
         s = -b.off[planes + j]
@@ -363,7 +363,10 @@ def closeness_of_task(p, planes, rank):
 
 @inline
 def residual(p):
-    """Write the residuals P y - rhs of the task rows (all 0 if they are rounding); return their rounding error."""
+    """Write the residuals P y - rhs of the task rows (all 0 if they are rounding); return a bound on rounding in multipliers.
+
+    The bound is the sum, over the task rows, of the residual's rounding error times the row's length.
+    """
     u, r = p.u, p.r
     size, terms, noise = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):

@@ -5,8 +5,8 @@
     always   floor <= y <= roof, A y <= b
 
 It is the method of Goldfarb and Idnani (1983) for |y - want|^2 + |C y - d|^2 / eps in the limit eps -> 0. Each
-multiplier is a pair (first / eps + second) that is compared as one number with an infinitesimal part. Each iteration
-solves a problem with equalities only (equality_qp.py). Started from the active set of the last control step, one
+Lagrange multiplier is a pair (first / eps + second) that is compared as one number with an infinitesimal part. Each iteration
+solves a problem with equalities only (equality_qp.py). If the method starts from the active set of the last control step, one
 iteration is usually enough.
 
 A constraint is identified by a number: the bounds of unknown i by i, inequality k by p.size + k.
@@ -19,11 +19,11 @@ import numpy as np
 from ..compile.jit import inline, inner
 from .equality_qp import NONE, SAME, dot, equality, square
 
-DONE, STUCK, CONTRADICTION = range(3)
-# tolerance of bounds and inequalities; unknowns are joint rates over joint speeds, and callers clip them to bounds
+DONE, STUCK, CONTRADICTION = range(3)  # outcomes, see `solve_levels`
+# tolerance of bounds and inequalities; the unknowns are ratios of joint rates to joint speeds, and callers clip them to bounds
 OUT = 1e-12
-WRONG = 1e-11  # a second-objective multiplier has the wrong sign only beyond this
-SAME_TASK = 1e-9  # the task counts as met if its residual is at most this share of its right side (norms)
+WRONG = 1e-11  # A multiplier of the second objective counts as having the wrong sign only if it is larger than this.
+SAME_TASK = 1e-9  # The task counts as met if its residual's norm is at most this share of the right side's norm.
 PER = 10  # largest number of iterations per unknown and inequality
 
 
@@ -31,9 +31,7 @@ PER = 10  # largest number of iterations per unknown and inequality
 def wrong(one, two, side):
     """Return by how much a multiplier (one / eps + two) is on the wrong side of zero; 0 if its sign is right.
 
-    side: the right sign, 1 or -1.
-
-    A wrong first part gives a value above 1, so that it always counts more than a wrong second part.
+    side: the right sign, 1 or -1. A wrong first part gives a value above 1, so that it always counts more than a wrong second part.
     """
     if one * side != 0.0:
         return 1.0 - one * side if one * side < 0.0 else 0.0
@@ -65,7 +63,7 @@ def violated(p):
 
 @inline
 def wrong_most(p):
-    """Return the number of the active constraint whose multiplier has the most wrong sign, or NONE."""
+    """Return the number of the active constraint whose multiplier is furthest on the wrong side of zero (`wrong`), or NONE."""
     u, r = p.u, p.r
     worst, which = 0.0, NONE
     for i in range(p.size):
@@ -133,7 +131,7 @@ def enforce(p, which, side):
 
 @inner
 def solve_levels(p):
-    """Solve the problem p; the active set in it is the start, and afterwards the final one.
+    """Solve the problem p, starting from the active set in it; afterwards p holds the final active set.
 
     Returns DONE, STUCK (out of iterations) or CONTRADICTION (the inequalities and bounds have no common solution).
     """
@@ -141,9 +139,9 @@ def solve_levels(p):
     for attempt in range(2):  # The second attempt, if the first is stuck, starts from an empty active set.
         begin(p, attempt > 0)
         new = NONE
-        adding = False  # first, initial constraints whose multipliers have the wrong sign are dropped
+        adding = False  # Before any are added, initial constraints whose multipliers have the wrong sign are dropped.
         for _ in range(PER * (n + p.planes)):
-            last = new - n  # below 0: the constraint added last is a bound, no inequality
+            last = new - n  # It is below 0 if the constraint added last is a bound and no inequality.
             dependent = equality(p, last)
             if not adding:
                 drop = n + dependent if dependent != NONE else wrong_most(p)
@@ -180,7 +178,7 @@ def accept(p):
 def share(now, new, at, side):
     """Return the share t + dt eps by which multiplier number `at` can move from now to new before its sign is wrong.
 
-    The result is the pair (t, dt); t = 2 means all the way. side: the right sign.
+    The result is the pair (t, dt); t = 2 means that it can move all the way. side: the right sign of the multiplier.
     """
     one, two, next_one, next_two = now.first[at], now.second[at], new.first[at], new.second[at]
     if wrong(next_one, next_two, side) == 0.0:
@@ -202,9 +200,9 @@ def go(now, new, count, t, dt):
 
 @inline
 def move_on(p, newest):
-    """Move all multipliers towards those just found, until that of a constraint other than `newest` becomes zero.
+    """Move all multipliers towards the new ones, until the multiplier of a constraint other than `newest` becomes zero.
 
-    Returns the number of that constraint, or NONE if there is none.
+    Returns the number of this constraint, or NONE if no multiplier becomes zero on the way; then nothing is moved.
     """
     u, r, n = p.u, p.r, p.size
     t, dt, blocking = 2.0, 0.0, NONE
@@ -226,9 +224,9 @@ def move_on(p, newest):
 
 @inline
 def parts(p, dependent):
-    """Express an inequality that depends linearly on active constraints in terms of them; its own coefficient is -1.
+    """Write an inequality that depends linearly on the active constraints as a linear combination of these.
 
-    The coefficients are written to new.first of the bounds and inequalities.
+    The coefficients are written to new.first of the bounds and inequalities; that of the inequality itself is -1.
     """
     u, r, b = p.u, p.r, p.b
     planes = 0
@@ -260,12 +258,11 @@ def pay(now, parts, count, one, two):
 
 @inner
 def exchange(p, dependent, newest):
-    """Replace an active constraint by the new one that depends linearly on the active set.
+    """Return the active constraint to drop for a new one that depends linearly on the active set, or NONE.
 
-    Move the multipliers accordingly.
-
-    `dependent` is the inequality whose linear combination is known; the new constraint, a bound or that inequality, is
-    part of it. Returns the number of the constraint to drop, or NONE if the new constraint contradicts the others.
+    NONE means that the new constraint, number `newest`, contradicts the others. The multipliers are moved as the exchange demands.
+    `dependent` is the inequality whose linear combination `parts` computes. The new constraint is this inequality itself, or a
+    bound in the combination.
     """
     u, r, n = p.u, p.r, p.size
     parts(p, dependent)

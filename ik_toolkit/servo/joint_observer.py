@@ -1,9 +1,9 @@
 """Where the joints are, from the commands sent to them and from measurements that are late and noisy.
 
 The estimate is the command plus a slowly varying offset. A critically damped filter of second order drives the offset to the
-difference between the measured joints and the command of `delay` samples before. So neither a constant delay nor noise
-enters the feedback, and its gains are those of a loop without delay. What the filter cannot know is a delay that is longer
-than assumed: at a constant rate it then takes the lag for an offset, and the tip leads by as much.
+difference between the measured joints and the command sent `delay` samples before. So neither a constant delay nor noise enters
+the feedback, and the gains of the feedback are those of a loop without delay. The filter cannot know that a delay is longer than
+assumed: at a constant rate it then takes the additional lag for an offset, and the tip leads its target by as much.
 """
 
 import math
@@ -20,7 +20,7 @@ class Filter(NamedTuple):
     """Assumptions on measured joint values, which set how fast they correct the estimate."""
 
     delay: int = 2  # age of measured joints [samples]
-    longest: int = 10_000  # largest delay [samples], as many commands are kept
+    longest: int = 10_000  # largest delay [samples]; one command is kept for each of these samples
     noise: float = 1e-4  # standard deviation of the measurement noise [rad or arm reaches]
     acceleration: float = 0.1  # [rad/s^2] standard deviation of the joint accelerations that noise may cause
     # Bandwidth of the filter [rad/s] times the age [s] of the newest command that a measurement shows.
@@ -49,13 +49,14 @@ class JointObserver:
             raise InvalidOption(f"noise must be at least 0 [rad], not {noise!r}")
         self.offset, self._rate = np.zeros(n), np.zeros(n)
         self._sent: deque[np.ndarray] = deque(maxlen=self.delay + 1)
-        self._unheard = 0  # samples still to come whose measurements answer to commands from before a jump
-        self.used = False  # whether joints have been measured: from then on they are where the offset says
+        self._unheard = 0  # number of coming samples whose measurements may still answer to commands from before a jump
+        self.used = False  # whether joints have been measured; from then on the estimate is the command plus the offset
 
     def reset(self, *, jumped: bool = False) -> None:
-        """Forget the commands and the offset; jumped: measurements that answer to commands from before are left out.
+        """Forget the commands and the offset; jumped: ignore measurements that still answer to commands from before the jump.
 
-        They are taken for twice as late as assumed: compared with commands from after the jump, they would cause another.
+        Compared with commands from after the jump, they would cause another jump. For safety the true delay is assumed to be up to
+        twice `delay`.
         """
         self.offset[:], self._rate[:] = 0.0, 0.0
         self._sent.clear()
@@ -65,19 +66,19 @@ class JointObserver:
         """Return the bandwidth [rad/s] of the filter at sample time h [s].
 
         A difference e between measurement and estimate accelerates the estimate by bandwidth^2 e, so noise and delay
-        limit it.
+        limit the bandwidth.
         """
         steady = FILTER.steady / ((self.delay + 1) * h)
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
 
     def send(self, command: np.ndarray) -> None:
-        """Keep the present command (n,) [kernel units], once a sample; in samples without a measurement, too."""
+        """Keep the present command (n,) [kernel units]; to be called once in every sample, also in those without a measurement."""
         self._sent.append(command)
         if self._unheard:
             self._unheard -= 1
 
     def take(self, measured: np.ndarray, h: float) -> float:
-        """Take the joints measured now (n,) [kernel units], after the command has been noted; h [s]: sample time.
+        """Take the joints measured now (n,) [kernel units], after `send` has been called for this sample; h [s]: sample time.
 
         Returns the largest difference between the measured joints and the command they answer to.
         """

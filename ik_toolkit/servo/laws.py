@@ -1,14 +1,13 @@
 """The published tracking laws as pure functions of one step: pseudo-inverse, dJ/dt, command, limits on the feedback.
 
 `factor` prepares the pseudo-inverse of the Jacobian, `prepare` says at which joint velocities dJ/dt is needed, and
-`command` turns errors into the next joint rates. The compiled loop (loop.py) and the systems of servo/methods.py that
-are no robots call them.
+`command` turns errors into the next joint rates. The compiled loop (loop.py) calls them; so does methods.py, without a robot.
 
-All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'), where ' is the next
-sample. gamma is 1 at velocity level, 1/2 at the paper's acceleration level and free for `aad`.
+All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'), where a prime marks the next
+sample, h is the step and a the acceleration. gamma is 1 at velocity level, 1/2 at the paper's acceleration level, free for `aad`.
 
-Sign: e = target - actual (Patko and Zelei, 2019, use the opposite). J is (n, m): one joint a row, the transpose of the
-usual.
+Sign: e = target - actual (Patko and Zelei, 2019, use the opposite sign). The array J (n, m) holds the transpose of the usual
+Jacobian, with one joint a row.
 """
 
 from typing import NamedTuple
@@ -23,13 +22,15 @@ from .viability import approach
 CV, AV, CA, AA = range(4)
 CLIP = 2  # mode in which each joint is clipped on its own, beside LEAVE and DIRECT of constrained_step.py
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # readings 1, 2, 3 of dJ/dt in eq (25) of Patko and Zelei (method aa)
-MOVING, GIVEN, RUNNING, READY = range(4)  # start at the target's rate, at a given rate, after a command, without one
+# A step begins at the target's rate, at a given rate, after an earlier command, or without one (after motion led by other code).
+MOVING, GIVEN, RUNNING, READY = range(4)
 FINE, NOT_FINITE, RUNAWAY = range(3)
-SINGLE = 1e-24  # a row of J is motionless if its entry of JJ' is below this share of the largest
-FAR = 0.25  # damping of a blocked correction over curvature times error: its length is at most sqrt(error / curvature)
-SLUGGISH = 0.1  # a joint is slow if its speed limit is below this share of the fastest joint's
+SINGLE = 1e-24  # A row of J counts as zero if its diagonal entry in JJ' is below this share of the largest entry.
+# Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
+FAR = 0.25
+SLUGGISH = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
 AT = 1e-9  # [rad or arm reaches] distance within which a joint counts as at its limit
-REGION = 2.0  # the pseudo-inverse is damped where the smallest singular value is below REGION * damping
+REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value is below REGION * damping.
 
 
 class State(NamedTuple):
@@ -38,14 +39,14 @@ class State(NamedTuple):
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
-    near: int  # at a singular pose 1 + [s] the target still counts as out of reach; -1: was singular; 0: never
+    near: int  # at a singular pose 1 + time [s] the target still counts as out of reach; -1: was singular; 0: never was
     share: int  # factor in the damping mu of a descent (damped_descent.py); 0: no descent
     lowest: int  # value below which `share` is not lowered for now
     nearest: int  # least weighted error so far; an arm that is not stuck improves on it
-    stalled: int  # [s] without fall of the weighted error; before a descent only while joints are hindered
-    turned: int  # joint reversals counted before a descent, which fade with time
-    free: int  # [s] since limits, inequalities or a singular pose last hindered the joints
-    pressed: int  # [s] for which errors beyond their slack are closed like others
+    stalled: int  # time [s] in which the weighted error did not fall; before a descent only while joints are hindered
+    turned: int  # joint reversals before a descent; the count fades with time
+    free: int  # time [s] since limits, inequalities or a singular pose last hindered the joints
+    pressed: int  # time [s] for which errors beyond their slack are closed like errors without slack
 
 
 STATE = State._make(range(len(State._fields)))
@@ -53,7 +54,7 @@ STATE = State._make(range(len(State._fields)))
 
 @compiled
 class Law(NamedTuple):
-    """A tracking method and its gains (0 for those it does not have); Python passes it to the loop as an array."""
+    """A tracking method and its gains (0 if the method has no such gain); Python passes them to the loop as an array."""
 
     code: float  # CV, AV, CA or AA
     kappa: float  # [1/s] gain of method cv (classical, velocity level)
@@ -63,7 +64,7 @@ class Law(NamedTuple):
     null: float  # damping of null-space motion [1/s]
     damping: float  # [arm reaches per rad] damping of the pseudo-inverse near singular poses
     reading: float  # where dJ/dt is evaluated: AT_RATE, AT_RATE_AND_STEP or AT_STEP
-    runaway: float  # [rad or arm reaches] largest mean move of a joint in a step; inf: hold instead of ending
+    runaway: float  # [rad or arm reaches] mean joint move in a step that ends the run; inf: hold, never end
     brake: float  # 1: brake to rest, whatever the target
     late: float  # longest later step [s] for which limits must hold
     mode: float  # LEAVE, DIRECT or CLIP
@@ -84,7 +85,7 @@ class TargetMotion(NamedTuple):
     ahead: Array  # target at the end of the step minus tip now
     v: Array  # velocity of the target now
     a: Array  # acceleration of the target now
-    bias: Array  # product (dJ/dt along x1) x2 with the joint rates that `prepare` wrote
+    bias: Array  # product (dJ/dt) x2, for dJ/dt at the joint rates x1; `prepare` wrote x1 and x2
 
 
 @compiled
@@ -102,7 +103,7 @@ class PseudoInverse(NamedTuple):
 class JointMotion(NamedTuple):
     """Joint-space quantities of a step, arrays (n,), written by `prepare` and `command`."""
 
-    move: Array  # J^+ ahead, without the part of the error that is left to later steps
+    move: Array  # J^+ (ahead - omit e): joint move that corrects all but the part of the error left to later steps
     null: Array  # (1 - J^+ J) rate, the null-space part of the present joint rates
     x1: Array  # the joint rates along which dJ/dt is evaluated
     x2: Array  # the joint rates by which dJ/dt along x1 is multiplied
@@ -115,12 +116,12 @@ class Briskness(NamedTuple):
 
     fast: float  # share of each joint's speed limit
     quick: float  # share of each joint's acceleration limit
-    bend: float  # curvature of the tip's path times the error; 0: neglected
+    bend: float  # curvature of the tip's path times the error; 0: the curvature is neglected
 
 
 @dual
 def gram(J, m, wide, extra, G):
-    """Write to G the lower half of JJ' (if wide) or J'J, plus `extra` on the diagonal, where zeros become 1."""
+    """Write to G the lower half of JJ' (if wide) or J'J, plus `extra` on the diagonal; diagonal entries of zero become 1."""
     n = J.shape[0]
     k = m if wide else n
     top = 0.0
@@ -158,8 +159,8 @@ def invert(G, k, y):
 def factor(J, m, damping, G, y):
     """Factor G for the pseudo-inverse J^+ of `apply`, damped only near singularities; return the damping lambda^2.
 
-    lambda^2 = damping^2 (1 - s^2 / (REGION damping)^2) for s below REGION damping, with s a lower bound of the smallest
-    singular value (Nakamura and Hanafusa, 1986, with s for the manipulability). damping = 0 never damps.
+    lambda^2 = damping^2 (1 - s^2 / (REGION damping)^2) for s below REGION damping, where s is a lower bound of the smallest
+    singular value (Nakamura and Hanafusa, 1986, use the manipulability in place of s). damping = 0 never damps.
     """
     wide = J.shape[0] >= m
     k = m if wide else J.shape[0]
@@ -201,9 +202,9 @@ def apply(J, m, G, b, y, out):
 
 @dual
 def prepare(p, inverse, target, rate, h, joints):
-    """First half of a step of h [s]: write all of `joints` except the commanded rates `x`; `factor` comes before.
+    """Do the first half of a step of h [s], after `factor`: write all of `joints` except the commanded rates `x`.
 
-    rate (n,): present joint rates. The caller then puts (dJ/dt along joints.x1) joints.x2 into target.bias.
+    rate (n,): present joint rates. The caller then puts (dJ/dt) joints.x2 into target.bias, for dJ/dt at the rates joints.x1.
     """
     J, t = inverse.J, inverse.t
     n, m = J.shape
@@ -224,7 +225,7 @@ def prepare(p, inverse, target, rate, h, joints):
         reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
             joints.null[i] = rate[i] - joints.null[i]
-            # without the null-space part a redundant arm would lose an order of accuracy
+            # Without the null-space part a redundant arm would lose an order of accuracy.
             expected = joints.move[i] / h + joints.null[i]
             joints.x1[i] = expected if reading == AT_STEP else rate[i]
             joints.x2[i] = rate[i] if reading == AT_RATE else expected
@@ -232,11 +233,11 @@ def prepare(p, inverse, target, rate, h, joints):
 
 @dual
 def command(p, inverse, target, rate, prev, h, ratio, joints):
-    """Second half of a step: write the joint rates joints.x commanded for the end of the step.
+    """Do the second half of a step: write the joint rates joints.x commanded for the end of the step.
 
-    prev (n,): the previous command, replaced by this one; ratio: this step's h over the last one's, 0 at the start
-    (Adams-Bashforth then begins with an Euler step). Eqs (11), (16), (21), (25) of Patko and Zelei (2019) with the time
-    steps of (26), (27), (29), (32), (33).
+    prev (n,): the previous command, replaced by this one; ratio: this step's h over that of the last step, 0 at the start
+    (Adams-Bashforth then begins with an Euler step). The laws are eqs (11), (16), (21), (25) of Patko and Zelei (2019), with the
+    time steps of (26), (27), (29), (32), (33).
     """
     J, t, x, null, move = inverse.J, inverse.t, joints.x, joints.null, joints.move
     n, m = J.shape
@@ -284,10 +285,10 @@ def natural(p, h):
 
 @dual
 def possible(c, pace, h, q, limits, fast, quick, walls):
-    """Return the share (0 to 1) of a correction c (n,) from which joints can brake, and whether a limit blocks it.
+    """Return the share (0 to 1) of a correction c (n,) for which the joints can brake in time, and whether a limit blocks it.
 
     pace [1/s]: the feedback rate; fast, quick: shares of speed and acceleration limits to use; walls: whether joints at
-    their position limits block the correction instead of being slowed for, see `ease`.
+    their position limits block the correction and do not lower its share, see `ease`.
     """
     f, stopped = 1.0, False
     for i in range(c.shape[0]):
@@ -305,9 +306,9 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
 
 @dual
 def spare(J, m, e, limits, H, y, c):
-    """Write to c (n,) a correction of the error e (m,) that moves slow joints less; return False if no joint is slow.
+    """Write to c (n,) a correction of the error e (m,) that moves slow joints less; return whether there is one.
 
-    It uses the pseudo-inverse weighted by speed. The weights are powers of 2, so that J is restored exactly.
+    There is none if no joint is slow. The pseudo-inverse is weighted by speed, with powers of 2, so that J is restored exactly.
     """
     top, slow = 0.0, False
     for i in range(c.shape[0]):
@@ -335,7 +336,7 @@ def spare(J, m, e, limits, H, y, c):
 
 @dual
 def halved(speed, top):
-    """Return a joint's weight in `spare`: 1, or if slow the largest power of 2 up to its speed over the top speed."""
+    """Return a joint's weight in `spare`: 1, or for a slow joint the largest power of 2 that is at most speed / top."""
     w = 1.0
     while 0.0 < speed < SLUGGISH * top and speed < w * top:
         w *= 0.5
@@ -347,9 +348,9 @@ def ease(p, inverse, target, h, q, limits, allowed, brisk, c):
     """Shrink the error that is fed back (target.e and ahead, in place) until joints can brake before it is zero.
 
     A method that removes a large error in one step asks for more acceleration than there is; clipped, it overshoots and
-    oscillates for ever. Joints at their limits are not slowed for. If they or inequalities block the correction J^+ e,
-    it is computed again with damping from brisk.bend, as the real motion along a nearly singular direction is much
-    shorter. With allowed.rows = -1 neither is checked. c (n,) is scratch. Returns whether the correction is blocked.
+    oscillates for ever. For joints at their position limits the error is not shrunk. If such joints or inequalities block the
+    correction J^+ e, it is computed again with damping from brisk.bend, because the real motion along a nearly singular direction
+    is much shorter. If allowed.rows is -1, neither is checked. c (n,) is scratch. Returns whether the correction is blocked.
     """
     J, e, H, y = inverse.J, target.e, inverse.H, inverse.y
     n, m = J.shape
@@ -390,7 +391,7 @@ def settle(p, h, rate_before, x, code, prev):
 def own_up(p, h, ratio, wanted, x, prev):
     """Change `prev` to the command from which the rates taken, x (n,), would have followed, to prevent wind-up.
 
-    wanted (n,): the rates that the law had commanded; ratio: this step's h over the last one's, 0 at the start.
+    wanted (n,): the rates that the law had commanded; ratio: this step's h over that of the last step, 0 at the start.
     """
     ahead = 0.5 * ratio
     if p.code == CV or p.code == CA:

@@ -64,7 +64,7 @@ LARGEST = 1e300  # sum of commanded joint speeds [rad/s or arm reaches/s] above 
 
 @inner
 def set_out(law, J, f, G, y, limits, q, rate, state):
-    """Set the joint rates at the start: if none were given, J^+ f (f: target twist), limited to what can be braked."""
+    """Set the joint rates at the start: if none were given, J^+ f (f: target twist), limited so that the joints can brake."""
     if state[STATE.start] == MOVING:
         factor(J, J.shape[1], law.damping, G, y)
         apply(J, J.shape[1], G, f, y, rate)
@@ -131,10 +131,7 @@ def look_on(law, s, code, swings, h, state):
 
 @inner
 def gather(law, lines, level, planes, edges):
-    """Copy the collision inequalities, law.rows of them, to `planes` and `edges`, where others are added.
-
-    Return their number.
-    """
+    """Copy the collision inequalities to `planes` and `edges`, to which others are added later; return their number, law.rows."""
     for k in range(int(law.rows)):
         copy(lines[k], planes[k])
         edges[k] = level[k]
@@ -143,9 +140,9 @@ def gather(law, lines, level, planes, edges):
 
 @inline
 def clip_rates(law, s, still, h, memory, code):
-    """Clip the rates s.x to their bounds, joint by joint: for mode CLIP, and for a brake (still).
+    """Clip the rates s.x to their bounds, each joint on its own, in mode CLIP and when the arm brakes (still).
 
-    The method's memory then gets the rates that clipped joints really took (CLIP), or zeros (brake).
+    The method's memory then receives the rates that clipped joints really took (CLIP), or zeros (brake).
     """
     clip(s.x, box_of(s), code)
     if not still:
@@ -160,9 +157,10 @@ def clip_rates(law, s, still, h, memory, code):
 # ---------------------------------------------------------------------------------------------------- inside the limits
 @inline
 def judge(wanted, h, p, state):
-    """Set the commanded rates to zero if they are not finite or if the arm must brake.
+    """Return whether the loop ends because of the commanded rates, and whether the arm brakes; to brake, the rates become 0.
 
-    Return whether the loop ends, and whether to brake.
+    The arm brakes if p.brake is set, or if the rates are not finite and p.runaway is infinite. Otherwise the loop ends if the rates
+    are not finite, or in mode CLIP if the mean joint move exceeds p.runaway.
     """
     largest = 0.0
     for k in range(wanted.shape[0]):
@@ -181,10 +179,10 @@ def judge(wanted, h, p, state):
 
 @inline
 def by_constraints(law, s, count, mu, h, own, work, code):
-    """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from those commanded.
+    """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from the commanded rates.
 
-    count: number of inequality constraints. mu above 0: the step is a damped descent, whose task `descend` has written.
-    code (n,) receives the limit bits.
+    count: number of inequality constraints. If mu > 0, the step is a damped descent, whose task `descend` has written. code (n,)
+    receives the bits of the limits that held joints back.
     """
     n, m = s.J.shape
     mode, size = int(law.mode), s.size
@@ -222,7 +220,7 @@ def by_constraints(law, s, count, mu, h, own, work, code):
 
 @inline
 def by_clipping(law, s, count, mu, h, own, work, code):
-    """The same as `by_constraints` for a solver's rule: each joint clipped on its own; always returns False.
+    """Do the work of `by_constraints` for a solver's rule, by clipping each joint on its own; always return False.
 
     Compiling `constrain` into the loop of every rule would take a minute.
     """
@@ -248,7 +246,7 @@ def _obey(rule, law, s, count, mu, h, own, work, code):
 # ----------------------------------------------------------------------------------------------------------- the loop
 @inner
 def error_squared(weight, e):
-    """Return the squared weighted error."""
+    """Return the sum of the squares of the errors e (m,), each multiplied by its weight (m,)."""
     total = 0.0
     for k in range(e.shape[0]):
         total += (weight[k] * e[k]) ** 2
@@ -322,7 +320,7 @@ def run(step, arm, given, own, samples, out, h, block):
         if not still:
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         move(q, rate, s.x, law.gamma, h)
-        # after a descent step the method has no previous command to continue from
+        # After a descent step the method has no previous command to continue from.
         state[STATE.start] = RUNNING if mu == 0.0 else READY
         state[STATE.period] = h
     return 0
@@ -336,8 +334,8 @@ def servo(cls: type | None = None) -> Callable:
     `out` has room for, and returns how many it took.
 
     rows, ends: the packed chain (several tips: ends (F, ...)); orders: HEAD numbers, a Task for each tip (weights 1 or
-    0, no slack), joint weights (n,), parameters of the rule. The others are blocks, see workspace.py. All is in kernel
-    units (rad, arm reaches), except h, T, V, A, errors and tolerances, which are in s, m and rad.
+    0, no slack), joint weights (n,), parameters of the rule. The other arguments are blocks, see workspace.py. All numbers are in
+    kernel units (rad, arm reaches), except h, T, V, A, errors and tolerances, which are in s, m and rad.
     """
     step: Any = Published if cls is None else step_class(cls)
 

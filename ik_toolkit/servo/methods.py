@@ -11,11 +11,11 @@ J^+ (target one step ahead - actual):
     aa   a = 2 s / h^2 - 2 J^+ J qd / h - J^+ Jdot(x) y,         trapezoid                                  (25)-(27)
     aad  a = (s/h - J^+ J qd) / (gamma h) - J^+ Jdot(w) w / (2 gamma),   q' = q + h qd + gamma h^2 a        ours
 
-Eqs (29) and (32) print the indices i+1 and i. They must mean "the command computed now, and the one before", as only
-that gives the paper's matrices. The text does not decide at which rates dJ/dt is taken in (25). With w = s/h + (1 - J^+
-J) qd the readings are 1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default, as the paper ends
-with this form), 3: Jdot(w) w. `aa` keeps an eigenvalue -1, so its rate may zigzag for ever; `aad` with gamma > 1/2
-damps it at the same accuracy.
+Eqs (29) and (32) print the indices i+1 and i. They must mean "the command computed now, and the one before", as only this
+reading gives the paper's matrices. The text does not say at which rates x, y the term Jdot(x) y of (25) is taken. With
+w = s/h + (1 - J^+ J) qd there are three readings, 1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default,
+as the paper ends with this form), 3: Jdot(w) w. `aa` keeps an eigenvalue -1, so its rate may zigzag for ever; `aad` with
+gamma > 1/2 damps this zigzag at the same accuracy.
 
 av, aa and aad remove the whole error in one step, or a share of it (our addition):
 s = J^+ (target one step ahead - actual - (1 - share) e).
@@ -37,9 +37,9 @@ from .command import TAKEN_UP
 from .orbit_stability import null_rate
 from .stability import GAMMA, best_gains
 
-# [arm reaches per rad] damping of the pseudo-inverse; joint speed per tip speed stays below 1 / (2 * 0.02)
+# [arm reaches per rad] default damping of the pseudo-inverse; joint speed per tip speed then stays below 1 / (2 * 0.02)
 DAMPING = 0.02
-# [1/s] Default; slower damping lets null-space motion of one lap place joints badly for the next lap.
+# [1/s] default damping of null-space motion; with less, the null-space motion of one lap places joints badly for the next lap
 NULL_DAMPING = TAKEN_UP
 
 # For each tracking method: its code in the kernel, its options, and a description of one line.
@@ -60,11 +60,11 @@ METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
 class Method:
     """A tracking method and its options; None means the default, which may depend on the sample time.
 
-    kappa [1/s] (method cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time.
-    share of an error removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form. reading
-    (aa): 1, 2 or 3, how dJ/dt is read in eq (25) of Patko and Zelei. gamma (aad): weight of the new rate in a step.
-    null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it). damping of the
-    pseudo-inverse near singularities [arm reaches per rad]; 0 inverts exactly.
+    kappa [1/s] (method cv), kp [1/s^2] and kd [1/s] (ca): gains, not negative; by default the best ones for the sample time.
+    share (av, aa, aad): part of the error that a step removes, above 0 and at most 1; default 1, the published form. reading
+    (aa): 1, 2 or 3, how dJ/dt is read in eq (25) of Patko and Zelei. gamma (aad): weight of the new rate in a step. null_damping
+    [1/s]: damping of null-space motion at acceleration level, for redundant arms; in steps of h it is at most 1/h (ca: 2/3 of
+    that). damping [arm reaches per rad]: damping of the pseudo-inverse near singularities; 0 inverts exactly.
     """
 
     name: str
@@ -147,7 +147,7 @@ def make_method(method: str | Method, **options: Any) -> Method:
     for option, value in options.items():
         if option not in allowed:
             raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
-        number(value, option)  # an option that is given needs a value, so None is refused as well
+        number(value, option)  # An option that is given needs a value, so None is refused as well.
     return replace(made, **options)
 
 
@@ -164,9 +164,10 @@ class System(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Result of `simulate`: arrays over the samples reached, last command (methods cv, ca), and why the run ended.
+    """Result of `simulate` over the N + 1 samples that were reached.
 
-    stopped is a sentence if the run ended early, else ''.
+    t (N + 1,) [s]; q, rate (N + 1, n): joint values and rates; error (N + 1, m); command (n,): last command of methods cv and ca;
+    gamma: weight of the new rate in a step; stopped: a sentence if the run ended early, else ''.
     """
 
     t: np.ndarray

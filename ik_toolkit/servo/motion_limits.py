@@ -22,9 +22,8 @@ INSTEAD = {  # Advice in the error for assigning an attribute of a Tracker, by a
 def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> np.ndarray:
     """Return the limits (4, n) of the joints in kernel units: rows lower, upper, speed, acceleration.
 
-    Infinite where there is none.
-
-    Kernel units are rad for a revolute joint, and the arm's reach (`chain.scale`) for a prismatic one.
+    Limits that a joint does not have are infinite. Kernel units are rad for a revolute joint, and about the arm's reach
+    (`chain.scale`) for a prismatic joint.
 
     Args:
         robot: The robot whose position and speed limits are read.
@@ -55,7 +54,7 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
 
 
 def speeds(limits: np.ndarray) -> np.ndarray:
-    """Return the speed limits (n,) of the rows limits (4, n), with UNLIMITED instead of an infinite one."""
+    """Return the speed limits (n,) from limits (4, n), with UNLIMITED in place of infinite ones."""
     return np.where(limits[2] < np.inf, limits[2], UNLIMITED)
 
 
@@ -65,8 +64,8 @@ def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, An
     Args:
         robot: The robot, for the names and units of its joints.
         rows: Present limits (4, n): lower, upper, speed, acceleration.
-        given: For each of these four names a number, an array (n,), a dict by joint name [rad or m, per s, per s^2], or
-            None to keep the row.
+        given: For each name of LIMIT_NAMES a number, an array (n,), a dict by joint name [rad or m, per s, per s^2], or None
+            to keep the row.
 
     Raises:
         InvalidOption: A value is no number, there is no such joint, a speed or acceleration is negative, or lower is

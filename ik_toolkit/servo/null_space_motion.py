@@ -15,19 +15,19 @@ from ..validate import number
 from .laws import STATE, apply
 
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
-# [rad or arm reaches] step of a difference quotient, whose error is about step^2 + 1e-16 / step
+# [rad or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
 STEP = 1e-5
 NEARLY = 0.5  # share of the remaining slack that an error may use up in one sample
-# Excess over its slack from which an error is closed like any other.
-# BEYOND [share of the slack] holds while inequalities cannot be kept; less may be rounding.
-# FAR [arm reaches, rad] holds otherwise.
+# An error that exceeds its slack by more than this is closed like an error without slack.
+# BEYOND [share of the slack] applies while inequalities cannot be kept; a smaller excess may be rounding.
+# FAR [arm reaches, rad] applies otherwise.
 BEYOND, FAR = 1e-3, 1e-2
 PRESSED = 0.1  # [s] after which inequalities that keep errors within slack are tried again
 
 
 @inline
 def reflect(flip, y):
-    """Mirror the rotation components of y (m,), three per tip, in place, so that a free turn becomes the last one.
+    """Mirror the rotation components of y (m,), three per tip, in place, so that a free turn becomes the last of the three.
 
     flip (F, 3): the unit normal of the mirror plane of each tip, zero for a tip without a free turn.
     """
@@ -71,14 +71,12 @@ def weigh(weight, J, e, ahead, f, a):
 
 @inner
 def slack_rows(slack, s, count, h, state):
-    """Turn errors with slack into inequalities, from row `count` of s.planes on, and remove them from the task.
+    """Turn errors with slack into inequalities, from row `count` of s.planes on, and out of the task; return the new count.
 
-    Return the new count.
-
-    Inside its slack an error may use up at most NEARLY of what is left in one sample; slightly outside, it is brought
-    back. An error further outside stays in the task, reduced by its slack. So does every error beyond its slack while
-    inequalities block the task or contradict the limits (STATE.pressed), where hard inequalities would let joints turn
-    at full speed.
+    Inside its slack an error may use up at most NEARLY of the remaining slack in one sample; slightly outside, it is brought back.
+    An error further outside stays in the task, reduced by its slack. While inequalities block the task or contradict the limits
+    (STATE.pressed), the same holds for every error beyond its slack, because hard inequalities would then let joints turn at full
+    speed.
     """
     n, m = s.J.shape
     e = s.e
@@ -136,7 +134,7 @@ def clip_wish(g, x, low, top):
 
 @inner
 def into_null_space(J, m, G, y, t, g, part):
-    """Project g (n,) into the null space of the task, in place: g -= J^+ J g; `factor` comes before."""
+    """Project g (n,) into the null space of the task, in place: g -= J^+ J g, with the G that `factor` wrote."""
     for k in range(m):
         s = 0.0
         for i in range(g.shape[0]):
@@ -161,7 +159,7 @@ class Secondary(Holds):
     def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
         """Store the options; wish (3, n) [kernel units]: posture, gain towards it [1/s], and an additional velocity."""
         self.robot, self.avoid, self.nimble, self.wish, self.sides, self.cost = robot, avoid, nimble, wish, sides, cost
-        # whether the cost or manipulability must be evaluated before every step
+        # This says whether the cost or the manipulability must be evaluated before every step.
         self.each_step = cost is not None or nimble > 0.0
 
     def confine(self, limits: np.ndarray) -> None:
@@ -170,7 +168,10 @@ class Secondary(Holds):
         limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
 
     def side(self, away: np.ndarray) -> None:
-        """Write to away (n,) to which side joints leave a straight pose: 1 or -1 as `elbow` says, else 1 for all."""
+        """Write to away (n,) to which side joints leave a straight pose.
+
+        Without the option `elbow` it is 1 for all joints. With it, it is 1 or -1 for the joints that are named, and 0 for others.
+        """
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:

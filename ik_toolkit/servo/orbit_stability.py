@@ -1,10 +1,10 @@
 """How a small error grows along a moving target: tracking methods, linearised about the exact motion at every sample.
 
-At rest a method has the same matrix for every arm (stability.py). In motion dJ/dt enters. With D(x) the derivative of J
-along a joint velocity x, a disturbance dq changes J^+ v by -J^+ D(qd) dq, so `cv` has kappa I + J^+ D(qd) in place of
-kappa. The acceleration level also has the second derivative of J along the motion. The product of the matrices over a
-closed path is the derivative of the map from one lap to the next; its spectral radius is the factor by which an error
-grows per lap (Floquet).
+At rest a method has the same matrix for every arm (stability.py). In motion the matrix also depends on dJ/dt. Let D(x) be the
+derivative of J along a joint velocity x, and v the target's velocity. A disturbance dq changes J^+ v by -J^+ D(qd) dq, so `cv` has
+kappa I + J^+ D(qd) in place of kappa. At acceleration level the second derivative of J along the motion enters as well. The
+product of the matrices over a closed path is the derivative of the map from one lap to the next; its spectral radius is the factor
+by which an error grows per lap (Floquet).
 """
 
 from typing import NamedTuple
@@ -37,7 +37,7 @@ class Growth(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The growth factor in words; below 1e-12, which is rounding, they say that the error is gone."""
+        """The growth factor in words. A factor below 1e-12 is rounding, so the words then say that the error is gone."""
         over = "in a lap" if self.closed else "in all"
         if self.factor < 1e-12:
             return f"a small error is gone {over}"
@@ -47,8 +47,8 @@ class Growth(NamedTuple):
 class Motion(NamedTuple):
     """Matrices of the exact motion, one for each of N steps; D(x) is the derivative of J along joint velocities x.
 
-    row: J^+ J; rate: J^+ D(qd); acceleration: J^+ D(qdd); bend: J^+ D(J^+ D(qd) qd); second: J^+ times the second
-    derivative of J; each (N, n, n). first, last (m, n): J at the start and at the end.
+    row: J^+ J; rate: J^+ D(qd); acceleration: J^+ D(qdd); bend: J^+ D(J^+ D(qd) qd); second: J^+ times the second derivative of J
+    along qd; each (N, n, n). first, last (m, n): J at the start and at the end.
     """
 
     row: np.ndarray
@@ -70,12 +70,12 @@ def growth(
         reference: The path.
         method: Name of the method.
         h: Sample time [s].
-        gains: Its gains by name.
+        gains: Gains of the method by name.
         null_damping: Damping of null-space motion [1/s].
 
     Returns:
-        The growth: for a closed path the spectral radius of the map from lap to lap, for an open one the largest factor
-            between an error at its start and at its end.
+        The growth: for a closed path the spectral radius of the map from lap to lap, for an open path the largest possible
+            ratio of the error at its end to the error at its start.
 
     Raises:
         InvalidTarget: The path cannot be followed.
@@ -100,7 +100,7 @@ def growth(
     # The map is taken in tip coordinates, since null-space motion, which leaves the tip where it is, is no error.
     blocks = np.eye(size)
     lap = np.kron(blocks, made.last) @ total @ np.kron(blocks, np.linalg.pinv(made.first, rcond=SINGULAR))
-    T, V, _ = reference.at(np.array([0.0, reference.duration]))  # not the last sample, which may be before the end
+    T, V, _ = reference.at(np.array([0.0, reference.duration]))  # The last sample may be before the path's end.
     off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
     closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())
     value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
@@ -151,16 +151,14 @@ def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motio
 
 
 def null_rate(method: str, null_damping: float, h: float) -> float:
-    """Return the damping of null-space motion [1/s] in steps of h [s], at most what the method tolerates."""
+    """Return the given damping of null-space motion [1/s], limited to what the method tolerates in steps of h [s]."""
     return min(null_damping, (SHARE if method == "ca" else 1.0) / h)
 
 
 def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0) -> np.ndarray:
     """Return the matrices (N, k n, k n) that carry a small disturbance over each step.
 
-    The states are those of `mapping_matrix`.
-
-    Method aa is taken with its second reading of dJ/dt, the default of `Method`.
+    Its k n states are those of `mapping_matrix`. Method aa is taken with its second reading of dJ/dt, the default of `Method`.
     """
     eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
     null = null_rate(method, null_damping, h) * (eye - m.row)

@@ -13,16 +13,16 @@ from ..text import angle, length
 
 CLOSE = (1e-4, 2e-4)  # [m, rad] error up to which a pose counts as reached: a tenth of a run's default tolerances
 DENSE = 1000  # number of samples from which the length of a path is measured
-STEP = (0.02, 0.05)  # distance between the poses tested: a share of the arm's reach, and [rad]
+STEP = (0.02, 0.05)  # largest distance between two poses tested: as a share of the arm's reach, and in rad
 FEWEST, MOST = 40, 1000  # least and largest number of poses tested along a path
 # number of bisections between the last pose reached and the first one not reached, to 1/1000 of their distance
 HALVINGS = 10
-# a joint within this share of its range of a limit counts as at the limit, as the arm stops just before the edge
+# A joint that is nearer to a limit than this share of its range counts as at the limit, as the arm stops just before the edge.
 BOUNDARY = 1e-3
 STARTS = 24  # number of attempts to find another posture for the start of a path
 APART = 0.1  # [rad or arm reaches] postures are different if some joint differs by more
-SHORTER = 0.95  # suggested size of a path, over the share of it that can be reached
-# further size factors that are tried, because a smaller closed path may be in reach as a whole
+SHORTER = 0.95  # The first size factor suggested for a path is this times the share of the path that can be reached.
+# These size factors are tried as well, because a smaller closed path may be in reach as a whole.
 SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)
 PROBE = 1e-4  # [rad or arm reaches] step of the difference quotient for the gradient of a singular value
 DIGITS = ".7g"  # format of suggested joint values; with 4 digits the tip would start up to 1 mm off its path
@@ -37,7 +37,7 @@ class Survey:
     t (K,) [s]: times of the poses; q (K, n) [rad or m]: joint values there, as near as the arm gets. along (K,): length
     of the path up to each pose [m], or [rad] if the tip only turns (turning). posed: whether an orientation is asked
     for. until: index of the first pose out of reach, None if all are reached; stop [m or rad]: length of the path up to
-    the edge of the reach. joints: names of the joints that are at a limit there. pace: largest joint speed over its
+    the edge of the reach. joints: names of the joints that are at a limit there. pace: largest ratio of a joint's speed to its
     limit, and the joint's name.
     """
 
@@ -59,7 +59,7 @@ class Survey:
 
     @property
     def message(self) -> str:
-        """A clause that says how far along the path is reachable and what ends it; '' if all of it is."""
+        """A clause that says how much of the path can be reached and what stops the arm there; '' if all of it can be reached."""
         if self.until is None:
             return ""
         far, whole = ((angle(float(x)) if self.turning else length(float(x))) for x in (self.stop, self.along[-1]))
@@ -89,7 +89,7 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWES
         robot: The robot.
         reference: A reference, or a mapping with one per tip.
         q0: Joint values (n,) to begin at.
-        fewest: Least number of poses looked at.
+        fewest: Least number of poses tested.
         options: Which errors count, as for `ik.solve` (mask, slack, free_turn, frame, relative_to, limits).
 
     Returns:
@@ -185,7 +185,7 @@ def smaller(found: Survey) -> list[float]:
 
 
 def position_options(options: dict[str, Any]) -> dict[str, Any] | None:
-    """Return options for a pose as they are for its position alone, or None if none of it then counts, or that cannot be told."""
+    """Return the options of a pose changed for its position alone; None if nothing then counts, or if mask or slack is a dict."""
     kept = {name: value for name, value in options.items() if name != "free_turn"}
     for name in ("mask", "slack"):
         value = kept.get(name)
@@ -200,7 +200,7 @@ def position_options(options: dict[str, Any]) -> dict[str, Any] | None:
 def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tuple[Survey, str]:
     """Find out why a robot cannot follow a reference, and what would work instead.
 
-    Args are as in `survey`. Returns the survey, and a sentence ('' if nothing is in the way).
+    The arguments are those of `survey`. Returns the survey, and a sentence ('' if nothing is in the way).
     """
     found = survey(robot, reference, q0, **options)
     if found.whole:
@@ -229,8 +229,7 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
 def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
     """Return joint-space unit vectors (N, n) away from the nearest singular pose, at configurations path (N, n).
 
-    They are the normalised gradients of the least singular value of J. posed: whether an orientation is asked for, by
-    tip.
+    They are the normalised gradients of the least singular value of J. posed: for each tip, whether an orientation is asked for.
     """
     J = _jacobians(robot, posed, path)
     U, sigma, V = np.linalg.svd(J)
@@ -269,7 +268,7 @@ def targets_at(reference: References, t: np.ndarray) -> list[Any]:
 def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return times [s] at even distances along a path, the path's length up to each, and whether the tip only turns.
 
-    fewest: least number of them. Lengths are in m, or in rad if the tip only turns.
+    fewest: least number of distances. Lengths are in m, or in rad if the tip only turns.
     """
     every = _each(reference)
     t = np.linspace(0.0, min(one.duration for one in every), DENSE + 1)
@@ -288,9 +287,9 @@ def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.nd
 
 
 def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q: np.ndarray, k: int) -> float:
-    """Return the path's length up to the edge of the reach, by bisection before pose k, the first one out of reach.
+    """Return the path's length up to the edge of the reach, by bisection between poses k - 1 and k, the first one out of reach.
 
-    then: bound solver that starts from given joint values; t, along, q: as in `Survey`.
+    then: bound solver that stays near the joint values given to it; t, along, q: as in `Survey`.
     """
     if k == 0:
         return 0.0
@@ -310,7 +309,7 @@ def near_limits(robot: Joints, q: np.ndarray) -> tuple[str, ...]:
 
 
 def pace(robot: Joints, t: np.ndarray, q: np.ndarray) -> tuple[float, str]:
-    """Return the largest joint speed over its limit along q (K, n) at times t (K,) [s], and the name of that joint."""
+    """Return the largest ratio of joint speed to limit along q (K, n) at times t (K,) [s], and the name of that joint."""
     limit = np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf)
     if len(t) < 2:
         return 0.0, robot.joint_names[0]

@@ -8,13 +8,13 @@ limit and every small motion increases the error. The solver's attempts from oth
 for the same target, and the arm moves there in joint space, leaving the path of its tip.
 
 When to search: only after limits or a singular pose (not a speed limit) have kept the error from falling for a while,
-or at once for a target that jumped to where the solver does not get from the present joint values. A search is spread
-over several updates so that none takes much longer; after one that finds nothing there is a pause.
+or at once for a target that jumped to a place that the solver does not reach from the present joint values. A search is
+spread over several updates so that none takes much longer; after a search that finds nothing there is a pause.
 
-When to move: the tip leaves its target on the way, and the target may return to where it can be reached. So the arm
-waits until the error has cost as much [m s] as the move would, which is never more than twice the best choice in
-hindsight. Less is enough while the target stands, which may be where it turns back. There is no wait once the target is
-at rest, or has stood for as long as the move takes.
+When to move: the tip leaves its target on the way, and the target may return to where it can be reached. So the arm waits until
+the error, summed over time [m s], has cost as much as the move would. The total cost is then at most twice that of the best choice
+in hindsight. While the target stands still, a part of that cost is enough; it is not 0, as the target may only be turning back.
+There is no wait once the target is at rest, or has stood for as long as the move takes.
 """
 
 import math
@@ -50,7 +50,7 @@ class Taken(NamedTuple):
     T: np.ndarray  # (2, F, 4, 4) targets before and after the step
     stand: np.ndarray  # whether the target stands still, in the layout of `target_stream.Stand`
     dt: float  # [s] length of the update
-    since: float  # [s] since the last step that was examined
+    since: float  # [s] time since the last step that was examined
     q: np.ndarray  # (n,) joint values after the step
     rate: np.ndarray  # (n,) joint rates after the step
     limits: np.ndarray  # (4, n) lower, upper, speed, acceleration
@@ -59,10 +59,10 @@ class Taken(NamedTuple):
 
 
 class Postures:
-    """Finds joint values (kernel units) that reach targets of the kinds that `ready` was given."""
+    """Finds joint values [kernel units] that reach targets; `ready` must be told the kinds of the targets first."""
 
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
-        """Prepare the solver; options: which errors count; speed (n,): joint speed limits [kernel units]."""
+        """Prepare the solver; options: say which errors count; speed (n,): joint speed limits [kernel units per s]."""
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
@@ -76,7 +76,7 @@ class Postures:
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
-        """Prepare for one kind of target (POSE or POSITION) per tip; compile (or load) all that is needed later."""
+        """Prepare for targets of these kinds, POSE or POSITION for each tip; compile (or load) all that is needed later."""
         self.kinds = kinds
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
@@ -94,7 +94,7 @@ class Postures:
             starts: Starts (N, n).
             q: Joint values (n,) to which the results are brought as near as full turns allow.
             limits: Limits (4, n).
-            quick: Prefer solutions in which slow joints move less.
+            quick: Whether to prefer solutions in which slow joints move less.
 
         Returns:
             The joint values in the order of the starts, and whether a target is proven out of reach of any posture.
@@ -129,31 +129,31 @@ def locked(limits: np.ndarray) -> bool:
 
 FAST = VELOCITY | RECOVERING  # limits that hold a joint back only temporarily
 PROGRESS = 0.9  # an error below this share of the least error so far counts as progress
-# share of the time between two updates that a search may take; then a search for a single arm ends within 0.02 s
+# A search may take this share of the time between two updates, so that for a single arm it ends within 0.02 s.
 SHARE = 0.05
 ATTEMPT = 1e-5  # [s] duration of one attempt for an arm of six or seven joints (for two arms 8 times as long)
 ATTEMPTS = 96  # attempts in one search; if one attempt in ten succeeds, all fail in one of 25,000 searches
-RUSH = 0.02  # a search ends after this share of the duration of the best move found, because the arm is waiting
-PAUSE = 3.0  # [s] pause after a search that found nothing; doubled after each further one while the target stands still
+RUSH = 0.02  # A search ends after this share of the duration of the best move found, because the arm is waiting.
+PAUSE = 3.0  # [s] pause after a search that found nothing; it doubles each time while the target stands still
 LONGEST = 16.0  # [s] longest pause between searches, so that 99 % of the updates of a single arm do not search
-# [m, or rotation matrix entries] move of a standing target after which a new search need not wait for the pause
+# [m, or rotation matrix entries] If a standing target has moved further than this, a new search need not wait for the pause.
 ELSEWHERE = 0.02
 BARRED = 5  # number of postures remembered as blocked by a collision
-# [s] wanted distance from position limits, in time at full speed; what a posture lacks adds to its move's duration
+# [s] Joints at full speed should need this time from a posture to their position limits; what is missing adds to the move's cost.
 HEADROOM = 0.5
-ARRIVED = 0.05  # [s] time left at full joint speed at which a move ends and the tracker takes over
-# [s] time left at full joint speed at which a move to a standing target ends, as nothing can hinder it any more
+ARRIVED = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
+# [s] A move to a standing target ends only when this time is left, as the target can no longer hinder it.
 CLOSE = 1e-3
 FAR = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
-STANDING = 0.3  # if the target stands still, a move is made once the error has cost this share of the move's cost
+STANDING = 0.3  # If the target stands still, a move is made once the error has cost this share of the move's cost.
 ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is evaluated
 
 
 class Reconfiguration:
-    """Decides about moves of a tracker to another posture.
+    """Decides whether and when a tracker moves to another posture, and takes the steps of the move.
 
-    goal (n,): joint values of the move under way [kernel units], or None; held: indices of the joints at limits that
-    caused it.
+    goal (n,): joint values to which the move under way leads [kernel units], or None; held: indices of the joints whose limits
+    caused the move.
     """
 
     def __init__(self, robot: Any, postures: Postures, model: Any) -> None:
@@ -200,7 +200,7 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = PAUSE, []
             return
-        # a joint locked during a search would make every move last for ever
+        # A joint that is locked during a search would make every move last for ever.
         if self._left and locked(limits):
             self.forget()
         if self._now:
@@ -245,18 +245,17 @@ class Reconfiguration:
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
         """Begin a search at the next step, for targets T (F, 4, 4) that jumped and now stand.
 
-        If it finds nothing, nothing changes.
+        If the search finds nothing, `goal` stays None.
         """
         self.forget()
         self._place, self.held, self._now = T.copy(), [], True
         self._begin(q, limits)
 
     def _begin(self, q: np.ndarray, limits: np.ndarray) -> None:
-        """Draw the starts of a search.
+        """Draw the starts of a search. Its attempts begin with the next update, as drawing takes as long as some attempts.
 
-        Attempts begin with the next update, since drawing takes as long as some of them.
-
-        Every other start differs from q only in the joints at limits, or lies between q and a random configuration.
+        Every other start is near q: it differs from q only in the joints at limits, or if there are none, it lies between q and a
+        random configuration.
         """
         self._left, self._spent, self._best = ATTEMPTS, 0.0, None
         starts = self.robot.random_q(self._rng, ATTEMPTS) / self.robot.chain.unit
@@ -326,12 +325,10 @@ class Reconfiguration:
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray,
         code: np.ndarray,
     ) -> bool:  # fmt: skip
-        """Step q and rate (n,) in place by h [s] towards the goal.
+        """Step q and rate (n,) in place by h [s] towards the goal; return False, with nothing moved, if there is no goal any more.
 
-        Return False, with nothing moved, if there is no goal any more.
-
-        A target that moves is followed: its joint values are solved for again, near the goal. gamma, late: as in
-        `travel`. code (n,) receives the bits of the limits that held joints back.
+        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma, late:
+        as in `travel`. code (n,) receives the bits of the limits that held joints back.
         """
         goal, near = self.goal, ARRIVED
         if goal is None or locked(limits):
@@ -366,10 +363,10 @@ class Reconfiguration:
         self.forget()
 
     def _bar(self, q: np.ndarray) -> None:
-        """Remember that there is a collision at, or on the way to, joint values q (n,)."""
+        """Remember that there is a collision at joint values q (n,), or on the way to them."""
         self._barred = [*self._barred, q][-BARRED:]
 
 
 def headroom(Q: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Return for each row of Q (N, n) the least time [s] in which a joint at full speed reaches a position limit."""
+    """Return for each row of Q (N, n) the time [s] in which the first of the joints, at full speed, reaches a position limit."""
     return (np.minimum(Q - limits[0], limits[1] - Q) / speeds(limits)).min(axis=1)

@@ -22,16 +22,16 @@ from . import laws, viability
 from .path_reach import Survey
 from .stability import GainCheck
 
-ROUNDING = 1e-6  # a clock that lags by less than this share of a step is not slowed; its time is a rounded sum
+ROUNDING = 1e-6  # A clock that lags by less than this share of a step is not slowed, because its time is a rounded sum.
 
 
 class TrackStatus(Enum):
     """How a run ended.
 
-    COMPLETED: inside the tolerances at every sample, in the reference's own time. SLOWED: inside, but the reference was
-    run more slowly. LEFT: outside for a while, inside again at the end. LOST: outside at the end, or ended before the
-    reference did. DIVERGED: joint motion grew without bound. NOT_FINITE: a step was not finite. CONSTRAINT_OPEN:
-    followed, but a loop of the robot's description is open.
+    COMPLETED: the errors were inside the tolerances at every sample, in the reference's own time. SLOWED: inside, but the
+    reference was run more slowly. LEFT: outside for a while, inside again at the end. LOST: outside at the end, or the run
+    ended before the reference did. DIVERGED: the joint motion grew without bound. NOT_FINITE: a step was not finite.
+    CONSTRAINT_OPEN: the reference was followed, but a loop of the robot's description is open.
     """
 
     COMPLETED = "completed"
@@ -49,19 +49,19 @@ class TrackResult:
 
     t (N+1,) [s]; q, rate (N+1, n): joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1,
     3) [m]: tip and target in base axes, (N+1, tips, 3) for several `tips`; position_error (N+1,) [m], orientation_error
-    (N+1,) [rad] or None: for several tips the largest; limited (N, n): bits that say why a joint was held back, 1
-    position limit, 2 speed limit, 4 acceleration limit, 8 a step that was not finite, 16 outside its limits, 32 a
-    contact ahead, 64 limited because it oscillated; damped (N,): whether the pseudo-inverse was damped;
-    between_position, between_orientation (N,): largest error in each step, its ends included; figures (see `figures`);
-    elapsed [s] of stepping, searched [s] for other runs and checks; gain_check: stability of the gains. The verdict
-    compares errors with position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
+    (N+1,) [rad] or None: for several tips the largest error; limited (N, n): bits that say why a joint was held back: 1
+    position limit, 2 speed limit, 4 acceleration limit, 8 a step that was not finite, 16 the joint was outside its limits,
+    32 a contact ahead, 64 the joint oscillated; damped (N,): whether the pseudo-inverse was damped; between_position,
+    between_orientation (N,): largest error during each step, its ends included; figures (see `figures`); elapsed [s]: time
+    of stepping; searched [s]: time of other runs and checks; gain_check: stability of the gains. The verdict compares the
+    errors with position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
 
-    clock (N+1,) [s]: the reference's time at each t, at which errors are taken; sigma (N,): its rate in each step, 0 to
-    1; pace (N,): index of the joint that slowed it, -1 for none; end [s]: the reference's time that the run was to
-    reach. If they are left out the reference is run in its own time.
+    clock (N+1,) [s]: the reference's time at each t, at which the errors are taken; sigma (N,): rate of this clock in each
+    step, 0 to 1; pace (N,): index of the joint that slowed the clock, -1 for none; end [s]: the reference's time that the run
+    was to reach. If these four are left out, the reference is run in its own time.
 
-    between: names of the two parts that would most often have touched, if one held the robot back, else None. reach:
-    for a run that left its reference, which of its poses can be reached at all (a `Survey`), else None.
+    between: names of the two parts that would most often have touched, if a contact held the robot back, else None. reach:
+    for a run that left its reference, which poses of the reference can be reached at all (a `Survey`), else None.
     """
 
     robot: str
@@ -112,7 +112,7 @@ class TrackResult:
 
     @property
     def added_time(self) -> float:
-        """How much longer [s] the run took than the stretch of the reference it followed; 0 if it was not slowed."""
+        """How much longer [s] the run took than the part of the reference that it followed; 0 if it was not slowed."""
         added = float(self.t[-1] - self.clock[-1])
         return added if added > ROUNDING * self.dt else 0.0
 
@@ -206,12 +206,12 @@ class TrackResult:
 def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
     """Return figures of a run, as plain numbers by name.
 
-    position and orientation: max, rms, final, settled_max and settled_rms (second half of the run), and between_max
-    (between samples as well). By finite differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad
-    or m per s, s^2, s^3]; largest_move of a joint in a step, with its joint and time; jumps: the number of steps in
-    which a joint moves by more than jump (n,). time_at_limits [s] of any joint (see `at_limits`) and
-    time_at_limits_by_joint; damped_time [s] near a singularity; slowed_time [s] in which the reference's clock was
-    slowed, added_time [s] by which the run took longer, slowest: least rate of that clock.
+    position and orientation: max, rms, final, settled_max and settled_rms (second half of the run), and between_max and
+    between_settled_max (which include the time between samples). By finite differences of the samples: peak_speed,
+    peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3]. largest_move: of a joint in a step, with joint and time.
+    jumps: number of steps in which a joint moves by more than jump (n,). time_at_limits [s]: of any joint (see `at_limits`);
+    time_at_limits_by_joint: of each. damped_time [s]: near a singularity. slowed_time [s]: in which the reference's clock was
+    slowed; added_time [s]: by which the run took longer; slowest: least rate of the clock.
     """
     out: dict[str, Any] = {"position": _errors(result.position_error, result.between_position)}
     if result.orientation_error is not None:
@@ -257,12 +257,12 @@ POSITION_TOLERANCE = 1e-3  # [m] accuracy to which a path is commonly followed
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] 0.1 degrees move the end of a tool of half a metre by about 1 mm
 SETTLE = 0.5  # [s] time allowed to settle for an arm that starts at rest
 LOOKED = 200  # largest number of samples at which the constraints of a description are checked
-MORE = 1.01  # the error between samples is reported if it exceeds that at the samples by this factor
+MORE = 1.01  # The error between samples is reported if it exceeds the error at the samples by this factor.
 LIMITS = ((viability.POSITION, "position"), (viability.VELOCITY, "speed"), (viability.ACCELERATION, "acceleration"))
 
 
 def settling(settle: float | None, at_rest: bool, duration: float) -> float:
-    """Return the time [s] from which on the error is judged: as given, else SETTLE for a start at rest, or 0."""
+    """Return the time [s] from which on errors are judged: as given, else 0, or min(SETTLE, half the run) after a start at rest."""
     if settle is None:
         return min(SETTLE, 0.5 * float(duration)) if at_rest else 0.0
     given = number(settle, "settle [s]")
@@ -272,7 +272,7 @@ def settling(settle: float | None, at_rest: bool, duration: float) -> float:
 
 
 def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
-    """Return the status of a run of planned `steps` and one sentence about it.
+    """Return the status of a run for which `steps` were planned, and a sentence about it.
 
     stop: why the loop ended (see `laws.State`).
     """
@@ -305,7 +305,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     after = f" after {result.settle:g} s" if result.settle else ""
     off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
-        # with a time to settle, the added time may come from the start alone
+        # With a time to settle, the added time may come from the start alone.
         why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
@@ -340,7 +340,7 @@ def _away(result: TrackResult, outside: np.ndarray) -> str:
 
 
 def _worst(result: TrackResult, judged: np.ndarray) -> int:
-    """Return the index of the judged sample with the largest error over its tolerance."""
+    """Return the index of the judged sample with the largest ratio of error to tolerance."""
     excess = result.position_error / result.position_tolerance
     if result.orientation_error is not None:
         excess = np.maximum(excess, result.orientation_error / result.orientation_tolerance)
@@ -359,7 +359,7 @@ def _stopped(result: TrackResult, outside: np.ndarray) -> str:
 def _added(result: TrackResult, before: str) -> str:
     """Return words on how much longer a run took than its reference, and which joint slowed it.
 
-    '' if it was not slowed.
+    They are '' if the run was not slowed.
     """
     if not result.added_time:
         return ""
@@ -379,7 +379,7 @@ def _limit(result: TrackResult, joint: int) -> str:
 def _between_samples(result: TrackResult) -> str:
     """Return a sentence on the error between samples, which the verdict does not judge.
 
-    '' if there is nothing to say.
+    It is '' if the error between samples is not known or not judged.
     """
     if result.between_position is None:
         return ""

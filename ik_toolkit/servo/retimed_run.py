@@ -1,7 +1,7 @@
-"""The run of `track`: in the reference's own time first, and if that fails along a time law that the joints can keep.
+"""The run of `track`: first in the reference's own time; if that fails, along a time law that the joints can keep.
 
-The time law needs the joints' path q(s). It comes from the method itself, run so slowly that no limit is active; if
-that leaves the reference, with stronger avoidance of limits or another posture; and last from `solve_path`.
+The time law needs the joints' path q(s). The method itself computes it, without limits of speed and acceleration. If that path
+leaves the reference, the method tries stronger avoidance of limits or another posture, and `solve_path` is the last resort.
 """
 
 import time
@@ -28,13 +28,13 @@ SPEED = 0.98  # share of the speed limits that a time law uses, because a run di
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
 TOLERANCE = 0.8  # share of the tolerances that a time law allows for the error of a step
 FASTER = 5  # how often a time law's limits are raised after a run that kept to the reference
-JOINTS, TIP = 1.2, 1.5  # factors of one raise: limits of redundant joints, allowed tip error
-FAR_OFF = 4.0  # a larger error over tolerance is not due to the linearisation in single steps
+JOINTS, TIP = 1.2, 1.5  # A raise multiplies joint limits (if redundant) and the allowed tip error by these factors.
+FAR_OFF = 4.0  # An error of more tolerances than this is not due to the linearisation in single steps.
 ENOUGH = 0.8  # share of the tolerance to aim at when the clock is slowed where a run missed the reference
 NEAR = 0.05  # [s] time before and after a missed sample in which the clock is slowed
 LEAST = 0.25  # the squared clock rate is multiplied by at least this when it is lowered
-HELPED = 0.8  # a further run is tried only if the last one missed at most this share of what the run before missed
-FOLLOWED = 0.2  # error of a step over its tolerance while a joint path is computed
+HELPED = 0.8  # Another run is tried only if the last run missed at most this share of what the run before it missed.
+FOLLOWED = 0.2  # error of a step, as a share of the tolerance, while a joint path is computed
 FEWEST = 400  # least number of steps in which a joint path is computed
 HARDER = (10.0, 30.0)  # [1/s] gains of limit avoidance, tried if the default gain leads into limits
 POSES = 40  # least number of poses that must all be in reach before `solve_path` is called
@@ -50,12 +50,12 @@ NOWHERE = np.zeros((0, 0))
 
 
 class Clock(NamedTuple):
-    """The reference's time s (M + 1,) [s] at each sample of a run, its derivatives, and the joint that limits it."""
+    """How the reference's time advances in a run; arrays (M + 1,) over the samples of the run."""
 
-    s: np.ndarray
-    rate: np.ndarray
-    gain: np.ndarray
-    joint: np.ndarray
+    s: np.ndarray  # [s] the reference's time
+    rate: np.ndarray  # ds/dt, 1 in the reference's own time
+    gain: np.ndarray  # [1/s] d2s/dt2
+    joint: np.ndarray  # index of the joint that limits the rate, or -1
 
 
 class Way(NamedTuple):
@@ -72,7 +72,7 @@ class Way(NamedTuple):
 class Taken(NamedTuple):
     """Outcome of one run with one Clock; Q, R, E, S, C are the arrays of a `workspace.Record`."""
 
-    missed: int  # number of samples off the reference; for a solver, which always lags: of steps that limits held back
+    missed: int  # number of samples off the reference; for a solver, which always lags, of steps held back by limits
     Q: np.ndarray
     R: np.ndarray
     E: np.ndarray
@@ -97,9 +97,9 @@ class Run:
         stretch: float,
         counts: Mapping[str, Any],
     ) -> None:
-        """Prepare a run at times (N + 1,) [s], at most `stretch` times as long.
+        """Prepare a run over the reference's times (N + 1,) [s]; it may take up to `stretch` times as long.
 
-        counts: the options that say which errors count.
+        settle [s]: time from which on errors are judged; counts: the options that say which errors count.
         """
         self.tracker, self.references, self.times, self.dt = tracker, references, times, float(times[1])
         self.tolerances, self.settle, self.counts = np.array(tolerances), settle, counts
@@ -114,10 +114,10 @@ class Run:
     def go(self, slow: bool) -> Taken:
         """Run to the end, and again if the reference may be slowed (slow) and that helps; return the best run.
 
-        Ctrl-C ends the search with the best run so far, perhaps an incomplete one; before the first step it is raised.
+        Ctrl-C ends the search with the best run so far, which may be incomplete; without any step it is raised again.
         """
         tracker = self.tracker
-        # This takes no step, but compiles (or loads) the loop, so that the time reported is that of tracking.
+        # This takes no step, but compiles (or loads) the loop, so that the reported time is only that of tracking.
         tracker.run(self.own, self.dt, new_record(1, tracker.robot.n, self.own.V.shape[1]), runaway=RUNAWAY)
         tracker.put_back(self.start)
         began = time.perf_counter()
@@ -150,7 +150,7 @@ class Run:
         return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
     def _slowly(self, way: Way, from_rest: bool) -> None:
-        """Take runs along time laws for a joint path, with shrinking shares of the limits; then faster ones."""
+        """Take runs along time laws for a joint path, with less and less acceleration until one succeeds; then try faster ones."""
         top, start, last = self._clear(way), 0.0 if from_rest else np.inf, np.inf
         for share in ACCELERATION:
             clock = self._law(way, share, top, start)
@@ -160,7 +160,7 @@ class Run:
             if taken.missed == 0 or taken.missed > HELPED * last or clock.s[-1] < self.times[-1]:
                 return
             moved = np.append(True, np.diff(clock.s) > 0.0)
-            if not way.led and len(taken.Q) == len(clock.s):  # plan with the path that the joints took
+            if not way.led and len(taken.Q) == len(clock.s):  # The next law uses the path that the joints took.
                 way = way._replace(
                     Q=np.stack([np.interp(way.s, clock.s[moved], one[moved]) for one in taken.Q.T], axis=1)
                 )
@@ -185,7 +185,7 @@ class Run:
                 return
 
     def _lower(self, top: np.ndarray, way: Way, taken: Taken) -> None:
-        """Lower the bounds top (K + 1,) on the clock rate near missed samples; errors grow with its square."""
+        """Lower the bounds top (K + 1,) on the clock rate near missed samples; errors grow with the square of that rate."""
         excess, near, clock = self._excess(taken.E), round(NEAR / self.dt), taken.clock
         for k in np.flatnonzero(excess > 1.0):
             ends = clock.s[max(k - near, 0)], clock.s[min(k + near, len(excess) - 1)]
@@ -199,7 +199,7 @@ class Run:
 
     def _ways(self, here: Way) -> Iterator[Way]:
         """Yield joint paths along the reference, best first."""
-        # `parts` is chosen so that the error of a step is small against the tolerance.
+        # Each step of the run is divided into `parts`, so many that the error of a part is small against the tolerance.
         bend = np.linalg.norm(self.own.A.reshape(self.count + 1, -1, 2, 3), axis=3).max(axis=(0, 1)) / self.tolerances
         parts = max(-(-FEWEST // self.count), int(np.ceil(np.sqrt(0.5 * self.dt**2 * bend.max() / FOLLOWED))))
         s = np.linspace(0.0, self.times[-1], parts * self.count + 1)
@@ -215,7 +215,7 @@ class Run:
                 break
         found.sort(key=lambda one: one[:2])
         yield from (way for off, _, way in found if off == 0)
-        slowest = found[0][0] == 0 and found[0][1] > self.most  # no other posture is so much faster
+        slowest = found[0][0] == 0 and found[0][1] > self.most  # Too slow by far: another posture would not help.
         if plain and not slowest and self.tracker.engine.waits and not self.tracker.one_by_one:
             planned = self._planned(samples)
             if planned is not None:
@@ -237,7 +237,7 @@ class Run:
         yield here._replace(posture=np.stack([middle, np.where(bounded, POSTURE, 0.0)]))
 
     def _follow(self, samples: Samples, way: Way) -> tuple[np.ndarray, int]:
-        """Return the joint path (K + 1, n) of the method with no speed limits, and how many samples it misses."""
+        """Return the joint path (K + 1, n) of the method without speed and acceleration limits, and how many samples it misses."""
         limits = self.tracker._limits
         self._begin(way)
         fast = limits[2:].copy()
@@ -249,7 +249,7 @@ class Run:
         limits[2:] = fast
         Q, E = (np.concatenate([one[k] for one in made]) for k in (0, 2))
         off = self._excess(E, 0.0) > 1.0
-        off[: int(np.argmin(np.append(off, False)))] = False  # approaching the reference does not count
+        off[: int(np.argmin(np.append(off, False)))] = False  # Misses while the reference is approached do not count.
         missing = len(samples.T) - len(Q)
         return np.concatenate([Q, np.repeat(Q[-1:], missing, axis=0)]), int(off.sum()) + missing
 
@@ -265,9 +265,9 @@ class Run:
         from ..paths.solve_path import solve_path
 
         some = np.unique(np.linspace(0, len(samples.T) - 1, min(len(samples.T), MOST_POSES)).astype(int))
-        poses = samples.T[some] if robot.by_tip else samples.T[some, 0]
+        poses = samples.T[some, :, :3, 3] if self.references[0].position_only else samples.T[some]
         found = solve_path(
-            robot, poses[..., :3, 3] if self.references[0].position_only else poses, q0=self.q0, reconfigurations="none",
+            robot, robot.for_tips({tip: poses[:, f] for f, tip in enumerate(robot.tips)}), q0=self.q0, reconfigurations="none",
             max_step=STRIDE, position_tolerance=EXACT, orientation_tolerance=EXACT, **self.counts,
         )  # fmt: skip
         every = np.arange(len(samples.T))
@@ -278,9 +278,9 @@ class Run:
         )
 
     def _law(self, way: Way, share: float, top: np.ndarray, start: float, over: int = 0) -> Clock:
-        """Return the fastest clock along a joint path, with rates up to top (K + 1,), and at first up to `start`.
+        """Return the fastest clock along a joint path, with rates up to top (K + 1,), and up to `start` at its beginning.
 
-        share: part of the acceleration limits to use; over: how often the limits are raised by JOINTS and TIP.
+        share: part of the acceleration limits to use; over: how many times the limits are multiplied by JOINTS and TIP.
         """
         limits, s, n = self.tracker._limits, way.s, way.Q.shape[1]
         slope, bend = np.gradient(way.Q, s, axis=0), np.zeros_like(way.Q)
@@ -301,10 +301,10 @@ class Run:
         joint = np.where(joint < n, joint, -1)
         times = times_of(s, rate)
         steps = max(int(np.ceil(times[-1] / self.dt - 1e-6)), 1)
-        slower = times[-1] / (steps * self.dt)  # slowed by less than a step, so that the end is a sample
+        slower = times[-1] / (steps * self.dt)  # The clock is slowed by less than a step, so that its end is a sample.
         t = np.append(np.arange(steps) * self.dt * slower, times[-1])[: self.most + 1]
         at, now, gain = coordinate_at(t, times, s, rate)
-        at[t == times[-1]] = s[-1]  # exact end, despite rounding
+        at[t == times[-1]] = s[-1]  # The end must be exact despite rounding.
         held = joint[np.searchsorted(s, at, side="right") - 1]
         return Clock(smoothed(at), smoothed(now * slower), smoothed(gain * slower**2), held)
 
@@ -347,9 +347,9 @@ class Run:
         return self.made[-1]
 
     def _steps(self, samples: Samples, way: Way, made: list, pairs: Counter) -> None:
-        """Take one step per sample; if way.led, follow its joint path (given at the samples).
+        """Take one step per sample, and append records of them to `made`; pairs: counts of the parts that nearly touched.
 
-        Append records to `made`.
+        If way.led, the steps follow the joint path of `way`, which is then given at the samples.
         """
         tracker, count, k = self.tracker, len(samples.T) - 1, 0
         most, ended = 1 if tracker.one_by_one or way.led else AT_ONCE, False
@@ -383,7 +383,7 @@ class Run:
         return Taken(missed, Q, R, E, S, C, clock, self.tracker.carried(), time.perf_counter() - began, most)
 
     def _excess(self, E: np.ndarray, settle: float | None = None) -> np.ndarray:
-        """Return the largest error over its tolerance (M,) of errors E (M, m), 0 before settle [s]."""
+        """Return for each of M samples the largest ratio of error, in E (M, m), to tolerance; 0 before settle [s]."""
         errors = np.linalg.norm(E.reshape(len(E), -1, 2, 3), axis=3)
         late = np.arange(len(E)) * self.dt >= (self.settle if settle is None else settle)
         return np.where(late, (errors / self.tolerances).max(axis=(1, 2)), 0.0)

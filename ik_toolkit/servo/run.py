@@ -1,7 +1,7 @@
 """`track`: follow a whole reference, one step each sample, with the steps of `Tracker`.
 
-Both run the same compiled loop (servo/loop.py). A run of `track` with on_limit="leave" therefore equals the same
-targets fed to a `Tracker` of that mode.
+Both run the same compiled loop (servo/loop.py). A run of `track` with on_limit="leave" therefore gives the same result as a
+`Tracker` of that mode that is fed the same targets.
 """
 
 import warnings
@@ -39,7 +39,7 @@ from .tracker import JUMP, Tracker
 
 MODES = ("slow", "leave", "clip")
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that select which errors count
-MAX_STRETCH = 10.0  # how many times the duration of its reference a run may take by default
+MAX_STRETCH = 10.0  # By default a run may take up to this many times the duration of its reference.
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of a step at which the error between samples is evaluated
 
 
@@ -71,9 +71,9 @@ def track(
 ) -> TrackResult:
     """Follow a reference with a tracking method, one step each dt.
 
-    A run that diverges ends early, with a status and a sentence; its arrays hold what was reached. For a run that
-    leaves its reference, `reach` and the message say which poses can be reached at all, and what was tried and would
-    work. A UserWarning before the run says that the gains are unstable at dt.
+    A run that diverges ends early, with a status and a sentence; its arrays hold the samples up to then. If a run leaves its
+    reference, `reach` and the message of the result say which poses can be reached at all, and which of the changes that were
+    tried would work. A UserWarning before the run says that the gains are unstable at dt.
 
     Args:
         robot: A Robot, or a Tree (several tips).
@@ -83,17 +83,17 @@ def track(
         q0: Joint values (n,) [rad or m] at the start; default home if the reference starts there, else a solution for
             its start.
         rate0: Joint rates (n,) at the start, as in `Tracker`.
-        limits: Whether to keep joint position and speed limits, or narrower ones as in `ik.solve`.
+        limits: Whether to keep joint position and speed limits, or narrower limits as in `ik.solve`.
         acceleration_limits: Limits of joint accelerations [rad/s^2 or m/s^2], as in `Tracker`.
-        on_limit: "slow" follows the reference in its own time; if a sample is off, it slows the reference's clock,
-            ds/dt <= 1, as little as joint limits and tolerances allow. (A solver always lags a moving target, so with
-            one the clock is slowed for limits only.) "leave" keeps time, with the least error possible. "clip" is the
-            published form, each joint clipped on its own; it is always used without limits.
-        max_stretch: With "slow", the longest duration of the run over that of the reference; there the run ends.
-        position_tolerance: Largest error [m] from settle on for COMPLETED or SLOWED, else the run is LEFT or LOST.
-        orientation_tolerance: The same for the rotation angle [rad].
-        settle: Time [s] from which on errors are judged. Default 0; if the arm starts at rest (with
-            acceleration_limits, or with a rate0 of zeros) 0.5, or half of a run shorter than 1 s.
+        on_limit: "slow" follows the reference in its own time; if a sample is out of tolerance, it slows the reference's
+            clock, ds/dt <= 1, as little as joint limits and tolerances allow. (A solver always lags behind a moving target,
+            so with a solver the clock is slowed for limits only.) "leave" keeps time, with the least error possible. "clip"
+            is the published form, each joint clipped on its own; if limits is False, it is always used.
+        max_stretch: With "slow", the run ends when it has taken this many times the duration of the reference.
+        position_tolerance: Largest position error [m] from settle on for COMPLETED or SLOWED; above it the run is LEFT or LOST.
+        orientation_tolerance: Largest rotation angle [rad] from settle on, likewise.
+        settle: Time [s] from which on errors are judged. Default 0; if the arm starts at rest (with acceleration_limits, or
+            with a rate0 of zeros), 0.5, or half the duration of a run shorter than 1 s.
         options: Options of the method (kappa, kp, kd, share, reading, gamma, null_damping, damping, see `Method`), and
             those of `Tracker`.
 
@@ -160,7 +160,7 @@ def track(
 
 
 def _references(robot: Any, reference: Any) -> list[Reference]:
-    """Return one reference per tip. Raises InvalidOption if robot is none, InvalidTarget if a reference is missing."""
+    """Return one reference per tip. Raises InvalidOption if `robot` is no robot, InvalidTarget if a reference is missing."""
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
     if not robot.by_tip:
@@ -248,9 +248,10 @@ def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
 
 
 def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
-    """Return home if the tips are then at the start of their references, else a solution there (or the best found).
+    """Return home if the tips are then at the start of their references, else joint values that bring them there.
 
-    avoid: the option `avoid_collisions`; if something touches at home, another start is sought.
+    If no such joint values are found, the best attempt is returned. avoid: the option `avoid_collisions`; if something touches at
+    home, another start is sought.
     """
     targets = robot.for_tips({tip: one.target(0.0) for tip, one in zip(robot.tips, references, strict=True)})
     errors = np.array(robot.errors(robot.home, targets), dtype=float).reshape(-1, 2)  # NaN where orientation is free
@@ -268,7 +269,7 @@ def _between(
     """Return the largest position error [m] and orientation error [rad] in each step, (N,), its ends included.
 
     The joint motion in a step is the one that the method assumes. Q, R (N + 1, n): joint values and rates; clock (N +
-    1,) [s]: the reference's time. Both are None if only part of an error counts.
+    1,) [s]: the reference's time. Both results are None if only part of an error counts.
     """
     if any(one is not None for one in (engine.options.mask, engine.options.slack, engine.options.free_turn)):
         return None, None  # Only the compiled loop knows which part of the error counts with these options.

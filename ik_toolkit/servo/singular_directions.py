@@ -1,7 +1,7 @@
 """Singular directions, in which the tip can hardly move: curvature of the tip's path and error left along each.
 
-singular_step.py decides, and explains, what is done about such a direction; this file gathers the facts and keeps the
-decisions.
+singular_step.py explains how joints move along such a direction, and has the formulas. This file evaluates them for each
+direction, decides which directions leave the task, and stores the results.
 """
 
 from typing import NamedTuple
@@ -31,7 +31,7 @@ from .singular_step import (
 )
 from .viability import approach
 
-GAIN = 2.0 / 3.0  # share of an error fed back per sample by methods without a gain, the best one of method cv
+GAIN = 2.0 / 3.0  # share of an error that methods without a gain feed back per sample; it is the best one for method cv
 BEFORE = -1.0  # value of STATE.near: a pose was singular before, but not in the last step
 
 
@@ -49,7 +49,7 @@ def bend(task, look, s, weighed):
 
 @inline
 def by_difference(task, s):
-    """Compute the same as `bend` by central differences, for a task with free parts or a moving target frame."""
+    """Write (dJ/dt along s.x1) s.x2 to s.bias by central differences, for a task with free parts or a moving target frame."""
     size = 0.0
     for i in range(s.x1.shape[0]):
         size = max(size, abs(s.x1[i]))
@@ -96,10 +96,11 @@ def copy_column(source, target, k):
 
 @inline
 def begin_mode(s, r, free, way, away):
-    """Write the joint direction of singular direction r to V, and to s.x1 that along which its gradient is taken.
+    """Write the joint direction of singular direction r to column r of V; return False if there is none.
 
-    Returns False if there is none, and then marks it as removed from the task (s.lost). free: whether to look for the
-    direction of most curved tip motion (`begin_bent`); way: the tip motion asked for; away: see `mode_speed`.
+    In that case direction r is marked as removed from the task (s.lost). free: whether the direction of most curved tip motion will
+    be looked for; then s.x1 receives the direction at which `bent_direction` needs its gradient. way: the tip motion asked for;
+    away: see `mode_speed`.
     """
     there = mode_direction(s.W, s.sv, r, away, way, s.x1)
     copy_column(s.x1, s.V, r)
@@ -114,8 +115,8 @@ def begin_mode(s, r, free, way, away):
 def probe_mode(s, r, part, rate, h):
     """Write to s.x1 and s.x2 the joint motions whose product (dJ/dt along s.x1) s.x2 `bend` is to compute.
 
-    part: ALONG, BESIDE or BOTH of `mode_probe`, or below 0 joint number part + n, for the gradient of the singular
-    value. Returns the joints' present rate along V_r (column r of V).
+    part: ALONG, BESIDE or BOTH of `mode_probe`; or, for the gradient of the singular value, part = i - n < 0 for joint i alone in
+    s.x2, while s.x1 stays. Returns the joints' present rate along V_r (column r of V), or 0 for the gradient.
     """
     n = rate.shape[0]
     if part < 0:  # Each joint in turn gives one entry of the gradient of the singular value.
@@ -129,7 +130,7 @@ def probe_mode(s, r, part, rate, h):
 
 @inline
 def note_curve(s, r, part):
-    """Store the part of s.bias along task direction u_r: for a motion (part >= 0) in s.t, for a joint in s.null."""
+    """Store the component of s.bias along u_r: in s.t for a motion of `mode_probe` (part >= 0), in s.null for a single joint."""
     curved = mode_part(s.U, r, s.bias)
     i = part + s.null.shape[0]
     if part >= 0:
@@ -166,12 +167,12 @@ def fastest_along(V, r, limits):
 
 @inner
 def mode_speed(s, mode, gain, h, limits, near, away):
-    """Decide on singular direction r: write the joint speed along it to s.xk, and 1 to s.lost if it leaves the task.
+    """Decide whether singular direction r leaves the task; if so, write 1 to s.lost[r] and the joint speed along V_r to s.xk[r].
 
-    u_r and V_r are its task and joint directions. s.t holds the curvature along u_r of each motion of `mode_probe`.
-    near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach. away
-    (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or where they
-    are now if that is not known. Returns whether the target is out of reach along this direction now.
+    u_r and V_r are the task and joint directions of singular direction r. s.t holds the curvature along u_r of each motion of
+    `mode_probe`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
+    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came, or on which they are
+    now if that is not known. Returns whether the target is out of reach along this direction now.
     """
     r, V, left, moved = mode.r, s.V, mode.error, mode.moved
     b, beside = s.t[ALONG], s.t[BESIDE]
@@ -191,7 +192,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
     for last in range(0 if a < np.inf else 1, 2):
         E = moved + h * gain * left - 0.5 * beside if last == 1 else left
         y, D = way_along(sigma, b, E, h * mode.own, back, near > 1.0, h)
-        # This is the speed at which the motion can brake before the error is zero, as in `ease`.
+        # `most` is the highest speed from which the motion can brake before the error is zero, as in `ease`.
         most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)
         if last == 0 and gain * abs(y) > most:
             left *= most / (gain * abs(y))
@@ -214,9 +215,9 @@ def mode_speed(s, mode, gain, h, limits, near, away):
 
 @inline
 def judge_modes(law, task, look, s, limits, h, own, heavy):
-    """Decide on all singular directions (singular_step.py).
+    """Choose for each singular direction whether it leaves the task, and the joint rate along it (see `mode_speed`).
 
-    Return whether the target is out of reach along one of them.
+    Returns whether the target is out of reach along one of them.
     """
     n, m = s.J.shape
     rate, away, state = own.motion[1], own.away, own.state

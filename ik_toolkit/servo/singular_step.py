@@ -6,15 +6,15 @@ u_k + b_k / 2 with b_k = (dJ/dt along v_k) v_k. The squared error |e|^2 / 2 then
 
     H_k = sigma_k^2 - e . b_k
 
-Beyond the edge of the reach the error points outwards and b_k inwards. H_k is large, so the arm slides smoothly to the
-closest pose without stepping over it, and no direction is damped while the target can be reached. If H_k is negative
-the error can be closed by bending: at sigma_k = 0, where the first order sees no way, the joints go back to the side
-from which they came. If both sigma_k and H_k are near 0 a Newton step is undefined, and the joints keep their present
-motion, which fades.
+If the target is beyond the edge of the reach, the error e points outwards and b_k inwards. H_k is then large, so the arm slides
+smoothly to the closest pose without stepping over it, and no direction is damped while the target can be reached. If H_k is
+negative, the error can be closed by bending the arm: at sigma_k = 0, where the first order shows no way, the joints go back to
+the side from which they came. If both sigma_k and H_k are near 0, a Newton step is undefined, and the joints keep their
+present motion, which fades.
 
 When a redundant arm is stretched out, two joint directions hardly move the tip: bending, and a rotation of the bent
-arm. v_k is any mixture of the two and may change with every step. While the target is out of reach, v_k is therefore
-replaced by the direction in which b_k is largest, and the side is kept along that.
+arm. v_k is any mixture of the two and may change with every step. While the target is out of reach, v_k is therefore replaced by
+the direction in which b_k is largest, and the side from which the joints came is remembered along that direction.
 """
 
 import math
@@ -26,7 +26,7 @@ from .laws import gram
 
 CLOSE = 0.1  # [arm reaches or rad] rotation errors up to this size add like vectors, to within a twentieth
 ALONG, BESIDE, BOTH = range(3)  # the joint motions whose curvature is evaluated, see `mode_probe`
-# [s] time for which the side is remembered from which joints came to a singular pose, longer than oscillations
+# [s] The side from which the joints came to a singular pose is remembered for this time, which is longer than an oscillation.
 SIDE = 0.2
 
 
@@ -37,21 +37,21 @@ class Weak(NamedTuple):
     """
 
     zero: float = 1e-9  # singular value below which the tip does not move to first order
-    # added to the squared singular values before factoring; negligible against the least of them, lost^2
+    # This is added to the squared singular values before factoring; it is negligible against the least of those kept, lost^2.
     nothing: float = 1e-12
-    # component of a unit vector along a direction above which it is clear to which side the vector points
+    # If the component of a unit vector along a direction exceeds this, it is clear to which side the vector points.
     clearly: float = 0.1
-    # component of the remembered side above which that side counts; less may come from another singular pose
+    # The remembered side counts if its component exceeds this; a smaller component may come from another singular pose.
     known: float = 0.5
     lost: float = 5e-3  # singular value below which a direction is removed from the task
-    # a direction is also removed if the move asked for times the curvature exceeds this share of sigma_k^2
+    # A direction is also removed if the product of the move asked for and the curvature exceeds this share of sigma_k^2.
     bent: float = 0.2
     fade: float = 0.1  # [s] time in which motion along a direction that does not move the tip at all fades
     least: float = 1e-3  # damping lambda at sigma_k = 0; a motion through a singular pose errs by about lambda^2
     flat: float = 1e-3  # [arm reaches / rad^2] a smaller curvature counts as zero
-    # share of the move to the closest pose that one step takes; full steps would zigzag, as in steepest descent
+    # A step takes this share of the move to the closest pose; full steps would zigzag, as in steepest descent.
     caution: float = 2.0 / 3.0
-    # errors below this share of another, unreachable error are closed with damping
+    # Errors below this share of another error, which cannot be closed, are closed with damping.
     minor: float = 0.1
     clear: float = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
 
@@ -63,8 +63,8 @@ WEAK = Weak()
 def modes(J, near, W, U, sigma):
     """Compute the singular value decomposition of J (n, m) by one-sided Jacobi rotations.
 
-    W (m, n) receives sigma_k v_k as rows, U (m, m) the u_k as rows, sigma (m,) the singular values. near (m, m): the
-    u_k found last, which save rotations (zeros at first); it receives the new ones, normalised.
+    W (m, n) receives sigma_k v_k as rows, U (m, m) the u_k as rows, sigma (m,) the singular values. near (m, m): the u_k of the
+    last call, which save rotations (zeros at first); it receives the new u_k, normalised.
     """
     n, m = J.shape
     known = False
@@ -89,7 +89,7 @@ def modes(J, near, W, U, sigma):
 
 @inner
 def begin_anew(slack, near):
-    """Forget the task directions u_k found last if an error has slack: an error out of the task needs its own u_k."""
+    """Forget the u_k of the last call if an error has slack: an error that leaves the task needs a direction of its own."""
     some = False
     for k in range(slack.shape[0]):
         some = some or slack[k] > 0.0
@@ -101,7 +101,7 @@ def begin_anew(slack, near):
 def leave_modes(W, sigma, r, x):
     """Remove from the joint motion x (n,) what moves the tip, except along task direction u_r (r = -1: no exception).
 
-    Return the length left.
+    Return the length of the rest of x.
     """
     m, n = W.shape
     for c in range(m):
@@ -120,9 +120,9 @@ def leave_modes(W, sigma, r, x):
 
 @inner
 def lost_direction(W, sigma, away, v):
-    """Write to v (n,) the joint direction of a singular value of 0: `away` without the part that moves the tip.
+    """Write to v (n,) the joint direction of a singular value of 0: `away` (n,) without the part that moves the tip.
 
-    Returns False if nothing is left of it.
+    Returns False if nothing is left of `away`.
     """
     for i in range(v.shape[0]):
         v[i] = away[i]
@@ -130,7 +130,7 @@ def lost_direction(W, sigma, away, v):
     # A second projection removes the rounding of the first; twice is enough (Kahan).
     size = leave_modes(W, sigma, -1, v)
     for i in range(v.shape[0]):
-        v[i] = v[i] / size if size > WEAK.zero else 0.0  # a remainder of rounding alone is no direction
+        v[i] = v[i] / size if size > WEAK.zero else 0.0  # A rest that is only rounding gives no direction.
     return size > WEAK.zero
 
 
@@ -155,7 +155,8 @@ def bring_along(V, r, x, value, share):
 def mode_probe(V, r, rate, part, h, x):
     """Write to x (n,) a joint motion whose curvature is to be evaluated, and return the joints' rate along V_r.
 
-    ALONG: V_r itself (column r of V); BESIDE: what the joints move across V_r in a step of h [s]; BOTH: the sum.
+    part: ALONG for V_r itself (column r of V); BESIDE for the joints' move in a step of h [s] without its part along V_r; BOTH for
+    the sum of these two.
     """
     own = part_along(V, r, rate)
     for i in range(x.shape[0]):
@@ -169,11 +170,11 @@ def mode_probe(V, r, rate, part, h, x):
 
 @inner
 def way_along(sigma, b, E, own, side, home, h):
-    """Return the move y along v_k that solves sigma y + b y^2 / 2 = E, or is nearest, and D (< 0: E is unreachable).
+    """Return the move y along v_k that solves sigma y + b y^2 / 2 = E, or comes nearest, and D (< 0: E is unreachable).
 
-    There are two solutions, one on each side of the singular pose. The one is taken to which the joints are already
-    moving (own: their move in a step). From rest at the singular pose, or with `home`, it is the side from which they
-    came (side > 0: along v_k).
+    There are two solutions, one on each side of the singular pose. The result is the one towards which the joints already move
+    (own: their move along v_k in a step). If they rest at the singular pose, or with `home`, it is the one on the side from which
+    they came (side > 0: the side to which v_k points).
     """
     D, kept = sigma * sigma, own
     if abs(b) > WEAK.flat:
@@ -188,7 +189,7 @@ def way_along(sigma, b, E, own, side, home, h):
             # The second form of the root avoids a difference of nearly equal numbers.
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        D -= 2.0 * WEAK.flat * abs(E)  # with the largest curvature that counts as zero
+        D -= 2.0 * WEAK.flat * abs(E)  # This D belongs to the largest curvature that counts as zero.
         y = min(max(E / sigma, -sigma / WEAK.flat), sigma / WEAK.flat) if sigma > WEAK.zero else 0.0
         kept *= max(1.0 - h / WEAK.fade, 0.0)
     weight = D if D > 0.0 else -0.5 * D  # The weight is the second derivative of the squared error at the solution.
@@ -232,7 +233,7 @@ def mode_moved(U, r, e, ahead, f, h):
 def mode_direction(W, sv, r, away, way, v):
     """Write the joint direction v_r of singular value r to v (n,); return False if there is none to move along.
 
-    For sigma_r near 0 it is `away` without what moves the tip, and only if a tip motion way is asked for.
+    For sigma_r near 0 it is `away` (n,) without what moves the tip, and there is none unless a tip motion `way` is asked for.
     """
     if sv[r] > WEAK.zero:
         for i in range(v.shape[0]):
@@ -245,7 +246,7 @@ def mode_direction(W, sv, r, away, way, v):
 
 @inner
 def begin_bent(W, V, sigma, r, away, x):
-    """Write to x (n,) the direction along which `bent_direction` takes its gradient: the remembered `away`, or v_r."""
+    """Write to x (n,) the direction at which `bent_direction` takes its gradient: the remembered `away` (n,), or V_r."""
     for i in range(x.shape[0]):
         x[i] = away[i]
     size = leave_modes(W, sigma, r, x)
@@ -257,10 +258,10 @@ def begin_bent(W, V, sigma, r, away, x):
 def bent_direction(W, V, sigma, r, slope):
     """Make V_r the direction along which the tip's path is curved; return the tip's motion along u_r per unit of it.
 
-    If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns
-    v_r from one to the other. Only along the curved one the tip can get nearer. That is the gradient slope (n,): for
-    each joint, the curvature along u_r of its motion combined with the direction of `begin_bent` (one step of a power
-    iteration).
+    If sigma_r is nearly 0, a redundant arm has two directions with this singular value, and the smallest motion turns v_r from one
+    to the other. The tip can only get nearer along the one in which its path is curved. The gradient slope (n,) points that way:
+    for each joint it holds the curvature along u_r of the joint's motion combined with the direction that `begin_bent` wrote (one
+    step of a power iteration).
     """
     size = leave_modes(W, sigma, r, slope)
     if size < WEAK.flat:
@@ -274,9 +275,9 @@ def bent_direction(W, V, sigma, r, slope):
 
 @inner
 def take_out(J, W, U, V, lost, f, G):
-    """Remove the directions marked in lost (m,) from J and the twist f, and factor the rest for `apply`.
+    """Remove the task directions marked in lost (m,) from J and the twist f; return how many were removed.
 
-    Return their number.
+    G receives the factor of the rest of J for `apply`.
     """
     n, m = J.shape
     count = 0
@@ -296,7 +297,7 @@ def take_out(J, W, U, V, lost, f, G):
             for c in range(k):
                 for d in range(c + 1):
                     G[c, d] += U[r, c] * U[r, d] if wide else V[c, r] * V[d, r]
-    if not wide:  # a joint that moves nothing would make the matrix singular
+    if not wide:  # Otherwise a joint that moves nothing would make the matrix singular.
         for c in range(k):
             G[c, c] += WEAK.nothing
     cholesky(G, k, 0.0)
@@ -305,9 +306,9 @@ def take_out(J, W, U, V, lost, f, G):
 
 @inner
 def by_modes(J, W, U, lost, ask, y):
-    """Rewrite the task (J and the rates `ask`) along the directions u_k that are kept, which makes rows independent.
+    """Rewrite the task (J and the rates `ask`) along the directions u_k that are kept, which makes the rows independent.
 
-    A row of weight 0 stays a direction of its own, as long as `modes` began without the directions of another task.
+    An error of weight 0 keeps a direction of its own if `modes` began without the directions of another task.
     """
     n, m = J.shape
     some = False
@@ -326,12 +327,12 @@ def by_modes(J, W, U, lost, ask, y):
 
 @inner
 def hold_back(U, sigma, lost, bend, e, ahead, f, more):
-    """Shrink the error and twist along task directions that are kept, if the error along removed (lost) ones stays.
+    """Shrink error and twist along the task directions that are kept, by as much as an error along removed (lost) ones remains.
 
-    bend: the largest curvature of the tip's path. Times the remaining error it adds to sigma_k^2 in the second
-    derivative, so undamped steps J^+ e would go too far and back for ever (Levenberg-Marquardt). Only the error of the
-    tips that a direction moves counts, so that a stretched arm does not hold back another. The motion of a target that
-    passes beyond the edge is shrunk, too, as the closest pose moves less. more (m,) is scratch.
+    bend is the largest curvature of the tip's path. bend times the remaining error adds to sigma_k^2 in the second derivative of
+    the squared error, so undamped steps J^+ e would overshoot to and fro for ever; the shrinking is that of Levenberg-Marquardt.
+    Only the remaining error of the tips that a direction moves counts, so that one stretched arm does not hold back another. The
+    motion of a target that passes beyond the edge is shrunk, too, as the closest pose moves less. more (m,) is scratch.
     """
     m = lost.shape[0]
     for r in range(m):
@@ -359,7 +360,7 @@ def hold_back(U, sigma, lost, bend, e, ahead, f, more):
 
 @inner
 def along_lost(V, lost, xk, x, speeds):
-    """Set the joint rates x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
+    """Set the components of the joint rates x (n,) along directions removed from the task to xk (m,), or to 0 if `speeds` is 0."""
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V, r, x, xk[r] if speeds > 0.0 else 0.0, 1.0)
@@ -367,11 +368,11 @@ def along_lost(V, lost, xk, x, speeds):
 
 @inner
 def down_slopes(W, V, sigma, pull, x, speeds):
-    """Set the component of x (n,) across a replaced direction V_k to reduce the error, or to 0 if `speeds` is 0.
+    """Set the part of the rates x (n,) along slope_k to pull[k] slope_k, which reduces the error, or to 0 if `speeds` is 0.
 
-    It is along sigma_k v_k less the part along V_k, by which `bent_direction` has replaced v_k.
-
-    pull (m,): rates along it. It takes effect gradually while sigma_k grows from half of WEAK.lost to WEAK.lost.
+    slope_k is the part of sigma_k v_k that is perpendicular to V_k, the direction that replaces v_k (see `bent_direction`).
+    pull (m,): rates per unit of slope_k; if pull[k] is 0, the rates stay. The change is faded in while sigma_k grows from half of
+    WEAK.lost to WEAK.lost.
     """
     for r in range(pull.shape[0]):
         share = min(2.0 * sigma[r] / WEAK.lost - 1.0, 1.0)

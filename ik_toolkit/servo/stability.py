@@ -1,8 +1,8 @@
 """Stability of the tracking methods as sampled systems: mapping matrices, closed-form regions, best gains, a check.
 
 Near a resting point every method maps (error, joint velocity, earlier command) linearly from one sample to the next,
-with the same matrices for every arm (Patko and Zelei, 2019, eqs 30-42). Stability depends on dimensionless gains only:
-k = kappa h for `cv`, and p = kp h^2, d = kd h for `ca`. From the Jury conditions:
+with the same matrices for every arm (Patko and Zelei, 2019, eqs 30-42). Stability depends only on dimensionless gains:
+k = kappa h for `cv`, and p = kp h^2, d = kd h for `ca`, with the sample time h. The Jury conditions give:
 
     cv  stable  <=>  0 < k < 1                                      (flip, eigenvalue -1, at k = 1)
     ca  stable  <=>  0 < d < 1  and  0 < p < (d + sqrt(d (9 d + 16))) / 2
@@ -11,8 +11,8 @@ The matrices hold at rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/d
 border can diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along the path
 (orbit_stability.py).
 
-If measured joint values are fed back directly, the error is late and noisy, while rates and earlier commands are not.
-`delayed_matrix` adds the earlier positions to the state.
+If measured joint values are fed back directly, the error is late and noisy, but the rates and earlier commands are not.
+For this case `delayed_matrix` adds the earlier positions to the state.
 """
 
 import functools
@@ -50,7 +50,7 @@ BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIP
 BEST_CA_RADIUS = -TRIPLE
 BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
 MOST_DELAY = 200.0  # [samples] largest delay; the mapping matrix has as many rows
-GRID = 25  # points per side of the four search grids for the best gains under a delay, each a quarter as wide
+GRID = 25  # points per side of four search grids for the best gains under a delay, each a quarter as wide as the last
 
 
 def mapping_matrix(
@@ -152,7 +152,7 @@ def _samples(delay: Any) -> float:
 def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tuple[float, float]:
     """Return the RMS of a joint's position, and of its rate times h, over the RMS of noise on its measured position.
 
-    They are the H2 norms of the maps from white noise to both, at rest; infinite if the gains are not stable.
+    They are the H2 norms of the maps from white noise to position and rate, at rest, and infinite if the gains are not stable.
     """
     M = delayed_matrix(method, h, delay, **gains)
     if spectral_radius(M) >= 1.0 - BORDER:
@@ -168,7 +168,7 @@ def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tupl
     # In these methods the rate is a state of its own; if it zigzags, it can exceed the motion of a step.
     if method in ("ca", "aa", "aad"):
         return math.sqrt(P[0, 0]), h * math.sqrt(P[1, 1])
-    move = M[0] - np.eye(len(M))[0]  # the motion to the next sample, without the direct effect of the noise
+    move = M[0] - np.eye(len(M))[0]  # motion to the next sample as a row, without the direct effect of the noise
     return math.sqrt(P[0, 0]), math.sqrt(move @ P @ move + B[0] ** 2)
 
 
@@ -181,8 +181,8 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     """Return the gains of a method with the smallest spectral radius at sample time h [s].
 
     Method cv: kappa h = 2/3, radius 0.577 (1/sqrt 3). ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues
-    meet, radius 0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. For positions measured `delay` samples ago
-    they are found by a search.
+    meet, radius 0.196. av, aa, aad: share = 1, with radius 0, 1 and 0.667. If positions are measured `delay` samples ago, the
+    best gains are found by a search.
     """
     one_of(method, METHODS, "tracking method")
     h = positive(h, "the sample time [s]")
@@ -198,7 +198,7 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
 
 @functools.cache
 def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
-    """Return the best gains under a delay, times h (kp: h^2), by successive logarithmic grids about the best point."""
+    """Return the best gains under a delay [samples] for h = 1 s, by ever finer logarithmic grids around the best point so far."""
     names = GAINS[method]
     middle, width = np.log(BEST[method]) - math.log(1.0 + delay), 3.0
     for _ in range(4):
@@ -212,9 +212,9 @@ def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
 
 
 def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
-    """Return the longest sample time [s] at which the gains (kappa; kp and kd) are stable; inf if there are none.
+    """Return the longest sample time [s] at which the gains of cv (kappa) or ca (kp, kd) are stable; inf for other methods.
 
-    delay: age of the measured position in samples, whatever their length.
+    It is 0 if they are stable at no sample time. delay: age of the measured position in samples, whatever the sample time.
     """
     if delay and method in ("cv", "ca"):
         low, high = 0.0, longest_step(method, **gains)  # A delay can only shorten the longest step.
@@ -240,11 +240,11 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
 class GainCheck:
     """Result of `check_gains`: whether the gains of a tracking method are stable.
 
-    verdict: "stable", "marginal" or "unstable", over everything that was asked; radius: spectral radius of the mapping
-    matrix (factor by which an error changes per sample, at rest); message: one sentence, more with delay, noise or a
-    path; suggestion: the best gains at this sample time and delay; longest_step [s]: the longest sample time at which
-    the same gains are stable, along the path where they are not. delay [samples]: as given; noise_gain: RMS of a joint over
-    the RMS of the noise on its measured position; along: growth of an error on the path (factor, per_step, closed), or None.
+    verdict: "stable", "marginal" or "unstable", at rest and, if a path was given, along it; radius: spectral radius of the mapping
+    matrix (factor by which an error changes per sample, at rest); message: one sentence, more with noise or a path;
+    suggestion: the best gains at this sample time and delay; longest_step [s]: the longest sample time at which the same gains
+    are stable (along the path, if they are unstable there). delay [samples]: as given; noise_gain: RMS of a joint's position over
+    the RMS of the noise on its measurement; along: growth of an error on the path (factor, per_step, closed), or None.
     """
 
     method: str
@@ -282,11 +282,11 @@ def check_gains(
     Args:
         method: Name of the method.
         h: Sample time [s].
-        delay: Age in samples of measured joint positions that are fed back directly (20 ms at h = 0.01 s: 2; fractions
-            allowed). `Tracker.update(q=...)` takes the delay out before, see `JointObserver`.
+        delay: Age of measured joint positions that are fed back directly, in samples (20 ms at h = 0.01 s are 2 samples;
+            fractions are allowed). Leave it 0 for `Tracker.update(q=...)`, which takes the delay out, see `JointObserver`.
         noise: RMS of the noise on a measured position [rad or m]; the message tells the resulting RMS of the joints.
-        robot: A Robot; with path, the gains are judged along this path as well, by the growth of a small error over it,
-            or over a lap if it is closed.
+        robot: A Robot. With `path`, the gains are also judged along this path, by the growth of a small error over the path,
+            or over a lap if the path is closed.
         path: A Reference, as from ik.circle.
         null_damping: Damping of null-space motion along the path [1/s], as in `Method`.
         gains: By method: kappa (cv); kp and kd (ca); share (av and aa); gamma and share (aad).
@@ -323,7 +323,7 @@ def check_gains(
             else " Noise on the measured positions grows without bound."
         )
     found = None
-    # Gains that a higher rate makes stable at rest may need a still higher one along the path.
+    # Gains that a higher sample rate makes stable at rest may need a still higher rate along the path.
     rescued = path is not None and verdict != "stable" and 0.0 < longest < math.inf and not delay
     if verdict != "stable" and not rescued:
         message += _way_out(method, best, longest, delay)
@@ -352,8 +352,8 @@ def _longest_along(
 ) -> float:
     """Return the longest sample time [s] below h at which factor(h), the growth along a path, is below 1; 0 if none is found.
 
-    The rate is doubled until the growth is below 1, as long as the path has at most `most` samples; then the interval is
-    halved so many times.
+    The sample rate is doubled until the growth is below 1, while the path has at most `most` samples; then the interval of sample
+    times around the border is halved `halvings` times.
     """
     low = 0.5 * h
     while factor(low) >= 1.0:
@@ -370,17 +370,17 @@ def _longest_along(
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
     """Return a sentence on gains or a sample time that would work."""
     words = f" Try {equations(best)}"
-    if method == "aa":  # method aa is marginal even with its best gains
+    if method == "aa":  # Method aa is marginal even with its best gains.
         out = " aad removes that eigenvalue at the same accuracy."
         return f"{words} with aad, which removes aa's eigenvalue -1." if delay else out
-    # At a higher rate the same delay is more samples, so no rate is suggested.
+    # At a higher sample rate the same delay is more samples, so no rate is suggested.
     if delay or not 0.0 < longest < math.inf:
         return f"{words}."
     return f"{words}, or a rate above {1.0 / longest:.4g} Hz."
 
 
 def _region(method: str, h: float, **gains: float) -> tuple[float, str]:
-    """Return the distance to the border of the closed-form stability region (negative outside), and words for it."""
+    """Return the distance of the gains from the border of the stability region (negative outside), and words on the region."""
     if method == "cv":
         k = gains["kappa"] * h
         return min(k, 1.0 - k), f"kappa h = {k:.4g}, stable between 0 and 1"

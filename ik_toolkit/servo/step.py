@@ -19,12 +19,13 @@ class Standards(NamedTuple):
 
     position: float = 1e-3  # [m] error above which a joint limit or the edge of the reach is reported as the reason
     angle: float = 5e-3  # [rad] orientation error above which limits or reach are reported as the reason
-    # share of a joint's speed limit (of 1 rad/s or 1 reach/s if it has none) below which it counts as at rest
+    # A joint counts as at rest below this share of its speed limit (of 1 rad/s or 1 reach/s if it has none).
     at_rest: float = 1e-3
-    # a joint slower than this share of its speed limit is not moved by feedback; a gain of 0.1/s would ask for 1e-4
+    # A joint slower than this share of its speed limit does not move at all: for an error worth reporting (`position`), even a gain
+    # of 0.1/s would ask for a share of about 1e-4.
     resting: float = 1e-6
-    falling: float = 0.2  # the tip comes nearer if the error falls by this share of what feedback would remove
-    still: float = 1e-3  # share of the error that a step removes, below which the tip hardly comes nearer
+    falling: float = 0.2  # The tip comes nearer if the error falls by this share of what feedback would remove.
+    still: float = 1e-3  # The tip hardly comes nearer if a step removes less than this share of the error.
 
 
 JUDGE = Standards()
@@ -33,12 +34,12 @@ JUDGE = Standards()
 class StepStatus(Enum):
     """Outcome of one tracker step.
 
-    OK: the arm is at its target, or gets nearer with nothing to hold it back; then the reason says how far it is. LIMITED:
-    a limit held a joint back, or the tip can hardly get nearer to its target.
-    AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows. BLOCKED: the arm rests as near as a
-    collision ahead allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a
-    joint outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones.
-    JUMPED: a joint moved far, or the tracker restarted from the measured joints. HELD: there was no usable command.
+    OK: the arm is at its target, or nothing keeps it from getting nearer; in the second case the reason says how far away it is.
+    LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target, or it is on its way to a target that
+    jumped. AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows. BLOCKED: the arm rests as near as a
+    collision ahead allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a joint
+    outside its limits returns or brakes. FOLLOWING_ERROR: the measured joints are far from the commanded ones. JUMPED: a joint
+    moved far, or the tracker restarted from the measured joints. HELD: the target or the command was not finite.
     """
 
     OK = "ok"
@@ -53,7 +54,7 @@ class StepStatus(Enum):
 
 
 class Judged(NamedTuple):
-    """What the status of a tracker's steps depends on and is the same for all steps."""
+    """What the status of a step depends on, as far as it is the same for all steps of a tracker."""
 
     robot: Any
     settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
@@ -63,7 +64,7 @@ class Judged(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What the status of one step is computed from; the arrays are copies."""
+    """What the status of one step is computed from; the arrays are not shared with the tracker."""
 
     by: Judged
     code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
@@ -73,10 +74,11 @@ class Outcome(NamedTuple):
     lost: float  # number of singular directions, in which the tip can hardly move
     down: bool  # whether the step was a damped descent towards the closest pose nearby (servo/damped_descent.py)
     finite: bool  # whether all numbers of the target were finite
-    lag: float  # largest difference between measured and commanded joints, over the one allowed
+    lag: float  # largest difference between measured and commanded joints, as a share of the allowed difference
     resynced: bool  # whether the tracker restarted from the measured joints
     between: tuple[str, str] | None  # names of the two parts that would have touched
-    # Joints whose limits caused a move to another posture, or the way taken to a target that jumped; None: neither.
+    # On a move to another posture: names of the joints whose limits caused it. On the way to a target that jumped: the way chosen.
+    # Otherwise None.
     way: tuple[str, ...] | Choice | None
 
 
@@ -86,10 +88,10 @@ make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as i
 class Step:
     """One step of a tracker.
 
-    q (n,) [rad or m] and rate (n,) [rad/s or m/s]: command these now. position_error [m] and orientation_error [rad]
-    (None for positions): what is left to this step's target, for several tips the largest, at `q`, or where measured
-    joints are estimated to be then. at_rest, between and status: see these properties. reason: a sentence, '' for OK at
-    the target.
+    q (n,) [rad or m] and rate (n,) [rad/s or m/s]: command these now. position_error [m] and orientation_error [rad] (None for
+    positions): distances left to this step's target, for several tips the largest. They are taken at `q`, or if joints are
+    measured, where the joints are estimated to be at the end of the step. at_rest, between and status: see these properties.
+    reason: a sentence, '' for OK at the target.
     """
 
     __slots__ = ("_outcome", "q", "rate")
@@ -149,16 +151,16 @@ class Step:
         return bool((np.abs(self.rate) <= JUDGE.at_rest * self._outcome.by.speed).all())
 
     def _rests(self) -> bool:
-        """Return whether no joint moved although there was an error, so that no motion reduces it."""
+        """Return whether no joint moves although there was an error before the step, so that no motion reduces this error."""
         before, after = np.abs(self._outcome.errors)
         return bool(
             (np.abs(self.rate) <= JUDGE.resting * self._outcome.by.speed).all() and before.max() > 0.5 * after.max()
         )
 
     def _falls(self) -> bool:
-        """Return whether the error, with lengths in arm reaches, falls as feedback makes it fall where nothing is in the way.
+        """Return whether the error, with lengths in arm reaches, falls about as fast as feedback lets it fall without hindrance.
 
-        The error of an arm that cannot follow falls as well where its target comes back, but more slowly.
+        If an arm cannot follow, but its target comes back, the error falls, too, but more slowly.
         """
         o, (before, after) = self._outcome, self._sizes()
         gains = o.by.settings(o.h)
@@ -171,7 +173,7 @@ class Step:
         return np.linalg.norm(parts.reshape(2, -1), axis=1)
 
     def _away(self) -> bool:
-        """Return whether the error left is above JUDGE's, so that limits or the reach are worth reporting."""
+        """Return whether the error left exceeds JUDGE.position or JUDGE.angle, so that it is worth saying why."""
         return self.position_error > JUDGE.position or (self.orientation_error or 0.0) > JUDGE.angle
 
     @property

@@ -1,6 +1,6 @@
 """A target that jumped and stands: the tip moves there in a straight line, or the joints move together if faster.
 
-The feedback of a method closes an error in proportion. Inside joint limits that loses time twice: the tip slows down
+The feedback of a method closes an error in proportion to its size. Inside joint limits that loses time twice: the tip slows down
 long before its target, and a straight line of the tip can be a long way for the joints, or end where no joint can go
 on. So if an error hardly falls although the target stands, joint values are solved for at once, for the target and for
 points on the straight line before it. The line is taken unless it needs more than STRAIGHT times as long as moving all
@@ -22,16 +22,16 @@ from .reconfigure import Postures, Reconfiguration, Taken, gap, locked
 from .target_stream import STAND, STILL, WAIT
 from .viability import HELD_BACK, POSITION, UNKNOWN, bending, time_left, travel
 
-# a straight line of the tip is chosen if it takes at most this many times as long as the direct joint move
+# A straight line of the tip is chosen if it takes at most this many times as long as the direct joint move.
 STRAIGHT = 1.2
-# number of pieces of a straight line; the tip leaves it by 1/24^2 of its deviation in one direct joint move
+# number of pieces of a straight line; the tip then leaves the line by 1/24^2 of its deviation in a single direct joint move
 POINTS = 24
-# a line that takes this many times as long as a joint move must contain a change of posture
+# A line that takes this many times as long as a joint move must contain a change of posture.
 TORN = 4.0
-NEAR = 2e-3  # [m] a smaller error (angles at the lever arm LEVER) is left to the tracking method
-# a method that leaves more than this share of an error after a step is hindered; its gains leave a third at most
+NEAR = 2e-3  # [m] A smaller error (angles at the lever arm LEVER) is left to the tracking method.
+# A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
 SLOW = 0.5
-SOONER = 0.5  # the posture that moves slow joints less is taken if its move takes less than this share of the time
+SOONER = 0.5  # The posture that moves slow joints less is taken if its move takes less than this share of the time.
 CLOSE = 1e-3  # [s] time left at full joint speed below which a move counts as finished
 
 
@@ -46,14 +46,14 @@ class Route(NamedTuple):
     rate: np.ndarray
 
     def hardest(self, a: np.ndarray) -> float:
-        """Return the largest joint acceleration over its limit a (n,); in a cubic piece it occurs at an end."""
+        """Return the largest ratio of joint acceleration to limit a (n,); in a cubic piece it occurs at one of the ends."""
         h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
         first = 6.0 * d / h**2 - (4.0 * self.rate[:-1] + 2.0 * self.rate[1:]) / h
         last = (2.0 * self.rate[:-1] + 4.0 * self.rate[1:]) / h - 6.0 * d / h**2
         return float((np.maximum(np.abs(first), np.abs(last)) / a).max())
 
     def fastest(self, top: np.ndarray) -> float:
-        """Return the largest joint rate over its limit top (n,), at the ends and in the middle of the pieces."""
+        """Return the largest ratio of joint rate to limit top (n,), at the ends and in the middle of the pieces."""
         h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
         middle = 1.5 * d / h - 0.25 * (self.rate[:-1] + self.rate[1:])
         return float(max((np.abs(self.rate) / top).max(), (np.abs(middle) / top).max()))
@@ -69,15 +69,14 @@ class Choice(NamedTuple):
 class Leap:
     """Leads a tracker to a target that jumped.
 
-    goal (n,): joint values it moves to [kernel units], or None; why: the way chosen.
+    goal (n,): joint values to which the move under way leads [kernel units], or None; why: the way chosen.
     """
 
     def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:
-        """Bind the solver; chosen: whether the caller chose the method's gains.
+        """Bind the solver (postures); chosen: whether the caller chose the method's gains.
 
-        elsewhere: finds other postures, or None.
-
-        straight: largest duration of the straight line over that of the direct joint move.
+        straight: largest ratio of the straight line's duration to that of the direct joint move; elsewhere: finds other postures,
+        or None.
         """
         self.postures, self._chosen, self._most, self._elsewhere = postures, chosen, straight, elsewhere
         # This compiles (or loads) the time law now, and not in a control loop.
@@ -121,7 +120,7 @@ class Leap:
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
         elif not len(found) and taken.stand[STAND.leapt] and self._elsewhere and self._enough <= CLOSE:
-            # only one search for each jump, even if the target creeps on
+            # There is only one search for each jump, even if the target creeps on.
             taken.stand[STAND.leapt] = 0.0
             self._elsewhere.search_now(T[1], q, limits)
 
@@ -137,9 +136,9 @@ class Leap:
         self.why = Choice(self._route is not None, ratio)
 
     def _patience(self, law: np.ndarray) -> float:
-        """Return the time [s] before the target at which the method takes over.
+        """Return the time [s] before the end of the move at which the tracking method takes over.
 
-        With gains that the caller chose it is their time constant, else 0: the move ends at the target.
+        If the caller chose the gains, it is their time constant. Otherwise it is 0, and the move leads to the target itself.
         """
         if not self._chosen:
             return 0.0
@@ -147,9 +146,9 @@ class Leap:
         return 1.0 / p.kappa if p.kappa > 0.0 else p.kd / p.kp if p.kp > 0.0 else 0.0
 
     def _straight(self, goal: np.ndarray, taken: Taken) -> Route | None:
-        """Return the joint motion along a straight line of the tip to the target, as fast as limits allow.
+        """Return the fastest joint motion inside the limits along a straight line of the tip to the target.
 
-        None if there is none.
+        It is None if a point of the line cannot be reached, or two of its points have the same joint values.
         """
         T, q = taken.T[1], taken.q
         left = 1.0 - np.arange(1, POINTS) / POINTS
@@ -167,9 +166,7 @@ class Leap:
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray,
         code: np.ndarray,
     ) -> bool:  # fmt: skip
-        """Step q and rate (n,) in place by h [s] towards the goal.
-
-        Return False, with nothing moved, if there is no goal any more.
+        """Step q and rate (n,) in place by h [s] towards the goal; return False, with nothing moved, if there is no goal any more.
 
         gamma, late: as in `travel`. code (n,) receives the bits of the limits that held joints back.
         """
@@ -192,7 +189,7 @@ class Leap:
 def ways(
     postures: Postures | None, chosen: bool, straight: Any, reconfigure: Any, world: Any
 ) -> list[Leap | Reconfiguration]:
-    """Return what leads the joints of a tracker where its method fails or is slow; nothing if postures is None.
+    """Return the objects that lead a tracker's joints where its method fails or is slow; none if postures is None.
 
     chosen: as for `Leap`; straight, reconfigure: options of `Tracker`; world: a CollisionModel or None. Raises
     InvalidOption.
@@ -208,10 +205,8 @@ def ways(
 def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:
     """Return the fastest motion through points (K + 1, n), from joint rates (n,) to rest, inside limits (4, n).
 
-    None if two neighbouring points coincide.
-
-    The path coordinate is time [s] at full speed: the length of a segment is the time of its slowest joint at its speed
-    limit, so the rate of the coordinate is at most 1.
+    It is None if two neighbouring points coincide. The path coordinate is time [s] at full speed: the length of a segment is the
+    time that its slowest joint needs at that joint's speed limit, so the rate of the coordinate is at most 1.
     """
     top, a = speeds(limits), (1.0 - HELD_BACK) * limits[3] / bending(gamma)
     d = np.diff(points, axis=0)

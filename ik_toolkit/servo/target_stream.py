@@ -1,4 +1,4 @@
-"""Targets as they arrive in a control loop: reading, checking, their motion, and whether they stand."""
+"""Targets as they arrive in a control loop: how they are read and checked, how they move, and whether they stand still."""
 
 import math
 from collections.abc import Mapping
@@ -20,15 +20,15 @@ from ..robot.pose import AxisTarget, as_array
 from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_of
 
-TIGHT = 1e-9  # rotation matrices with smaller errors are accepted here; the full check corrects or refuses others
+TIGHT = 1e-9  # Rotation matrices with smaller errors are accepted here; the full check corrects or refuses others.
 READ, CHECK, REFUSED = range(3)  # state of a target given to the kernel: fully read, still to be checked, or refused
 # results of `arrive`: accepted, to be read in full, or not finite (the last target stays)
 TAKEN, DOUBTFUL, HELD = range(3)
 STILL = 2e-3  # [m, or rotation matrix entries] largest change of a standing target in WAIT: 20 mm/s, or 0.014 rad/s
 WAIT = 0.1  # [s] time within which a target that stands still may not move by more than STILL
-# [m/s, or rotation matrix entries per s] speed up to which a target is at rest; a reversing one is only briefly slower
+# [m/s, or rotation matrix entries per s] A target slower than this is at rest; a target that reverses is so slow only briefly.
 RESTS = 5e-4
-# [m, or rotation matrix entries] change between two targets that counts as a jump; a fast hand moves a fifth of it
+# [m, or rotation matrix entries] A larger change between two targets is a jump; a fast hand moves a target by a fifth of this.
 JUMP = 0.05
 
 
@@ -39,7 +39,7 @@ class Stand(NamedTuple):
     """
 
     seconds: int  # [s] for which the target has stood still, to within STILL
-    leapt: int  # 1: the target jumped to its present place
+    leapt: int  # 1: the target jumped to the place where it stands
     still: int  # 1: the target hardly moved since the last sample, or only trembles as measured targets do
     rest: int  # [s] for which the target has been at rest; a trembling target never is
     known: int  # 1: the rest of the array holds the F poses at which the target stands still
@@ -121,11 +121,11 @@ def look(T, stand, dt):
 def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceleration, dt):
     """Write a new target into sample `slot` of `samples`: 0 is the last target, 1 the next one.
 
-    samples, given (one target), stand (5 + 16 F,): blocks as in workspace.py, and an array as in `Stand`. how: READ,
-    CHECK or REFUSED. posed: bit f says that tip f has an orientation. first: there was no target before. moved: the
-    former next target becomes the last one. twist, acceleration: whether they are given; if not, the last two targets,
-    dt [s] apart, give the twist, and the acceleration is 0. Returns TAKEN, DOUBTFUL (read the target in full and call
-    again) or HELD.
+    samples, given: blocks as in workspace.py, of two targets and of the new target; stand (5 + 16 F,): array in the layout of
+    `Stand`. how: READ, CHECK or REFUSED. posed: bit f says that tip f has an orientation. first: there was no target before.
+    moved: the former next target becomes the last one. twist, acceleration: whether they are given; if not, the twist follows
+    from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN, DOUBTFUL (the caller has to read the
+    target in full and call again) or HELD.
     """
     (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
@@ -172,8 +172,8 @@ KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its arra
 class Stream(CopiesViews):
     """The targets of a tracker: the last and the next one (`samples`), and whether the next one stands (`stand`).
 
-    kinds: kind of target of each tip, None before the first. pace [s]: the longest recent time between targets. unseen
-    [s]: time since the tracker last examined a step.
+    kinds: kind of target of each tip, None before the first target. pace [s]: the longest recent time between targets.
+    unseen [s]: time since the tracker last examined a step.
     """
 
     VIEWS = ("_poses",)
@@ -211,11 +211,10 @@ class Stream(CopiesViews):
         self.unseen = 0.0
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
-        """Write a target to sample 0 (now) or 1 (end of the step).
+        """Write a target to sample `slot`: 0 (now) or 1 (end of the step); return False if it is not finite.
 
-        Return False if it is not finite, and the last one is kept.
-
-        twist, acceleration: as in `Tracker.update`; dt [s]: time since the last target. Raises InvalidTarget.
+        Then the last target is kept. twist, acceleration: as in `Tracker.update`; dt [s]: time since the last target. Raises
+        InvalidTarget.
         """
         if dt >= self.pace:
             self.pace, self._second, self._count = dt, 0.0, 0
@@ -239,7 +238,7 @@ class Stream(CopiesViews):
             self.pace, self._second, self._count = self._second, 0.0, 0
 
     def step_on(self) -> None:
-        """Let the next target become the last one, once the one after it arrives."""
+        """Let the next target become the last one as soon as a new target arrives."""
         self._moved = 1
 
     def divided(self, parts: int) -> list[Samples]:
@@ -256,7 +255,7 @@ class Stream(CopiesViews):
         return [samples_from(T[k : k + 2], V[k : k + 2], A[k : k + 2]) for k in range(parts)]
 
     def last_of(self, samples: Samples) -> Samples:
-        """Return the last of some samples alone; the result is valid until the next call."""
+        """Return Samples of only the last one of the given samples; the result is valid until the next call."""
         last = self._last
         last.T[0], last.V[0], last.A[0] = samples.T[-1], samples.V[-1], samples.A[-1]
         return last
@@ -375,7 +374,7 @@ class Stream(CopiesViews):
 
 
 def _finite(one: Any) -> bool:
-    """Return whether all numbers of a tip's target are finite; True for what is no target, as its reader refuses it."""
+    """Return whether all numbers of a tip's target are finite; True if it is no target at all, which reading it will refuse."""
     try:
         return bool(np.isfinite(np.asarray(getattr(one, "T_base_tip", as_array(one)), dtype=float)).all())
     except (TypeError, ValueError):

@@ -42,14 +42,16 @@ class Tracker(CopiesViews, ReadOnly):
     Args:
         robot: A Robot, or a Tree (several tips).
         method: A Method, its name (cv, av, ca, aa, aad), or a solver that tracks; its options go into `options`.
-        q0, rate0: Start values (n,), default home, and rates (n,), default the target's (0 with acceleration limits).
-        limits: Whether to keep position and speed limits, or narrower ones as in `ik.solve`. Joints outside return.
-        acceleration_limits: Number or (n,) [rad/s^2 or m/s^2]. All limits hold between samples, but cv, av and solvers
-            jump in rate.
-        on_limit: What gives way to limits. "direct": the tip falls behind, but towards its target; "leave": the error
-            is the least possible now; "clip": each joint is clipped on its own, the published form.
+        q0, rate0: Joint values at the start (n,), default home, and rates (n,), by default those that follow the target (0
+            with acceleration limits).
+        limits: Whether to keep position and speed limits, or narrower limits as in `ik.solve`. Joints outside are brought back.
+        acceleration_limits: Number or (n,) [rad/s^2 or m/s^2]. All limits hold between samples, too, but with cv, av and
+            solvers the rates jump at samples.
+        on_limit: What gives way to limits. "direct": the tip falls behind, but moves towards its target; "leave": the error
+            is the least possible now; "clip": each joint is clipped on its own, as in the published form.
         dt_max: Longest step [s] that keeps limits (default five times the first dt); a longer dt is taken in parts.
-        jump, resync: Largest joint move in a step, and difference of command and measurement [rad or arm reaches].
+        jump, resync: Joint move in a step that is reported as a jump, and difference between command and measurement that
+            restarts the tracker [rad or arm reaches].
         avoid_limits: Gain [1/s] (or True, False) of null-space motion away from near limits.
         posture: Joint values (n,) to move to in the null space, or (joint values, gain [1/s]).
         elbow: A dict from joint names to 1 or -1: the side of zero on which a joint stays.
@@ -58,11 +60,11 @@ class Tracker(CopiesViews, ReadOnly):
         avoid_collisions: True (the robot's own links) or a CollisionModel. The arm slows down and slides along
             obstacles, and takes no step after which it could not stop before a static one (BLOCKED).
         reconfigure: Only with "direct". Move in joint space to another posture if only that reaches the target
-            (RECONFIGURING): at once if the target rests, else when the error has cost as much. Not with a locked joint.
-        straight: Only with "direct". Largest duration of a straight line to a target that jumped and stands, over that
-            of a joint move, which is made if the line takes longer (inf: only if there is no line).
+            (RECONFIGURING): at once if the target rests, else when the error has cost as much as the move. Not with a locked joint.
+        straight: Only with "direct". To a target that jumped and stands, the tip moves straight. If that takes more than `straight`
+            times as long as a direct joint move, this move is made instead (inf: only if there is no straight line).
         delay, noise: Age [samples] and standard deviation [rad or arm reaches] of measured joints, see JointObserver.
-        options: Those of the method, and mask, slack, free_turn, frame, relative_to as in `ik.solve`.
+        options: Options of the method, and mask, slack, free_turn, frame, relative_to as in `ik.solve`.
 
     Raises InvalidOption (here and in `update` also for a cost that is not finite), InvalidConfiguration.
     """
@@ -116,7 +118,7 @@ class Tracker(CopiesViews, ReadOnly):
         n, m = robot.n, 6 * self.stream.tips
         moves = bool(limits) and self._mode == DIRECT
         self._postures = Postures(robot, self.engine.options, speeds(self._limits)) if moves else None
-        # These lead joints where the method fails or is slow.
+        # Each of these leads the joints where the method fails or is slow.
         self._ways = ways(self._postures, self.engine.chosen, straight, reconfigure, self._world)
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         self._settings.limits[:], self._settings.wish[:] = self._limits, self.secondary.wish
@@ -125,7 +127,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._observer, self._rows = JointObserver(n, delay, noise), 0
         self._laws: dict[float, np.ndarray] = {}
-        self._ordered: tuple = ()  # gains and options behind the settings
+        self._ordered: tuple = ()  # arguments with which `_order` last wrote the settings
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what led the last step; None: the tracking method
         self.reset(q0, rate0=rate0)
@@ -201,11 +203,11 @@ class Tracker(CopiesViews, ReadOnly):
             target: T_base_tip (4, 4), pin.SE3, position (3,) or AxisTarget; for several tips as in `ik.Solver`; always
                 of one kind.
             dt: Length of the step [s].
-            twist: Twist of the target then, (6,) or (3,), base axes, for several tips (F, 6) or a dict; default from
-                the last two targets.
-            acceleration: Its acceleration, likewise; default 0.
-            q: Joint values (n,) as measured now, from which a filter estimates the joints (JointObserver). Further than
-                `resync` from the command that they answer to, the tracker restarts from them, at rest (JUMPED).
+            twist: Twist of the target at that time, (6,) or (3,), base axes, for several tips (F, 6) or a dict; default
+                from the last two targets.
+            acceleration: Acceleration of the target at that time, in the same form; default 0.
+            q: Joint values (n,) as measured now, from which a filter estimates the joints (JointObserver). If they are off by
+                more than `resync` from the command they answer to, the tracker restarts from them, at rest (JUMPED).
 
         For a target that is not finite the arm brakes (HELD). Raises InvalidTarget for a wrong shape, InvalidOption for
         a dt that is not positive or is too long, InvalidConfiguration for a wrong q.
@@ -250,7 +252,7 @@ class Tracker(CopiesViews, ReadOnly):
         return Step(now[0], now[1], out)
 
     def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
-        """Take one step: led to a target that jumped or another posture, or by the method."""
+        """Take one step, led by the first of `_ways` that has a goal (a joint move), or else by the method."""
         goes = None if brake else next((way for way in self._ways if way.goal is not None), None)
         if goes is not self._goes:
             self._goes = goes
@@ -260,7 +262,7 @@ class Tracker(CopiesViews, ReadOnly):
             (self.take if self._guard else self.run)(samples, h, self._out, brake=brake, measured=measured)
 
     def _go(self, way: Leap | Reconfiguration, samples: Samples, h: float, **how: bool) -> None:
-        """Take a step that `way` leads, or one of the method if it has no goal any more or a collision blocks it."""
+        """Take a step led by `way`, or by the method if `way` has no goal any more or a collision blocks its step."""
         guard, late = self._guard, max(self._late, h)
         before, (q, rate) = self.carried(), self._carried.motion * self._units
         goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits, self._code)
@@ -278,11 +280,11 @@ class Tracker(CopiesViews, ReadOnly):
             return
         self._forget(laws.READY)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._code &= viability.RECOVERING  # other limits are normal while a move leads the joints
+        self._code &= viability.RECOVERING  # Other limits are not reported: a joint move uses them fully.
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
-        """Let what can lead the joints elsewhere (`_ways`) examine the step taken; left [m]: error after it."""
+        """Let all of `_ways` examine the step just taken, as they may lead the joints elsewhere; left [m]: error after the step."""
         out, unseen, self.stream.unseen = self._out, self.stream.unseen, 0.0
         taken = Taken(
             self._code, out.S[0] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
@@ -292,7 +294,7 @@ class Tracker(CopiesViews, ReadOnly):
             way.watch(taken)
 
     def _now(self, samples: Samples, h: float, **how: Any) -> Record:
-        """Return a record of the present state, valid until the next call."""
+        """Return a Record of the present state, without a step; it is valid until the next call."""
         self.run(samples, h, self._here, **how)
         return self._here
 
@@ -302,12 +304,12 @@ class Tracker(CopiesViews, ReadOnly):
         return self._now(samples, h, measured=True).E[0]
 
     def _end(self, samples: Samples, h: float, out: Record, **how: Any) -> None:
-        """Write the state after a step to the last row of its record `out`."""
+        """Write the state after a step to the last row of the step's record `out`."""
         now = self._now(samples, h, **how)
         out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
 
     def prepare(self, kinds: tuple) -> None:
-        """Pack what depends on the kinds of target (one per tip). Raises InvalidOption for slack in mode "clip"."""
+        """Write the settings that depend on the kinds of target, one per tip. Raises InvalidOption for slack in mode "clip"."""
         if self._kinds == kinds:
             return
         self._orders, counts = self.engine.orders(kinds)
@@ -337,7 +339,7 @@ class Tracker(CopiesViews, ReadOnly):
         runaway: float = math.inf,
     ) -> int:  # fmt: skip
         """Take as many steps of h [s] as `out` has room for (see servo/loop.py); return how many were taken."""
-        # With gains for each step's own length, method ca would oscillate if step lengths differ.
+        # If gains were chosen for the length of each single step, method ca would oscillate where step lengths differ.
         pace = max(h, min(self.stream.pace, self._late))
         ordered = h, pace, brake, measured, runaway, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:
@@ -351,7 +353,7 @@ class Tracker(CopiesViews, ReadOnly):
         )
 
     def _order(self, h, pace, brake, measured, runaway, late, rows, avoid) -> None:
-        """Write the method's parameters for a run to the settings; pace [s]: step length for which gains are chosen."""
+        """Write the method's parameters to the settings; pace [s]: step length for which the gains are chosen."""
         made = self._laws.get(pace)
         if made is None:
             if len(self._laws) >= LAWS_KEPT:

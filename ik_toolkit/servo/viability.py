@@ -1,20 +1,20 @@
 """Bounds on the next rate of each joint such that it can always brake before its position limit (viability kernel).
 
-A joint at q moves at rate v. A step of h [s] takes it to the rate w and to q + h ((1 - gamma) v + gamma w). Within the
-step it moves straight if gamma is 1 (velocity level), else along the parabola through both ends that begins with the
-rate v. The bounds hold for this whole motion, not only at the samples. Braking means w = max(0, v - a h) in every step.
-Whatever lengths up to `late` [s] the later steps have, the joint then covers at most the distance
+A joint at q moves at rate v. A step of h [s] takes it to the rate w and to q + h ((1 - gamma) v + gamma w). Within the step its
+value changes at a constant rate if gamma is 1 (velocity level), else along the parabola through both ends that begins with the
+rate v. The bounds hold for this whole motion, not only at the samples. Braking means w = max(0, v - a h) in every step, with the
+deceleration a. Whatever lengths up to `late` [s] the later steps have, a braking joint covers at most the distance
 
     gamma = 1    v^2 / 2a
     else         v^2 / 2a + a late^2 / 8   for v above a late / 2, below that v late / 2
                  plus (1/2 - gamma) v late for gamma below 1/2
 
-which `stopping` returns: a braking step of h from v to w covers no more than the difference of that distance at v and
-at w. (At velocity level the steps are a lower sum of the integral of v; else they are trapezoids, and a long last step
-is the worst case.) A state is viable if its stopping distance is no longer than the distance to the limit. `joint_box`
-only allows rates that lead to viable states, so no later step has to break one limit to keep another.
+which `stopping` returns. The reason is that a braking step from v to w covers no more than the difference between the stopping
+distances from v and from w. (At velocity level the steps are a lower sum of the integral of v; else they are trapezoids, and a
+long last step is the worst case.) A state is viable if its stopping distance is no longer than the distance to the limit.
+`joint_box` only allows rates that lead to viable states, so no later step has to break one limit to keep another.
 
-The module also has single steps of joints towards given values or along a known motion (`travel`), and the path of a
+The module also takes single steps of joints towards given values or along a known motion (`travel`), and computes the path of a
 full brake (`brake`), which must be free of contact before a step is taken.
 """
 
@@ -32,19 +32,21 @@ from ..kernel.records import Array
 # CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
 ROUNDING = 4e-16  # margin to a limit, as a share of |limit| + |q|, for rounding in one step
-# share of the distance to a limit kept as a margin, for the rounding of some hundred braking steps
+# This share of the distance to a limit is kept as a margin, for the rounding of some hundred braking steps.
 SPARE = 1e-13
-NOISE = 1e-12  # [rad or arm reaches] a joint beyond a viable state by more counts as recovering
+NOISE = 1e-12  # [rad or arm reaches] A joint that misses a viable state by more than this counts as recovering.
 UNLIMITED = 1.0  # [rad/s or arm reaches/s] speed of a joint without a speed limit, where joints are compared
-SHARE = 0.1  # share of the speed limit, or of 1 rad/s (arm reach/s) if less, at which a joint returns inside
-SWING = 0.05  # share of the speed limit above which a motion counts for detecting oscillation
-# A joint oscillates once it has reversed SWINGING times in a row, each within WINDOW [s] of the last; HOLD [s] ends it.
+# A joint outside its limits returns at no more than this share of its speed limit, or of 1 rad/s (1 arm reach/s) if that is less.
+SHARE = 0.1
+SWING = 0.05  # Only motions faster than this share of the speed limit count when oscillation is detected.
+# A joint oscillates once it has reversed SWINGING times in a row, each time within WINDOW [s] of the last reversal. It no longer
+# counts as oscillating after HOLD [s] without a reversal.
 # For comparison: scripts/benchmarks/servo_judge.py calls four reversals within 0.1 s chatter.
 SWINGING = 2.0
 WINDOW, HOLD = 0.05, 0.1
-# [s] for which oscillation is limited after a limit, an inequality or a singular pose has hindered the joints
+# [s] Oscillation is limited for this long after a limit, an inequality or a singular pose has hindered the joints.
 LASTING = 0.2
-# [1/s] growth of an oscillating joint's speed: by CALM of its speed limit plus GROWTH of its speed, per second
+# [1/s] The speed of an oscillating joint may grow, per second, by CALM times its speed limit plus GROWTH times its speed.
 CALM, GROWTH = 0.75, 10.0
 
 
@@ -52,8 +54,8 @@ CALM, GROWTH = 0.75, 10.0
 class RateBox(NamedTuple):
     """Bounds on the next rate of each joint, arrays (n,), and what sets them."""
 
-    floor: Array
-    roof: Array
+    floor: Array  # lowest next rates
+    roof: Array  # highest next rates
     why_low: Array  # bits (POSITION, VELOCITY, ...) of the limits that set the lowest rate, `floor`
     why_top: Array  # bits of the limits that set the highest rate, `roof`
 
@@ -66,9 +68,9 @@ def box_of(s):
 
 @shared
 def bending(gamma):
-    """Return the peak acceleration in a step over (new rate - last rate) / h, if the joint follows a parabola.
+    """Return the ratio of the peak acceleration in a step to (new rate - last rate) / h.
 
-    It is 2 gamma for gamma between 1/2 and 1, where the parabola ends at a rate beyond the new one, else 1.
+    It is 2 gamma for gamma between 1/2 and 1, where the joint's parabola ends at a rate beyond the new rate, else 1.
     """
     return 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
 
@@ -108,7 +110,7 @@ def approach(distance, v, gamma, h, a, late):
 def way_to(limit, q, sign):
     """Return a joint's distance from q to a limit (sign 1: upper, -1: lower), less a margin for rounding.
 
-    Negative outside the limit.
+    The distance is negative if q is outside the limit.
     """
     if abs(limit) == np.inf:
         return np.inf
@@ -120,10 +122,10 @@ def way_to(limit, q, sign):
 
 @dual
 def towards(way, v, speed, gamma, h, a, late):
-    """Return the highest next rate in the direction of a limit at the signed distance `way`.
+    """Return the highest next rate in the direction of a limit at the signed distance `way`; v: present rate in that direction.
 
-    Outside the limit (way < 0) the result is negative: the joint returns at no more than SHARE of its speed limit, and
-    so that it can stop at the limit. v: present rate in that direction.
+    Outside the limit (way < 0) the result is not positive: the joint returns, at no more than SHARE of its speed limit and so
+    that it can stop at the limit.
     """
     if way >= 0.0:
         return approach(way, v, gamma, h, a, late)
@@ -133,11 +135,10 @@ def towards(way, v, speed, gamma, h, a, late):
 
 @dual
 def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
-    """Return the lowest and highest next rate of one joint, and the bits of the limits that set each.
+    """Return the lowest and highest next rate of one joint, and for each of the two the bits of the limits that set it.
 
-    If the limits contradict each other (a start outside them, or limits that were changed) both rates are the same: the
-    best compromise, which keeps the acceleration limit first, then the speed limit, then moves back inside. Its bits
-    include RECOVERING.
+    If the limits contradict each other (a start outside them, or limits that were changed), both rates are the best compromise.
+    It keeps the acceleration limit first, then the speed limit, then moves back inside; its bits then include RECOVERING.
 
     q, v: value and rate; lower, upper, speed, a: limits; gamma: weight of the next rate in the motion; h, late [s]:
     this step and the longest later one.
@@ -148,7 +149,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
     fast, slow = speed, -speed
     if bend > 1.0:  # The parabola ends at a rate beyond w, so w is bounded such that its end keeps the speed limit.
         fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
-        # no next rate keeps a speed limit lowered to near 0; coming to rest is the fastest way below it
+        # If the speed limit was lowered to near 0, no next rate keeps it; coming to rest is the fastest way to get below it.
         if slow > fast:
             fast, slow = 0.0, 0.0
     ahead, behind = way_to(upper, q, 1.0), way_to(lower, q, -1.0)
@@ -166,7 +167,7 @@ def joint_box(q, v, lower, upper, speed, a, gamma, h, late):
             w = fall if fall > fast else rise
         else:
             w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
-        # Rounding alone can empty the interval of rates, too; this is no recovery.
+        # Rounding alone can also leave no rate between the bounds; this does not count as recovering.
         why = POSITION | ACCELERATION | (RECOVERING if miss * h > NOISE else 0)
         return w, w, why, why
     return low, top, why_low, why_top
@@ -191,8 +192,8 @@ def boxes(q, rate, limits, gamma, h, late, box):
 def watch(swings, rate, x, size, gamma, h):
     """Update the counts by which oscillating joints are detected, after a step from the rates `rate` to x (n,).
 
-    swings (3, n), in place: reversals in a row, time since the last one [s], and the sign of the last motion. size
-    (n,): a speed for each joint; only motions faster than SWING of it count. See `calm` for the use.
+    swings (3, n), in place: number of reversals in a row, time since the last reversal [s], and sign of the last motion that
+    counts. size (n,): a speed for each joint; only motions faster than SWING times this speed count. `calm` uses the counts.
     """
     for i in range(x.shape[0]):
         swings[1, i] += h
@@ -224,13 +225,11 @@ def narrow(i, least, most, box):
 
 @dual
 def calm(rate, size, swings, h, box):
-    """Limit how fast an oscillating joint may gain speed, by narrowing its bounds in `box` (in place).
+    """Limit how fast an oscillating joint may gain speed, by narrowing its bounds in `box` (in place); braking stays free.
 
-    Braking stays free.
-
-    After each reversal the joint starts again from rest. rate (n,): present rates; size (n,): a speed for each joint;
-    swings: see `watch`. Before this limit existed, 89 of 198 random target streams made joints chatter
-    (scripts/benchmarks/servo_random.py).
+    After each reversal the joint has to gain its speed again from rest. rate (n,): present rates; size (n,): the joints' speed
+    limits, or other speeds to compare with; swings: see `watch`. Before this limit existed, 89 of 198 random target streams
+    made joints chatter (scripts/benchmarks/servo_random.py).
     """
     for i in range(rate.shape[0]):
         if swings[0, i] < SWINGING:
@@ -241,11 +240,9 @@ def calm(rate, size, swings, h, box):
 
 @dual
 def clip(x, box, code):
-    """Clip the desired rates x (n,) in place to their bounds, each joint on its own.
+    """Clip the desired rates x (n,) in place to their bounds, each joint on its own; return True if any limit was active.
 
-    Return True if any limit was active.
-
-    code (n,) receives the bits of the limit that held each joint back, 0 for none.
+    code (n,) receives for each joint the bits of the limit that held it back, 0 for none.
     """
     hit = False
     for i in range(x.shape[0]):
@@ -268,11 +265,9 @@ def move(q, rate, x, gamma, h):
 
 @jit
 def advance(q, rate, x, gamma, h, late, limits, code):
-    """Take one step in place towards the desired rates x (n,), each joint clipped on its own.
+    """Take one step in place towards the desired rates x (n,), each joint clipped on its own; return True if a limit was active.
 
-    Return True if a limit was active.
-
-    x = 0 brakes. code (n,) receives the bits of the active limits.
+    If x is 0, the joints brake. code (n,) receives the bits of the limits that held each joint back.
     """
     n = q.shape[0]
     ends, why = np.empty((2, n)), np.empty((2, n), np.uint8)
@@ -291,10 +286,10 @@ UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for
 def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, code):
     """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n); kernel units.
 
-    Until its end the joints follow a known motion: joint values `points` and rates (K, n) at times (K,) [s], cubic in
-    between, now at `time`. After that, or if times is empty, they move straight to the goal. The limits also hold for
-    later steps of up to late [s]; code (n,) receives the bits of those that held joints back. Returns the least time
-    [s] left at full speed, or -1 if a joint is locked or its goal is outside its limits; then nothing has moved.
+    The joints first follow a known motion to its end: joint values `points` and rates (K, n) at times (K,) [s], cubic in between;
+    `time` is the place on it after this step. Then, or if times is empty, they move straight to the goal. The limits also hold for
+    later steps of up to late [s]; code (n,) receives the bits of the limits that held joints back. Returns the least time [s]
+    left at full speed, or -1 if a joint is locked or its goal is outside its limits; then nothing has moved.
     """
     n = q.shape[0]
     for j in range(n):
@@ -339,9 +334,9 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
 def head_for(q, rate, known, time, gamma, h, limits, x):
     """Write to x (n,) the rates that bring joints to the point of a known motion (times, points, rates) at `time` [s].
 
-    They are the motion's own rates plus a correction of the distance to it, which is limited to what HELD_BACK of the
-    acceleration limit can brake. If gamma is not 1, only half of the distance is corrected in a step, because a whole
-    correction under the trapezoid rule overshoots in every step.
+    The rates are those of the motion plus a correction of the distance to its point. The correction is limited to a rate that the
+    share HELD_BACK of the acceleration limit can brake. If gamma is not 1, a step corrects only half of the distance, because
+    whole corrections under the trapezoid rule overshoot in every step.
     """
     times, points, rates = known
     k = 1
@@ -361,14 +356,11 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
 
 @cached
 def brake(first, gamma, h, late, limits, Q, R, L):
-    """Fill in the path of a full brake after row `first`.
+    """Write the path of a full brake after row `first`; return the index of the row in which all joints rest (at least 1).
 
-    Return the number of steps until all joints rest (at least 1), or -1.
-
-    Q, R (K, n): joint values and rates at steps of h [s], given up to row `first`; the rows after it are written. L (K,
-    n) receives the distance each joint has covered by then. -1 means that K rows are too few. Each joint brakes as in
-    `advance` with no rate desired, inside limits (4, n), for later steps of up to late [s]. All joints are in the units
-    of the limits.
+    Q, R (K, n): joint values and rates at steps of h [s], given up to row `first`; the rows after it are written. L (K, n)
+    receives the distance that each joint has covered from row 0 to each row. Returns -1 if K rows are too few. Each joint brakes
+    as in `advance` with x = 0, inside limits (4, n), for later steps of up to late [s]. All joints are in the units of the limits.
     """
     n = Q.shape[1]
     x, code, now, speed = np.empty(n), np.empty(n, np.uint8), Q[first].copy(), R[first].copy()

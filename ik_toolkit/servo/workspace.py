@@ -1,9 +1,9 @@
 """Memory of a tracker's loop: four blocks of numbers that Python and the kernel share, and scratch for a step.
 
-Passing an array from Python to compiled code takes 0.1 microseconds, so all arrays of one kind are parts of one block.
-Python and the kernel divide a block in the same way: Python once, as arrays, the kernel at every call, as views. The
-first number of a block is the position for `cut`; the next ones are sizes, from which all lengths follow. To copy such
-a record, copy its block and divide it again. The scratch of a step is in a block of its own.
+Passing an array from Python to compiled code takes 0.1 microseconds, so all arrays of one record are parts of one block. Python
+and the kernel divide a block in the same way: Python once, into arrays, and the kernel at every call, into views. The first
+number of a block says for `cut` how much of it is used; the next numbers are sizes, from which all lengths follow. To copy a
+record, copy its block and divide the copy. The scratch of a step is in a block of its own.
 """
 
 import math
@@ -46,7 +46,7 @@ class Carried(NamedTuple):
     memory: Array  # memory of the tracking method or of the solver's rule
     swings: Array  # (3, n) detection of oscillating joints, see `viability.watch`
     away: Array  # (n,) direction in which joints leave a singular (straight) pose
-    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py), zeros before one
+    basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros until there is one
     state: Array  # numbers kept between steps, in the layout of `laws.State`
     active: Array  # (n,) int8: joints in the active set of `constrain`
     kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
@@ -70,7 +70,7 @@ class Samples(NamedTuple):
 
 @compiled
 class Record(NamedTuple):
-    """Arrays that N - 1 steps fill: the state at N samples; N = 1 stores the present state without a step."""
+    """Arrays that N - 1 steps fill with the state at N samples; with N = 1 no step is taken and the present state is stored."""
 
     block: Array
     Q: Array  # (N, n) joint values
@@ -110,7 +110,7 @@ def record_shapes(N, n, m):
 
 @shared
 def head(block):
-    """Return the three sizes at the head of a block, and reset its position for `cut`."""
+    """Return the three sizes at the head of a block, and mark the block as unused for `cut`."""
     block[0] = 0.0
     return int(block[1]), int(block[2]), int(block[3])
 
@@ -201,14 +201,14 @@ class Bench(NamedTuple):
     sv: Array  # (m,) singular values sigma_k
     lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task
-    pull: Array  # (m,) rates of `down_slopes`, across a direction of curved tip motion
+    pull: Array  # (m,) rates per unit of slope for `down_slopes`
     flip: Array  # (F, 3) normals of the mirrors for free turns, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
     x1: Array  # (n,) joint rates along which dJ/dt is taken
     x2: Array  # (n,) joint rates by which dJ/dt along x1 is multiplied
-    x: Array  # (n,) rates: first those commanded, then those taken
-    w: Array  # (n,) copy of the rates commanded
+    x: Array  # (n,) first the commanded joint rates, then the rates that the limits allow
+    w: Array  # (n,) copy of the commanded joint rates
     g: Array  # (n,) secondary motion in the null space
     v: Array  # (n,) scratch
     probe: Array  # (n,) joint values at which a difference quotient is evaluated

@@ -29,19 +29,19 @@ def error_size(rows: np.ndarray, length: float) -> np.ndarray:
 
 
 def with_search(plan: Any, closed: Callable) -> Callable:
-    """Make a solve (arguments of `kernel.search.entry`) from a closed form, and a search for targets it does not solve.
+    """Return a solve function, called like that of `kernel.search.entry`: a closed form, then a search where it fails.
 
-    `plan` is that of the closed form; the search gets its options, and holds joints where the closed form holds them.
-    It begins as usual, and then once where the closed form ended. A row that is not solved either way keeps the closed
-    form's status, unless that is STALLED, which proves nothing: then the search gives the status. Its q is the best of
-    all.
+    plan: the closed form's Plan; closed: its solve function, see `protocol.ClosedForm.loop`. The search gets the plan's
+    options and holds the joints that the closed form holds. It begins as usual; for targets that are still unsolved it
+    begins once more where the closed form ended. A row that stays unsolved keeps the closed form's status, except
+    STALLED, which proves nothing and is replaced by the status of the search. Its q is the best configuration found.
     """
     robot = plan.robot
     silent = np.empty((0, PAST + robot.n))
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
-        """Return the search, the same for one attempt, and the joints they hold; they are made when first needed."""
+        """Return the search, the same search with one attempt, and the joint values both hold; made when first needed."""
         if not made:
             options = dict(PLAIN)
             held = plan.rule.held(robot)
@@ -91,9 +91,10 @@ def with_search(plan: Any, closed: Callable) -> Callable:
 def into_tolerances(
     plan: Any, rows: np.ndarray, ends: np.ndarray, T: np.ndarray, opt: np.ndarray, fixed: int, row: np.ndarray
 ) -> None:
-    """Search once more with errors counted in units of their tolerances: a loose one may be met away from the least error.
+    """Search once more with errors counted in units of their tolerances, and write a solution to the result row `row`.
 
-    The search begins at the best configuration found, and at STARTS others.
+    If one tolerance is loose, a configuration may meet both although its error in the usual units is not the least. The
+    search begins at the best configuration found, and at STARTS random ones.
     """
     from .closed_form.polish import first_good
 
@@ -120,10 +121,10 @@ def continue_with(
     out: np.ndarray,
     hist: np.ndarray,
 ) -> np.ndarray:
-    """Search targets T (M, 4, 4), the rows `failed` (M,) of out (N, ANSWER + n), from start (1 or M, n).
+    """Search for the targets T (M, 4, 4), whose rows in out (N, ANSWER + n) are `failed` (M,), from start (1 or M, n).
 
-    `how` has the kinds of target, and whether the starts are given (see Plan.run). If evaluations are limited, each row
-    is searched with what it has left of them. Returns which rows (M,) stay unsolved.
+    `how` has the kinds of target, and whether the starts are given (see Plan.run). If evaluations are limited, each
+    search gets those that its row has left. Returns whether each row (M,) stays unsolved.
     """
     budget, still = search.options.budget, np.ones(len(failed), dtype=bool)
     every = np.arange(len(failed))

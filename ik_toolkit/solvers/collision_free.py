@@ -19,10 +19,10 @@ COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 
 def collision_model(robot: Any, asked: Any) -> CollisionModel:
-    """Return the collision model that `avoid_collisions` asks for: the given one, which must be of this robot, or one of its links.
+    """Return the collision model that the option `avoid_collisions` asks for. Raises InvalidOption.
 
-    True, or a margin [m], asks for a model of the robot's own links. A variant with narrower limits has the same shapes
-    and pairs, so it shares the model of its robot.
+    A given CollisionModel must be of this robot. True, or a margin [m], asks for a model of the robot's own links. A
+    variant of a robot with narrower limits has the same shapes and pairs, so it shares the robot's model.
     """
     found = avoided(asked)
     if isinstance(found, CollisionModel):
@@ -41,11 +41,12 @@ def collision_model(robot: Any, asked: Any) -> CollisionModel:
 
 
 def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any], Any]:
-    """Make a step that replaces a converged answer that collides by one that does not, and then improves it.
+    """Return a finishing step that replaces a converged answer in contact by one free of contact, and then improves it.
 
-    Random starts are solved ROUND at a time, and of each round the solution nearest the start that touches nothing is
-    taken (with `closest` of all starts). The counts are those of all starts; without a free solution the status is
-    COLLISION. `then` has steps that improve a free answer; a step that causes a contact is undone.
+    Random starts are solved in rounds of ROUND starts (with `closest` in a single round of all). The first round with
+    solutions free of contact ends the search, and of these the one nearest the start is taken. Without any, the status is
+    COLLISION. The counts are those of all starts. `then`: steps that improve a free answer; one that causes a contact is
+    undone.
     """
     model = collision_model(plan.robot, plan.options.avoid_collisions)
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
@@ -66,7 +67,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
 
 
 def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarray:
-    """Return the rows of attempts from Q0 (m, n): all at once, or one after another until the evaluations are used up."""
+    """Return the result rows of attempts from Q0 (m, n): of all, or of as many as the `budget` of evaluations allows."""
     out = np.empty((len(Q0), len(outcome.row)))
     if budget == np.inf:
         single.run(np.repeat(outcome.T, len(Q0), axis=0), outcome.kinds, Q0, True, out)

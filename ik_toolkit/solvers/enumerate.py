@@ -7,7 +7,6 @@ import numpy as np
 from ..kernel.checks import CONVERGED
 from ..kernel.records import ANSWER, AT
 from .closed_form.geometry import Family
-from .closed_form.polish import polish_rows
 from .options import PLAIN
 from .outcome import SPOKEN
 from .plan import Plan
@@ -33,8 +32,6 @@ class SearchThresholds(NamedTuple):
     tight: float = 1e-9
     flat: float = 1e-4  # directions with a smaller singular value (lengths over scale) may lead along a family
     stride: float = 0.02  # step along a direction of a family, too long to return to an isolated solution
-    close: float = 1e-2  # solutions with smaller errors are improved numerically
-    steps: int = 40  # largest number of steps that improve a solution numerically
     directions: int = 256  # number of directions tried for families, enough to find all joints that move
 
 
@@ -53,8 +50,6 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     Q0[:, plan.held] = start[0, plan.held]
     out = _attempts(single, T, kinds, Q0)
-    if len(kinds) == 1 and not counts_in_part(kinds, o) and not len(plan.held):
-        _finish_close(single, T, kinds, out)
     out = out[out[:, AT.status] == CONVERGED]
     answers = out[:, ANSWER : ANSWER + n]
     turning, limited = turning_joints(plan)
@@ -62,7 +57,7 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
     if limited:
         low, high = robot.lower[turning], robot.upper[turning]
         near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
-        near = np.clip(near, low, high)  # adding a full turn rounds
+        near = np.clip(near, low, high)  # rounding in the line above may exceed a limit
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
     orientation = None if all(kind in SPOKEN for kind in kinds) else out[:, AT.rotation]
@@ -86,21 +81,6 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
 def _redundant(plan: Plan, kinds: tuple) -> bool:
     """Return whether the task leaves joints free, so that solutions are not isolated; an axis target frees the turn about it."""
     return plan.robot.n - len(plan.held) > Asked(plan.robot, kinds, options=plan.options).rows
-
-
-def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) -> None:
-    """Give result rows that ended close to the target more steps, because an attempt converges slowly at a singular pose."""
-    close = (out[:, AT.status] != CONVERGED) & (out[:, AT.position] < THRESHOLDS.close * single.robot.chain.scale)
-    close &= out[:, AT.rotation] < THRESHOLDS.close
-    if not close.any():
-        return
-    rows, ends = single.chain[:2]
-    Q, errors = out[close, ANSWER:], np.empty((close.sum(), 2))
-    polish_rows(rows, ends, single.orders(kinds, True), T[0], Q, THRESHOLDS.steps, errors)
-    good = (errors < (single.options.position_tolerance, single.options.orientation_tolerance)).all(axis=1)
-    where = np.flatnonzero(close)[good]
-    out[where, ANSWER:] = Q[good]
-    out[where, AT.position], out[where, AT.rotation], out[where, AT.status] = *errors[good].T, CONVERGED
 
 
 def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.ndarray:
@@ -170,7 +150,7 @@ def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) 
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Return which joints (n,) may be moved by full turns, and whether only inside limits."""
+    """Return whether (n,) each joint may be moved by full turns, and whether it must stay inside its limits when moved."""
     robot = plan.robot
     if not plan.options.limits and robot.chain.plain:  # full turns may be added to every angle
         return ~robot.slides, False

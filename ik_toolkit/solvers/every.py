@@ -121,7 +121,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
 
 
 def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
-    """Complete the solutions of a closed form that misses some by a search."""
+    """Add the solutions that a search found (`other`) to those of a closed form that may miss some (`first`)."""
     both = Solutions(
         first.robot,
         np.vstack([first.q, other.q]),

@@ -76,7 +76,7 @@ def sentence(result: Any) -> str:
 
 
 def _cause(result: Any) -> str:
-    """What keeps the arm from the target, as far as it is known, and what can be met; or ''."""
+    """Say what keeps the arm from the target, as far as it is known, and which part of the target it can meet; or return ''."""
     if result.status == Status.UNREACHABLE and max(result._of.excess()) > FAR_AWAY * result.robot.reach:
         return "were millimetres meant?"
     if result.status not in SHORT:
@@ -94,21 +94,24 @@ def _cause(result: Any) -> str:
 
 
 def _left(result: Any) -> str:
-    """Errors left at q, in words; of several tips the largest."""
+    """Say in words which errors are left at q; of several tips the largest."""
     each, unit = _unweighted(result)
     turned = [angle for _, angle in each if angle is not None]
     return _said(max(position for position, _ in each), max(turned, default=None), unit)
 
 
 def _said(position: float, turned: float | None, unit: bool) -> str:
-    """Errors of a tip in words; unit: whether these are metres and radians, not numbers times a weight."""
+    """Say the errors of a tip in words; unit: whether they are in metres and radians (False: they are weighted numbers)."""
     if not unit:
         return "a weighted error of " + figure(position) + ("" if turned is None else f", {figure(turned)}")
     return length(position) + ("" if turned is None else f", {angle(turned)}")
 
 
 def _unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
-    """Errors [m], [rad] of each tip that count, without the weights of its mask; False: they could not be taken out."""
+    """Return the counted errors of each tip, and whether they are in [m] and [rad], without the weights of the tip's mask.
+
+    In a row of a batch, which keeps no target, weights that are not 0 or 1 cannot be taken out.
+    """
     of = result._of
     masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]
     if all(weight in (0.0, 1.0) for mask in masks for weight in mask):
@@ -188,7 +191,7 @@ def _failure(result: Any, left: str, starts: int) -> str:
 
 
 def impossible(result: Any) -> list[str]:
-    """Return sentences on what each tip can never have of its target, whatever the joint values."""
+    """Return sentences on the part of each tip's target that no joint values can meet."""
     of = result._of
     if not of.T.size:  # a row of a batch keeps no target
         return []
@@ -210,7 +213,7 @@ def too_few_joints(result: Any) -> str:
     of, texts = result._of, []
     rows = counted_rows(result.robot, of.kinds, of.plan.options).reshape(-1, 2, 3).sum(axis=2)
     for arm, (lengths, angles) in zip(result.robot.arms, rows.tolist(), strict=True):
-        # components that never change are met, or named by `impossible`, and need no joint
+        # Components that never change need no joint: either they are met, or `impossible` names them.
         still = {0: 3, 1: 2, 3: 0}.get(arm.mobility.turns, 0)
         fixed = max(0, lengths - len(arm.mobility.normals)) + max(0, angles - still)
         able = arm.mobility.directions
@@ -223,9 +226,9 @@ def too_few_joints(result: Any) -> str:
 
 
 def position_alone(result: Any, turned: bool) -> str:
-    """Return a sentence on whether a pose's position can be reached without its orientation, or how nearly; or ''.
+    """Return a sentence that a pose's position can be reached, and how far off the nearest orientation found there is; or ''.
 
-    turned: whether another sentence tells the orientation error.
+    turned: whether another sentence already tells the orientation error, which is then left out.
     """
     of = result._of
     if of.kinds != (POSE,) or not of.T.size or of.plan.options.in_part:

@@ -17,16 +17,16 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SLICE = 256  # number of evaluations of a timed solve between two looks at the clock, about 0.25 ms
+SLICE = 256  # evaluations in the first slice of a timed solve, about 0.25 ms; after each slice the clock is read
 FOLLOW = 0.5  # follow=True allows each joint to move this far [rad or arm reaches]
 # The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
-OTHERWISE = {  # names of options in other packages, and their names here
+OTHERWISE = {  # names of options in other packages, each with a message on what to use here
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
-# The options in COUNTING say what counts of the errors; each is one value for every tip, or a dict by tip.
+# The options in COUNTING say which part of the errors counts; each is one value for every tip, or a dict by tip.
 COUNTING = ("mask", "slack", "free_turn", "frame")
 FRAMES = ("base", "tip", "target")
 
@@ -37,26 +37,28 @@ class Options:
 
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
     restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
-    attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
-    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. length_scale: the position error
-    [m] that counts as much as one radian in the error that a failure's q makes least nearby (None: the robot's reach). limits:
-    keep joints inside their limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair of arrays
-    (see `robot.narrowed`).
-    wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
-    otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
-    notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
-    left), along the axes of frame 'base', 'tip' or 'target': free_turn, a tip axis ("z", or three numbers) about which
-    rotation is free; then slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it);
-    then mask (6,), weights (0 = free). Each is one value for every tip or a dict by tip, and the tolerances hold for what
-    is left. relative_to: of a Tree,
-    a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as
-    usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for
-    redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
-    history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the robot's own
-    links), a margin [m] to keep between them, or a CollisionModel: only answers that touch nothing count, and the search goes
-    on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further than this
-    [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed
-    forms, closest, restarts or objective.
+    attempts. timeout: the same budget in seconds, which is not deterministic; max_evaluations=result.fk_evaluations gives the
+    same answer again. The first slice, of 256 evaluations, is always made. seed: number that fixes the random starts.
+    length_scale: the q of a failure has the least error nearby, in which a position error of this length [m] counts as much as
+    one radian (None: the robot's reach). limits: keep joints inside their limits; calls also take narrower ones, a dict from
+    joints to (lower, upper) or a pair of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a full turn or more
+    may go on from the other end of its range, where it stops otherwise (None: the solver's own way; the default search wraps,
+    the published methods stop). q0_outside: 'clamp' (with a notice) or 'refuse'.
+
+    These options say which part of the errors counts. A tip has the errors x, y, z [m] (target - tip) and rx, ry, rz [rad] (the
+    rotation vector left), along the axes of `frame`: 'base', 'tip' or 'target'. First, free_turn is a tip axis ("z", or three
+    numbers) about which rotation is free. Then slack (6,) are half widths inside which there is no error (inf, or pi for a
+    rotation, frees a component). Then mask (6,) are weights (0 = free). Each is one value for every tip or a dict by tip, and
+    the tolerances hold for what is left.
+
+    relative_to: of a Tree, a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each
+    joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0.
+    objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
+    'manipulability'. history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the
+    robot's own links), a margin [m] to keep between them, or a CollisionModel: only answers that touch nothing count, and the
+    search goes on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further
+    than this [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It cannot be
+    combined with closed forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6
@@ -90,7 +92,7 @@ class Options:
 
     @property
     def budget(self) -> int | None:
-        """FK evaluations of one run of the kernel; with a timeout this is a slice, after which it runs again with more."""
+        """FK evaluations of one run of the kernel; with a timeout this is a first slice, and the kernel runs again with more."""
         return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 

@@ -1,6 +1,6 @@
-"""A robot, a rule and options as arrays of the kernel: made once, run by every call, and the only cache of them.
+"""A plan: a robot, a rule and options as arrays of the kernel, which are made once, kept here only, and used by every call.
 
-If some joints are held, every start of a search has them at their values in the first start.
+If some joints are held, they have their values of the first start in every start of a search.
 """
 
 import copy
@@ -39,7 +39,7 @@ class Plan:
     """A solver as it runs on a robot: the compiled loop, the arrays it takes, and the steps that finish its answers.
 
     `kernel` is the compiled loop (see `kernel.search.entry`), `home` (1, n) the start if none is given, `held` the
-    places of the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
+    indices in q of the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
     """
 
     def __init__(self, robot: Any, row: Row, rule: Any, options: Options) -> None:
@@ -71,9 +71,10 @@ class Plan:
 
     @functools.cached_property
     def descends(self) -> bool:
-        """Whether a failure is moved to the closest configuration near it, as the search that follows a closed form does.
+        """Whether a failure's q is moved to the configuration nearby that is closest to the target.
 
-        Published methods end where they end.
+        It is True for the general search, also after a closed form, unless `follow` is given. The published methods keep
+        the configuration at which they ended.
         """
         return self.row.name == GENERAL and not self.options.follow
 
@@ -141,7 +142,7 @@ class Plan:
         return found
 
     def _ends(self) -> np.ndarray:
-        """Return the `ends` of the chain with limits as the options want them."""
+        """Return the `ends` of the chain with the joint limits and the wrapping that the options ask for."""
         chain, n = self.robot.chain, self.robot.n
         ends = chain.ends
         if not self.options.limits:
@@ -154,7 +155,7 @@ class Plan:
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
         """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, seeds and features.
 
-        Held joints are in every start where the first row of `start` has them.
+        In every start of `seeds` the held joints have their values in the first row of `start`.
         """
         found = self._table(kinds[0] == POSITION)
         if self._plain:

@@ -1,9 +1,9 @@
 """The steps that finish an answer: each takes a SolveRecord and returns it, changed or not.
 
-A failure is finished first (`finish_failure`): by what its timeout still allows, the test whether limits are the cause, and
-the descent to the closest configuration. `plan.improving` are the steps that may replace a converged q (collisions,
-objective), of single calls and of batches. `plan.steps` are all steps of a single call: history, improving, and the check by
-Pinocchio.
+A failure is finished first (`finish_failure`): the search continues as far as its timeout allows, a test shows whether limits
+are the cause, and q descends to the closest configuration. `plan.improving` are the steps that may replace a converged q
+(collisions, objective), in single calls and in batches. `plan.steps` are all steps of a single call: history, improving, the
+check by Pinocchio, and the test of the description's constraints.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,7 @@ def finish_failure(outcome: Any) -> Any:
     """Finish a search that has not converged."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
-    if outcome.row[AT.status] != TOO_FAR:  # which a control loop may meet at every step, and nothing finishes it
+    if outcome.row[AT.status] != TOO_FAR:  # A control loop may meet this at every step, and no step finishes it.
         finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
 
@@ -70,10 +70,10 @@ def finish_failures(
     rows: np.ndarray,
     ended: tuple[int, ...] = (STALLED, LIMIT_BLOCKED, UNREACHABLE),
 ) -> None:
-    """Finish the failures among rows (m, width) of targets T, those with a status of `ended`, in place.
+    """Finish, in place, those of the result rows (m, width) of targets T whose status is one of `ended`.
 
-    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then the default
-    search descends to the closest configuration near its own.
+    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then, if the plan
+    descends, the row's q is moved to the configuration nearby that is closest to the target.
     """
     for k in np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1)):
         at, row = start[k : k + 1] if len(start) > 1 else start, rows[k]
@@ -87,8 +87,8 @@ def finish_failures(
 def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, row: np.ndarray) -> None:
     """Move the configuration of a row (width,) to a local minimum of the error, in place.
 
-    The search compares its attempts with lengths divided by about the reach. Where another length is given, the best may lie
-    elsewhere, so the descent begins at its start and at random places as well.
+    The search compares its attempts by errors whose lengths are divided by about the reach. If the option length_scale is
+    given, another attempt may be the best one, so the descent begins at the start and at random configurations as well.
     """
     from ..kernel.closest import approach_target
 
@@ -121,9 +121,9 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
 def extend(outcome: Any) -> Any:
     """Continue a search that used up its slice, as far as its timeout allows.
 
-    A search with more evaluations begins as one with fewer, so each slice is a longer run from the beginning, and the
-    answer is that of max_evaluations=result.fk_evaluations. A slice is cut to what the last one's pace fits into the
-    time left.
+    A search with a larger budget of evaluations begins exactly like one with a smaller budget. So each slice is a longer
+    run from the beginning, and max_evaluations=result.fk_evaluations gives the same answer. A slice gets no more
+    evaluations than fit into the time left at the pace of the last one.
     """
     plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
     began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
@@ -138,7 +138,7 @@ def extend(outcome: Any) -> Any:
 
 
 def record(outcome: Any) -> Any:
-    """Run once more with room for the history, as much as the counts of the first run say.
+    """Run once more with room for the history; how much is needed is known from the evaluations of the first run.
 
     An answer that was moved by full turns nearer to the start, or a failure that was moved to the closest configuration,
     was evaluated after the search, so it is the last row.
@@ -158,7 +158,7 @@ def record(outcome: Any) -> Any:
 
 
 def improve(outcome: Any) -> Any:
-    """Move a solution in the null space; q and its errors are replaced by better ones that were evaluated."""
+    """Improve the objective of a solution by motion in the null space; the row gets the better q and its evaluated errors."""
     from ..kernel.null_space import refine
 
     plan, row = outcome.plan, outcome.row
@@ -179,7 +179,7 @@ def confirm(outcome: Any) -> Any:
     if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
         return outcome
     if kinds == (POSE,):
-        # A rotation given with few digits is replaced by the nearest exact one, because its angle is as inexact.
+        # A target rotation with few digits is replaced by the nearest exact one: the angle left to it is just as inexact.
         mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)

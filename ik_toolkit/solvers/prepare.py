@@ -37,7 +37,7 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 
 def _call(robot: Any, name: str) -> bool:
-    """Call a solver for a pose, for a position and out of reach, alone and in a batch; return False if it fits none."""
+    """Call a solver for a pose, for a position and out of reach, alone and in a batch; return False if it takes none of them."""
     T, fits = robot.chain.forward(robot.home)[0][0], False
     calls: list[Callable[[], Any]] = []
     for one in (T, T[..., :3, 3].copy()):

@@ -67,7 +67,7 @@ def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None
 
 
 def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
-    """Return the starts (M, n) of a rule, inside the robot's limits. Raises InvalidOption."""
+    """Return the starts of a rule as an array (M, n), clipped to the robot's limits. Raises InvalidOption."""
     array = np.atleast_2d(floats(starts, f"{solver}: starts must be numbers", InvalidOption))
     if array.ndim != 2 or array.shape[1] != robot.n or not len(array) or not np.isfinite(array).all():
         raise InvalidOption(

@@ -2,8 +2,8 @@
 
 A rule is one step of an iterative method; the search does everything else (kernel/search.py). A closed form lists the
 branches of one target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or
-`@closed_form`, which add what the class leaves out. Nothing else in the toolkit asks for a solver by its name or class:
-it asks these calls, or the registry row (`registry.Row`), which says what must be known without importing the class.
+`@closed_form`, which add what the class leaves out. The rest of the toolkit never tests a solver's name or class. It uses
+these calls, or the registry row (`registry.Row`), which says what must be known without importing the class.
 """
 
 import inspect
@@ -42,7 +42,7 @@ class Asked:
 
     @property
     def position_only(self) -> bool:
-        """Whether no tip has a target orientation."""
+        """Whether the target of every tip is a position."""
         return all(kind == POSITION for kind in self.kinds)
 
     @property
@@ -80,7 +80,7 @@ class Rule(Protocol):
         return ""
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Return starts (M, n) [rad or m] to choose from without q0; default None: home, or known configurations."""
+        """Return starts (M, n) [rad or m] to choose from if no q0 is given; default None: home, or known configurations."""
         return None
 
     def options(self) -> dict[str, Any]:
@@ -92,7 +92,7 @@ class Rule(Protocol):
         return entry(type(self))
 
     def lanes(self) -> Callable | None:
-        """Return arguments of `kernel.simd_search.lanes`, which solves eight targets at once, None if impossible."""
+        """Return the compiled function that solves eight targets at once (see `kernel.simd_search.lanes`), or None."""
         return None
 
 
@@ -135,14 +135,18 @@ class ClosedForm(Protocol):
         return ""
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Map the index in q of each joint that the parameters hold at a value to this value [rad or m]."""
+        """Return {index in q: value [rad or m]} of the joints that the parameters hold at a value."""
         return {}
 
     preset, space = Rule.preset, Rule.space
     start_table, options, lanes = Rule.start_table, Rule.options, Rule.lanes
 
     def loop(self, robot: Any) -> Callable:
-        """Return the solve, called as `kernel.search.entry`: by default the nearest of `every` that meets the tolerances."""
+        """Return a function that solves; by default it takes the nearest branch of `every` that meets the tolerances.
+
+        It is called as solve(rows, ends, seeds, features, T, Q0, out, orders, history): arrays of the chain; targets,
+        starts and orders as for `kernel.search.entry`; the rows to write, of results and of the history of one target.
+        """
         return nearest_of(self, robot)
 
 

@@ -1,4 +1,4 @@
-"""One row for each solver, from which come the CLI's choices, `ik solvers`, the docs table, the benchmark and the contract tests.
+"""The registry of solvers, with one row for each; the CLI, `ik solvers`, the docs, the benchmark and contract tests use the rows.
 
 Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba. Another package
 registers a solver by an entry point of the group `ik_toolkit.solvers`, named as the solver and leading to its row:
@@ -30,8 +30,8 @@ class Length(NamedTuple):
     """How long a search continues by default.
 
     `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair:
-    known starts, second pair: q0 and random starts). From the attempt `patience` after q0's, each has twice the
-    iterations and is given up later.
+    known starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given
+    up later from attempt number `patience` on (the attempt from q0 is not counted).
     """
 
     iterations: int = 1000  # largest number of iterations of an attempt
@@ -105,7 +105,7 @@ ROWS: tuple[Row, ...] = (
         "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a table of starts (default)",
         "any robot; position, pose, masks",
         "Sugihara 2011",
-        # When attempts are given up is a broad optimum measured on six arms; easy targets are solved by attempt 20.
+        # The bounds that end an attempt early were measured on six arms; easy targets are solved by attempt 20.
         # C from 10 to 100 and rho from 0.12 to 0.35 cost under 4 % of time; never giving up costs up to twice the time.
         # Several tips need more attempts, because they pull on shared joints and a start must suit them all.
         search=Length(30, 250, (30.0, 0.18, 100.0, 0.35), 20),
@@ -211,7 +211,7 @@ def list_rows() -> tuple[Row, ...]:
 
 @functools.cache  # cached, because listing installed packages takes milliseconds
 def registered() -> dict[str, Row]:
-    """Return the registry rows of other packages' solvers by name, without unusable ones, of which a warning tells."""
+    """Return the registry rows of other packages' solvers by name; unusable ones are left out with a warning."""
     import importlib.metadata
 
     found: dict[str, tuple[Row, str]] = {}

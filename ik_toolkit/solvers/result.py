@@ -31,8 +31,8 @@ class Result(ReadOnly):
         success, status, message: Whether and how the solve succeeded, and one sentence on it, with what to try.
         position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest; the second is None if
             the target leaves orientation free.
-        position_errors, orientation_errors: The same of each tip.
-        raw_error, raw_errors: All errors (6,), of a tip and of each tip, before slack, free turn and mask.
+        position_errors, orientation_errors: The same errors of each tip, by its name.
+        raw_error, raw_errors: All six errors of the tip, and of each tip by its name, before slack, free turn and mask.
         iterations, restarts, fk_evaluations: Counts of steps, of attempts after the first, and of FK evaluations (all
             tips count as one).
         attempt: Number of the attempt that q comes from; 0 is the first, which starts at q0 if that was given.
@@ -152,8 +152,8 @@ class Result(ReadOnly):
     def largest_move(self) -> tuple[str, float] | None:
         """Joint that moved farthest from q0, and how far [rad or m].
 
-        Slides and angles are compared with lengths divided by the size of the robot. None without q0, and in a row of a
-        batch, which keeps none.
+        To compare prismatic with revolute joints, lengths are divided by the size of the robot. None if no q0 was given,
+        and in a row of a batch, which keeps no q0.
         """
         of = self._of
         if not of.given:

@@ -46,8 +46,8 @@ class Solver(ReadOnly):
 
     Args:
         robot: A Robot, or a Tree (several tips solved together).
-        solver: Name, rule class or instance. 'auto' uses a closed form for the kinds of target that it solves exactly,
-            or the one whose parameter is given, otherwise the search; `result.solver` names the one used.
+        solver: Name, rule class or instance. 'auto' uses a closed form if one fits the robot and the kind of target, or
+            if one of its parameters is given; otherwise the search. `result.solver` names the one used.
         options: Options (see `Options`), and parameters of the rule.
 
     Attributes:
@@ -176,7 +176,7 @@ def require_robot(robot: Any) -> None:
 
 
 def narrowed_for(robot: Any, options: Any) -> Any:
-    """Return the robot to solve for: a variant if `limits` narrows its limits, which the options then have as True."""
+    """Return the robot to solve for; if the option `limits` gives narrower limits, a variant with these (`limits` becomes True)."""
     limits = options.get("limits", True)
     if limits is True or limits is False:
         return robot
@@ -225,7 +225,7 @@ def is_auto(solver: Any) -> bool:
 
 
 def closed_form_with(robot: Any, options: Mapping[str, Any]) -> str | None:
-    """Return the closed form that fits the robot and alone has a parameter that `options` names, or None."""
+    """Return a closed form that fits the robot and has a parameter in `options` that the general search lacks, or None."""
     names = options.keys() - {*NAMES, "tolerance", *find_row(GENERAL).load()._fields}
     if not names:
         return None
@@ -289,9 +289,9 @@ def solve_all(
     """Find every distinct solution inside the limits, nearest to q0 first; Pinocchio checks each.
 
     'auto' uses a closed form if one fits. Its list is complete unless the fit is only near or a family exists:
-    `families` says what is free, and the rows are a spread sample. Otherwise a search from random starts merges answers
-    that are a turn or less than 1e-3 apart, which are never proven complete. A closed form that may miss some is
-    completed by the same starts.
+    `families` says what is free, and the rows are a spread sample. Otherwise the search runs from random starts, and
+    answers that differ by full turns or by less than 1e-3 are merged; these are never proven complete. A closed form
+    that may miss some solutions is completed by such a search.
 
     Args:
         robot: The Robot or Tree.

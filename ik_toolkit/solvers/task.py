@@ -56,9 +56,9 @@ def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
 
 
 def relatives(robot: Any, o: Options) -> tuple[int, ...]:
-    """Return the number of the tip that each tip's target is relative to, -1 for the base.
+    """Return for each tip the index of the tip that its target is relative to, or -1 for the base.
 
-    Raises InvalidOption: unknown tips, circles.
+    Raises InvalidOption for unknown tips, and for tips that are relative to each other in a circle.
     """
     if o.relative_to is None:
         return (-1,) * len(robot.tips)
@@ -83,12 +83,15 @@ def counts_in_part(kinds: tuple, o: Options) -> bool:
 
 
 def counted_rows(robot: Any, kinds: tuple, o: Options) -> np.ndarray:
-    """Return which of the stacked errors (6 F,) count, as if all frames were the base; a free turn leaves two of a rotation."""
+    """Return whether each of the stacked errors (6 F,) counts, as if the option `frame` were 'base' at every tip.
+
+    With a free turn two of a tip's three rotation errors count.
+    """
     return np.concatenate([_counting(one, kind) for one, kind in zip(what_counts(robot, o), kinds, strict=True)])
 
 
 def _counting(counts: Counts, kind: Any) -> np.ndarray:
-    """Return which of the six errors count."""
+    """Return whether each of a tip's six errors counts (6,), for a kind of target."""
     if kind == FREE:
         return np.zeros(6, dtype=bool)
     rows = np.array(counts.mask or ALL) > 0.0
@@ -231,7 +234,10 @@ def counted_errors(
 def all_errors(
     robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
 ) -> list[tuple[np.ndarray, float, float | None]]:
-    """Return the errors of `counted_errors`, each after the raw error (6,) (see `robot.pose.errors`), NaN if there is no target."""
+    """Return for each tip its raw error (6,) (see `robot.pose.errors`), then its errors as in `counted_errors`.
+
+    The raw error of a tip without a target is NaN.
+    """
     poses = [T.homogeneous for T in robot.tip_poses(q)]
     found = []
     for pose, one, kind, counts, other in zip(

@@ -16,7 +16,7 @@ from ..kernel.records import POINTS
 
 @dataclass(frozen=True)
 class Parameter:
-    """One declared parameter: lower and upper end (scalars or arrays of one shape), log scale or not, unit, where to start."""
+    """One parameter to tune: its lower and upper end and initial value (of one shape), unit, and whether its scale is log."""
 
     name: str
     low: Any
@@ -50,7 +50,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Space:
-    """The parameters of a tuning search, the solver rule it starts from, and a function from values to a rule."""
+    """The parameters of a tuning search, the rule it starts from, and a function that makes a rule of parameter values.
+
+    spread: standard deviation of the first candidates about the start, in the unit box.
+    """
 
     parameters: tuple[Parameter, ...]
     initial: Any
@@ -79,7 +82,7 @@ class Space:
 
 
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, at most one turn about their middle."""
+    """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, or one turn about their middle if less."""
     n, chain = robot.n, robot.chain
     ends = np.atleast_2d(chain.ends)[0]  # the limits are the same for all tips
     low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))

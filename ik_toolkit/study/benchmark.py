@@ -98,7 +98,7 @@ class Benchmark:
     options: dict[str, Any]
 
     def by_robot(self) -> dict[str, list[BenchmarkRow]]:
-        """Return the rows by robot; its name includes the tips if it has several, or if it occurs with other tips too."""
+        """Return the rows by robot; a robot's name includes its tips if it has several, or also occurs with other tips."""
         tips: dict[str, set] = {}
         for row in self.rows:
             tips.setdefault(row.robot, set()).add(row.tips)
@@ -227,8 +227,8 @@ def _bind(
 ) -> tuple[Bound, dict[str, IKError]]:
     """Bind solvers to a robot and compile them.
 
-    Returns them by (name, True with one attempt or False with restarts), and the errors of those that do not apply. If `every`,
-    the solvers were not chosen by name, so any error is a reason to leave one out.
+    Returns the bound solvers by (name, once), where `once` is True for one attempt and False for restarts, and the errors of
+    solvers that do not apply. If `every`, the caller has not chosen the solvers, so any error is a reason to leave one out.
     """
     bound: Bound = {}
     refused: dict[str, IKError] = {}
@@ -263,7 +263,7 @@ def _measure(
     ]
     futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
     for k, job in enumerate(jobs):
-        # most time is spent here, so that Ctrl-C mostly arrives here
+        # Most of the time is spent in this statement, so Ctrl-C mostly arrives here.
         table = run_block(*job[1:]) if futures is None else futures[k].result()
         parts.setdefault(job[0], []).append(table)
         yield k + 1, len(jobs)

@@ -193,18 +193,18 @@ def tune(
 ) -> TuneResult:
     """Search the parameters and starts of a solver for the fewest failures, and keep the best rule on fresh targets.
 
-    The cost of a candidate is its failure rate, plus a tenth of the remaining error (over the length scale), plus 0.02 times the
-    mean iterations / max_iterations. A seed gives the same result again, unless `seconds` ends the search. Ctrl-C ends it too.
+    The cost of a candidate is its failure rate, plus a tenth of the error that failures leave (over the length scale), plus 0.02
+    times mean iterations / max_iterations. A seed gives the same result again, unless `seconds` or Ctrl-C ends the search.
 
     Args:
         robot: The robot. All tips of a Tree are solved together, and the error of a target is the largest of them.
         solver: Name of the solver.
         position_only: Tune for positions instead of poses.
         method: 'cma' (CMA-ES) or 'pso' (particle swarm).
-        maps: Number of starts of a solver with maps (default: its own). 1 tunes the published structure (a, B and the start, with C
-            fixed, without loss), more tune starts whose maps are designed.
-        initial: The rule to start from. One with maps keeps its structure (a, B, C, literal delay); with several starts each B is
-            searched between the given one and its own.
+        maps: Number of starts of a solver with maps (default: its own). With 1, the published structure is tuned: a, B and the
+            start (C is fixed without loss). With more, the starts are tuned, and the map of each is designed.
+        initial: The rule to start from. One with maps keeps its structure (a, B, C, literal delay); with several starts, each B is
+            searched between the given one and the one designed for its start.
         targets: Number of training targets.
         held_out: Number of sets of 1000 fresh targets for the final score.
         generations: Highest number of generations.
@@ -358,7 +358,7 @@ def check_record(file: Path) -> None:
 
 
 class _Record:
-    """The costs of every generation, kept in a file; a resumed search reads them if its first candidates are the same."""
+    """The costs of every generation, kept in a file; a resumed search that proposes the same candidates reads them from there."""
 
     def __init__(self, file: str | Path | None, key: str) -> None:
         self.file, self.key = None if file is None else as_path(file, "checkpoint"), key

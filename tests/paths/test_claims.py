@@ -1,6 +1,7 @@
 """What the result of a path claims beyond its motion: how few reconfigurations there can be, and that contact is ruled out."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from robots import load, urdf
 
@@ -198,3 +199,21 @@ def test_a_straight_motion_takes_the_time_it_must(speed):
     q, dq, ddq = made.at(t)
     assert np.abs(dq).max() <= speed * (1 + 1e-9) and np.abs(ddq).max() <= gain * (1 + 1e-9)
     assert np.abs(np.gradient(q, t, axis=0) - dq)[2:-2].max() < 2e-3 * max(speed, 0.1) + gain * t[1]
+
+
+# ------------------------------------------------------------------------------------------------------- what was asked
+@pytest.mark.parametrize("axis", range(3))
+def test_poses_less_than_half_a_turn_apart_stay_as_they_are(axis):
+    robot = load("hydrolek_7w")
+    T = np.tile(robot.fk(robot.home).homogeneous, (2, 1, 1))
+    T[1, :3, :3] = T[0, :3, :3] @ pin.exp3(np.radians(150.0) * np.eye(3)[axis])
+    assert np.abs(ik.solve_path(robot, T, q0=robot.home).targets[:, 0] - T).max() < 1e-12
+
+
+@pytest.mark.parametrize("avoid", [False, True])
+def test_a_path_of_which_nothing_is_reached_is_a_result(avoid):
+    robot = load("hydrolek_7w")
+    T = np.tile(robot.fk(robot.home).homogeneous, (3, 1, 1))
+    T[:, :3, 3] *= 9.0
+    found = ik.solve_path(robot, T, avoid_collisions=avoid)
+    assert found.status is PathStatus.INCOMPLETE and np.isnan(found.q).all() and "0 of 3 poses reached" in found.message

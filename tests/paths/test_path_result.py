@@ -22,7 +22,7 @@ def made(status=PathStatus.RECONFIGURES, **changes):
         "robot": robot, "targets": np.tile(np.eye(4), (5, 1, 1, 1)), "kinds": (1,), "options": Options(), "q": q,
         "status": status, "message": "a sentence", "position_error": np.array([0.0, 1e-9, 0.0, np.nan, 0.0]),
         "orientation_error": None, "curve": curve, "at": at,
-        "continuity": Continuity(np.array([1e-4, 3e-4, np.nan, np.nan, np.nan]), np.zeros(5)),
+        "continuity": Continuity(np.array([1e-4, 3e-4, np.nan, np.nan, np.nan]), np.zeros(5), np.zeros((2, 5))),
         "reconfigurations": (Reconfiguration(1, np.array([0.8, -0.6])),),
         "unreachable": (Unreachable(3, "out of reach by 1 mm", True),),
     }  # fmt: skip
@@ -64,7 +64,9 @@ def test_saved_paths_are_read_back(tmp_path):
 def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
     angles = np.array([0.0, 1e-8, 0.0, np.nan, 2e-8])
     touching = ik.paths.certificate.Contact(2.5, ("arm", "wall"))
-    proof = Continuity(np.array([1e-4, 3e-4, np.nan, np.nan, np.nan]), np.full(5, 0.01), 0.02, (touching,), (0.5,))
+    proof = Continuity(
+        np.array([1e-4, 3e-4, np.nan, np.nan, np.nan]), np.full(5, 0.01), np.zeros((2, 5)), 0.02, (touching,), (0.5,)
+    )
     result = made(
         orientation_error=angles, continuity=proof, lower_bound=1, seed=4, elapsed=0.5, max_step=(0.1, 0.02),
         path_tolerance=(1e-3, 0.03),
@@ -100,7 +102,7 @@ def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
 def test_revolute_and_prismatic_steps_are_told_apart():
     robot = ik.Robot.load("cartesian_pp")
     q = np.array([[0.0, 0.0], [0.1, -0.3], [0.2, 0.1]])
-    proof = Continuity(np.zeros(2), np.zeros(2))
+    proof = Continuity(np.zeros(2), np.zeros(2), np.zeros((2, 2)))
     fields = {
         "robot": robot,
         "q": q,

@@ -113,6 +113,41 @@ def test_a_sharp_corner_slows_the_tip_down_only_near_it(seed, acceleration):
     assert (np.maximum(speed / asked, used)[~near] < 0.97).mean() < 0.005
 
 
+@pytest.mark.parametrize("at", [0, 5, 24])
+def test_a_pose_that_repeats_is_no_stop(at):
+    robot = motions.load("hydrolek_7w")
+    T = poses(robot, circle, 25)
+    plain, repeated = (
+        ik.solve_path(robot, one, q0=robot.home).retime(acceleration=1.0, tip_speed=0.05)
+        for one in (T, np.insert(T, at, T[at], axis=0))
+    )
+    assert repeated.stops == () and abs(repeated.duration / plain.duration - 1.0) < 1e-6
+    assert repeated.place[-1] == 25.0 and "all 26 poses" in repeated.message
+
+
+def test_the_tip_is_as_fast_as_asked_as_soon_as_the_acceleration_allows():
+    robot = motions.load("hydrolek_7w")
+    path = ik.solve_path(robot, poses(robot, circle, 25), q0=robot.home)
+    for acceleration in (0.2, 20.0):
+        made = path.retime(acceleration=acceleration, tip_speed=0.01)
+        t = np.linspace(0.0, made.duration, 20001)
+        assert np.abs(made.at(t)[2]).max() > 0.95 * acceleration
+        (_, begun), (ends, _) = made.slower
+        assert max(begun, 24.0 - ends) < 0.02 / acceleration
+
+
+def test_the_tip_keeps_its_speed_where_the_robot_stops_at_every_pose(monkeypatch):
+    monkeypatch.setattr("ik_toolkit.paths.timing.smooth_curve", lambda *_: None)
+    robot, asked = motions.load("inspection_7dof"), 0.2
+    Q = np.linspace(robot.home, np.clip(robot.home + 0.4, robot.lower, robot.upper), 4)
+    path = ik.solve_path(robot, [robot.fk(q) for q in Q], q0=Q[0])
+    made = path.retime(velocity=1.0, acceleration=5.0, tip_speed=asked)
+    assert len(made.stops) >= 2
+    t = np.linspace(0.0, made.duration, 4000)
+    speed = np.linalg.norm(np.diff([robot.fk(q).translation for q in made.at(t)[0]], axis=0), axis=1) / np.diff(t)
+    assert 0.98 * asked < speed.max() < 1.002 * asked
+
+
 def test_mistakes_are_named():
     robot = motions.load("planar_2r")
     path = ik.solve_path(robot, [robot.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])])

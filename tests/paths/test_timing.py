@@ -204,10 +204,13 @@ def test_a_motion_that_stays_where_it_is_takes_no_time_and_has_no_rates():
     result, _ = retimed("planar_3r")
     T = np.repeat(result.targets[:1, 0], 3, axis=0)
     for poses in (T[:1], T):
-        made = ik.solve_path(result.robot, poses, q0=result.q[0]).retime(1.0, acceleration=1.0)
+        path = ik.solve_path(result.robot, poses, q0=result.q[0])
+        made = path.retime(1.0, acceleration=1.0)
         assert made.success and made.duration == 0.0
         for values in (made.dq, made.ddq, *made.at([-1.0, 0.0, 1.0])[1:]):
             assert (values == 0.0).all()
+        assert (made.q == path.q[0]).all() and (made.at([-1.0, 0.0, 1.0])[0] == path.q[0]).all()
+        assert f"all {len(poses)} poses" in made.message and not made.stops
 
 
 def test_not_even_a_hair_beyond_a_limit():

@@ -333,3 +333,11 @@ def test_a_stroke_of_a_thousand_kilometres_does_not_make_an_arm_unsolvable(place
     results = [ik.solve(robot, robot.fk(rng.uniform(-near, near))) for _ in range(15)]
     assert sum(result.success for result in results) >= 14  # none of them with lengths in units of the stroke
     assert not any(robot.outside(result.q) for result in results)
+
+
+@pytest.mark.parametrize("text", ["1 2", "1,5", "fast", ""])
+def test_a_speed_that_is_no_number_is_none_and_said(text):
+    source = urdf(dict(kind="revolute"), dict(kind="revolute")).replace('velocity="2"', f'velocity="{text}"', 1)
+    robot = ik.Robot.load(source)
+    assert robot.velocity_limits.tolist() == [np.inf, 2.0]
+    assert any(f'velocity="{text}"> is not a number' in note for note in robot.notes)

@@ -228,6 +228,17 @@ def test_random_configurations_are_counted_by_whole_numbers(count):
         robots.load("hydrolek_7w").random_q(np.random.default_rng(0), count)
 
 
+@pytest.mark.parametrize(
+    "source", ["panda", robots.urdf(dict(kind="prismatic", limits=(3.0, 9.0)), dict(kind="revolute"))]
+)
+def test_random_configurations_fill_the_limits(source):
+    """A slide's limits do not begin at 0, and its kernel unit is not 1 m."""
+    robot = ik.Robot.load(source) if source.startswith("<") else robots.load(source)
+    Q, span = robot.random_q(np.random.default_rng(3), 400), robot.upper - robot.lower
+    assert (Q.min(axis=0) - robot.lower < 0.02 * span).all() and (robot.upper - Q.max(axis=0) < 0.02 * span).all()
+    assert np.allclose(Q.mean(axis=0), 0.5 * (robot.lower + robot.upper), atol=0.06 * span.max())
+
+
 def test_wraps_an_existing_model():
     model = pin.buildModelFromXML(robots.SLIDES)
     robot = ik.Robot(model, tip="l8")

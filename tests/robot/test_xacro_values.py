@@ -42,6 +42,8 @@ def evaluate():
         ("sorted(fingers, key=len, reverse=True)[-1][0]", "T"),
         ("'left' if 'x' in fingers else 'right'", "right"),
         ("1 < 2 < 3 != 4", True),
+        ("1 < 2 < 1", False),
+        ("2 < 1 < 3", False),
         ("'%s_%02d' % ('j', 3)", "j_03"),
         ("round(1.23456, 2)", 1.23),
         ("len(range(3)[1:])", 2),

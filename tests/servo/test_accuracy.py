@@ -10,7 +10,7 @@ from references import Q0, panda_reference
 import ik_toolkit as ik
 from ik_toolkit.papers.patko_2019 import cases
 from ik_toolkit.robot.robot import Robot
-from ik_toolkit.servo.methods import simulate
+from ik_toolkit.servo.methods import System, simulate
 from ik_toolkit.servo.run import track
 
 ORACLE = read_data("tracking")
@@ -151,3 +151,15 @@ def test_weights_of_a_mask_count_while_the_target_moves(method):
             step = tracker.update(target, 0.02)
         errors.append(step.position_error)
     assert errors[1] < 0.005 < errors[0]
+
+
+def test_simulate_stops_when_a_single_joint_runs_away():
+    """Two slides: the target of the first leaps, the second stands still."""
+    system = System(lambda q: q.copy(), lambda q: np.eye(2), lambda q, rate, _: np.zeros(2))
+
+    def path(t):
+        return np.array([9.0 if t > 0.5 else 0.0, 0.0]), np.zeros(2), np.zeros(2)
+
+    run = simulate(system, path, "cv", 0.1, 20, np.zeros(2), rate0=np.zeros(2), kappa=5.0, runaway=1.0)
+    assert "moves a joint by more than 1" in run.stopped and 0.4 < run.t[-1] < 0.7
+    assert not simulate(system, path, "cv", 0.1, 20, np.zeros(2), rate0=np.zeros(2), kappa=5.0, runaway=20.0).stopped

@@ -11,7 +11,7 @@ from references import Q0, panda_reference
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.servo.run import track
+from ik_toolkit.servo.run import TrackInterrupted, track
 from ik_toolkit.servo.tracker import Tracker
 
 
@@ -271,3 +271,20 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     for duration in (0.0, -1.0, np.nan, "long", None):
         with pytest.raises(InvalidOption, match="duration"):
             ik.Reference(ref.function, duration)
+
+
+def test_an_interrupted_run_keeps_its_steps(panda, monkeypatch):
+    ref, calls = panda_reference(panda, True, 1.0), []
+    run = Tracker.run
+
+    def interrupted(self, *args, **options):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return run(self, *args, **options)
+
+    monkeypatch.setattr(Tracker, "run", interrupted)
+    with pytest.raises(TrackInterrupted) as caught:
+        track(panda, ref, "cv", dt=0.01, q0=Q0, avoid_collisions=True)
+    kept = caught.value.result
+    assert str(caught.value).startswith("interrupted") and 0 < len(kept.t) < 101 and kept.q.shape == (len(kept.t), 7)

@@ -25,6 +25,11 @@ def test_published_gain_sets():
         assert st.p_limit(row["kd"] * h) == pytest.approx(row["p_limit"], abs=1e-9)
 
 
+@pytest.mark.parametrize("gains", [dict(kp=0.0, kd=5.0), dict(kp=100.0, kd=0.0), dict(kp=-1.0, kd=5.0)])
+def test_without_both_gains_no_step_is_short_enough(gains):
+    assert st.longest_step("ca", **gains) == 0.0 and st.longest_step("ca", kp=100.0, kd=5.0) > 0.01
+
+
 def test_the_contradiction_of_the_rr_set():
     """The RR set the paper calls unstable: cv exactly on the border, ca inside the region by 0.9 %."""
     A = st.mapping_matrix("cv", 0.2, kappa=5.0, dof=2)

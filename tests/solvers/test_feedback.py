@@ -131,6 +131,7 @@ def test_undelayed_form_of_the_published_a_is_stable_only_below_one():
 def test_designed_maps_are_inverses_where_they_are_meant(name):
     robot = robots.load(name)
     position = name == "planar_3r"
+    assert (spread_starts(robot, position, 1) == robot.home).all()
     starts = spread_starts(robot, position, 16)
     maps = inverse_maps(robot, starts, position)
     assert starts.shape[1] == robot.n and maps.shape == (len(starts), robot.n, 3 if position else 6)

@@ -165,6 +165,17 @@ def test_what_cannot_be_a_rule_is_refused_where_it_is_written():
             def step(self, p, e):
                 return 0
 
+    @ik.rule
+    class Packed(NamedTuple):
+        gain: float = 1.0
+
+        def pack(self, robot, asked):
+            return self
+
+        def step(self, p, e):
+            return 0
+
+    assert Packed().gain == 1.0
     with pytest.raises(TypeError, match=r"OldPack: pack takes \(self, robot, asked\)"):
 
         @ik.rule

@@ -123,3 +123,26 @@ def test_a_shoulder_on_the_sixth_or_seventh_axis_is_a_family():
             q[list(values)] = list(values.values())
             found = ik.solve_all(robot, robot.fk(q), limits=False, count=16)
             assert not found.complete and 1 < len(found) <= 16 and found.families[0].joints[0] == leading
+            assert len({*found.families[0].joints}) == 4
+
+
+@pytest.mark.parametrize("limits", [(-6.0, 2.0), (-2.0, 6.0), (-6.2, -0.1)])
+def test_each_joint_is_on_the_turn_that_its_limits_allow(limits):
+    robot = ik.Robot.load(
+        robots.urdf(
+            *[dict(kind="revolute", limits=limits, xyz="0.5 0 0") for _ in range(2)], dict(kind="fixed", xyz="0.4 0 0")
+        )
+    )
+    rng = np.random.default_rng(5)
+    for q in robot.random_q(rng, 20):
+        T = robot.fk(q).translation
+        for q0 in robot.random_q(rng, 3):
+            found = ik.solve_all(robot, T, q0=q0)
+            assert len(found) and not any(robot.outside(one) for one in found.q)
+            assert max(np.linalg.norm(robot.fk(one).translation - T) for one in found.q) < 1e-4
+
+
+def test_nothing_found_has_no_families():
+    robot = robots.load("planar_2r")
+    found = ik.solve_all(robot, np.array([9.0, 0.0, 0.0]))
+    assert len(found) == 0 and found.families == ()

@@ -202,3 +202,9 @@ def test_closest_is_the_nearest_of_what_is_found(tree):
         assert close.success and away[0] <= away[1] + 1e-9
         nearer += away[0] < away[1] - 1e-3
     assert nearer > 0
+
+
+def test_a_row_of_a_batch_keeps_no_targets(tree):
+    found = ik.solve_batch(tree, np.array([tree.chain.forward(tree.home)[0][0]]))
+    raw = found[0].raw_errors
+    assert set(raw) == set(TIPS) and all(one.shape == (6,) and np.isnan(one).all() for one in raw.values())

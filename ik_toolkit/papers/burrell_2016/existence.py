@@ -1,4 +1,4 @@
-"""Fig. 4 of Burrell et al. (2016) at a goal that behaves like the published one, which is out of reach; a search finds it."""
+"""Fig. 4 of Burrell et al. (2016). The published goal is out of reach, so a search finds a goal that behaves like it."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..report import Report
 from .figures import draw_existence
 from .published import PAPER_OPTIONS, TO_PAPER
 
-CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and number of the best of them, compared at every gain
+CANDIDATES, MATCHES = 200_000, 40  # number of random goals, and number of the best of them that are tried at every gain
 
 
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
@@ -83,14 +83,14 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
 def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int = 0) -> float:
     """Return the distance [m] from a point (3,) to the nearest tip that a search finds.
 
-    It makes random moves of decreasing size from the nearest of 200,000 random configurations.
+    From the nearest `starts` of 200,000 random configurations it makes random moves of decreasing size.
     """
     rng = np.random.default_rng(seed)
     Q = robot.random_q(rng, 200_000)
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
     best = np.argsort(far)[:starts]
     Q, far = Q[best], far[best]
-    for width in np.geomspace(0.3, 1e-6, 60):  # `width` is the largest move of a joint [rad or m].
+    for width in np.geomspace(0.3, 1e-6, 60):  # `width` is the standard deviation of a move [rad or m].
         tries = np.clip(Q[:, None] + width * rng.standard_normal((starts, 64, robot.n)), robot.lower, robot.upper)
         away = np.linalg.norm(robot.chain.forward(tries.reshape(-1, robot.n))[0][:, :3, 3] - point, axis=1)
         away = away.reshape(starts, -1)

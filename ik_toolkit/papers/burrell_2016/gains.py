@@ -1,4 +1,4 @@
-"""The gains of IK-PID in Burrell et al. (2016): how many points a poor tuning reaches, and where those lie that it loses."""
+"""The gains of IK-PID in Burrell et al. (2016): how many points poor gains reach, and where the points lie that good ones lose."""
 
 from typing import Any
 
@@ -47,7 +47,7 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
 
 
 def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> None:
-    """Add a table of where the goals lie that the published gains lose, compared with goals that they reach."""
+    """Add a table of how near the workspace's edge the goals lie that the published gains lose, and those that they reach."""
     good = _solved(robot, points, PID.preset("burrell-2016"), q0)
     lost = points[~good]
     reached = points[good][: 2 * len(lost)]
@@ -67,9 +67,9 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
 
 
 def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Return for each point (N, 3) the least of the distances EDGE (N,) [m] at which a point around it is out of reach.
+    """Return for each point (N, 3) the smallest of the distances EDGE [m] at which a point around it is out of reach.
 
-    If all of those points are in reach, the result is twice the largest distance.
+    If all points around it are in reach, it is twice the largest distance.
     """
     axis = np.array([-1.0, 0.0, 1.0])
     directions = np.array([(x, y, z) for x in axis for y in axis for z in axis if x or y or z])

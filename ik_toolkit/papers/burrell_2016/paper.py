@@ -57,7 +57,7 @@ def undelayed(rule: StateSpace) -> StateSpace:
 
 
 def planar_rule(B: Any) -> StateSpace:
-    """Return the state-space rule of the planar arm: A = -0.5 I, C = -0.05 I, and B (3, 2) over x and y."""
+    """Return the state-space rule of the planar arm: A = -0.5 I, C = -0.05 I, and B (3, 2) with a column each for x and y."""
     return StateSpace(
         A=-0.5 * np.eye(3), B=np.column_stack([np.asarray(B, dtype=float), np.zeros(3)]), C=-0.05 * np.eye(3)
     )

@@ -90,7 +90,7 @@ def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
 
 
 def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tuple[Times, dict[str, list[dict]]]:
-    """Time the toolkit's solvers, several times, on the goals of all sets that all of them solve, and count."""
+    """Time the toolkit's solvers, several times, on the goals of all sets that all of them solve; count steps and successes."""
     times: Times = {name: [] for name in rules}
     steps: dict[str, list[dict]] = {name: [] for name in rules}
     points = np.concatenate(sets)

@@ -110,7 +110,7 @@ class Interpreted:
         return False
 
     def _pid(self, goal: np.ndarray, start: np.ndarray, tolerance: float) -> bool:
-        """Make a step of Algorithm I with the published gains, which are for mm and degrees."""
+        """Solve a goal (3,) [m] by Algorithm I with the published gains (for mm and degrees); return whether it converged."""
         kp, ki, kd = (gain * 1000.0 * math.pi / 180.0 for gain in (0.012, 1e-7, 0.08))
         q = start.copy()
 

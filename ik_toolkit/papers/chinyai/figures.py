@@ -13,7 +13,7 @@ KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # numbers of the variants
 
 
 def _outcome(rows: np.ndarray) -> np.ndarray:
-    """Return outcomes as floats for a picture: 1 for theta_2 > 0, 2 for theta_2 < 0, NaN where it did not converge."""
+    """Return the outcomes of rows of `newton_all` as floats: 0 for theta_2 >= 0, 1 for theta_2 < 0, NaN without convergence."""
     return np.where(rows[:, 2] < 0, np.nan, np.where(np.sin(rows[:, 1]) >= 0, 0.0, 1.0))
 
 
@@ -24,7 +24,10 @@ def _legend(figure: Any, plt: Any) -> None:
 
 
 def target_basins(converge: Callable, limit: float, shares: dict[str, float]) -> Any:
-    """Draw the outcome for all targets from the start (45, 90) degrees; shares: what the table has [%], by its columns."""
+    """Draw the outcome for all targets from the start (45, 90) degrees.
+
+    limit: joint limit [rad] of the clipped variant; shares: solved targets [%] in the table of convergence, by its columns.
+    """
 
     def draw(plt: Any) -> Any:
         side = np.linspace(-2.0, 2.0, 401)

@@ -92,7 +92,7 @@ def closed_form_all(X, l1, l2, out):
 
 @cached
 def newton_all(X, l1, l2, Q0, kind, clip, out):
-    """Solve targets X (N, 2) from Q0 (1 or N, 2) by `newton`; out (N, 4) receives angles, count and |error|."""
+    """Solve targets X (N, 2) from Q0 (1 or N, 2) by `newton`; out (N, 4) receives angles, number of steps and |error|."""
     tolerance = TOLERANCE * (l1 + l2)
     for i in range(X.shape[0]):
         q = Q0[i if Q0.shape[0] > 1 else 0]
@@ -108,7 +108,7 @@ def closed_form_numpy(x: float, y: float, l1: float, l2: float) -> tuple[np.ndar
 
 
 def newton_numpy(x: float, y: float, l1: float, l2: float, t1: float, t2: float) -> np.ndarray:
-    """Iterate by eqs. (6) to (9) in numpy."""
+    """Return the angles (2,) where Newton-Raphson by eqs. (6) to (9) ends from t1, t2, computed in numpy."""
     theta, goal = np.array([t1, t2]), np.array([x, y])
     for _ in range(ITERATIONS):
         s1, s12 = np.sin(theta[0]), np.sin(theta.sum())

@@ -97,7 +97,7 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system on a path, with the number of steps of a run and its start for an initial error (actual - target)."""
+    """A system on a path: number of steps of a run, function from a task position to q, initial error (actual - target)."""
 
     system: System
     path: Path
@@ -163,7 +163,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
 
     It is the spectral radius of the product of the matrices that carry a disturbance over each step of the exact
     motion; h is adjusted to divide the lap. The first two readings of method aa zigzag about that motion, so their
-    growth is measured.
+    factor comes from disturbed runs (`measured_growth`).
     """
     if key in MEASURED:
         return measured_growth(case, gains, key, lap)

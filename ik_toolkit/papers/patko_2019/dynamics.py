@@ -36,9 +36,9 @@ def swing(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def follow(model: pin.Model, controller: pin.Model, kp: float, kd: float, path: Path = swing) -> np.ndarray:
-    """Simulate `model` under the control of eq. (2), whose u = M v + C is computed from `controller`, by Runge-Kutta.
+    """Simulate `model` by Runge-Kutta under the control u = M v + C of eq. (2), in which M and C are those of `controller`.
 
-    Returns the errors q - q_d (STEPS + 1, 2) [rad].
+    path: desired joint motion q_d over time. Returns the errors q - q_d (STEPS + 1, 2) [rad].
     """
     data, known = model.createData(), controller.createData()
 

@@ -92,7 +92,7 @@ def _curve(ax: Any, key: str, run: Any, until: float) -> None:
 
 
 def _below(ax: Any, runs: Mapping[str, Any]) -> None:
-    """Write the names of runs whose error leaves the axes for good."""
+    """Write the names of the runs whose error falls below the axes for good."""
     ends = {
         key: np.linalg.norm(run.error[len(run.error) // 2 :], axis=1).max()
         for key, run in runs.items()

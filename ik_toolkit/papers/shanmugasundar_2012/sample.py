@@ -27,7 +27,7 @@ def _q(angles: Any, lift: float) -> np.ndarray:
 def sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.ndarray) -> None:
     """Add the section on the sample pose to the report.
 
-    It takes the pose as printed (4, 4) [mm], and `table_pose`, the same with a rotation made exact.
+    printed: the pose as printed (4, 4) [mm]; table_pose: the printed pose with its rotation made exact.
     """
     report.heading("The sample pose, solved")
     raw, goal = printed.copy(), table_pose.copy()

@@ -81,9 +81,9 @@ def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
     found = {}
     for item in parse(text):
         limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
-        speed = (attribute_numbers((limit or {}).get("velocity", "")) or [0.0])[0]
-        if speed > 0.0 and tied[item.name].ratio != 0.0:
-            found[item.name] = (tied[item.name].ratio, speed)
+        speed = attribute_numbers((limit or {}).get("velocity", "")) or []
+        if len(speed) == 1 and speed[0] > 0.0 and tied[item.name].ratio != 0.0:
+            found[item.name] = (tied[item.name].ratio, speed[0])
     return found
 
 

@@ -37,7 +37,6 @@ FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floatin
 NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
     "axis": {"xyz": 3},
-    "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
     "mimic": {"multiplier": 1, "offset": 1},
     "box": {"size": 3},
     "cylinder": {"radius": 1, "length": 1},

@@ -114,7 +114,8 @@ def _turn_plane(model: pin.Model, joint: Item) -> None:
 
 def _most(limit: Mapping[str, str] | None, key: str) -> float:
     """Return an effort or velocity limit, or ENDLESS if it is missing, no number, negative, infinite, or a velocity of 0."""
-    value = (attribute_numbers((limit or {}).get(key, "")) or [math.nan])[0]
+    values = attribute_numbers((limit or {}).get(key, "")) or []
+    value = values[0] if len(values) == 1 else math.nan
     return value if (0.0 if key == "velocity" else -1e-300) < value < ENDLESS else ENDLESS
 
 

@@ -246,7 +246,7 @@ def _power(joint: Item, limit: Mapping[str, str], key: str, line: int) -> Iterat
         return
     values = attribute_numbers(limit[key]) or []
     if len(values) != 1 or math.isnan(values[0]):
-        yield odd(joint, f'<limit {key}="{limit[key][:60]}"> is not a number', UNUSED, line)
+        yield odd(joint, f'<limit {key}="{limit[key][:60]}"> is not a number', UNUSED, line, at_load=key == "velocity")
     elif values[0] < 0.0:
         yield odd(
             joint, f"its {key} limit is negative ({limit[key]}), read as no limit", "write a positive number", line

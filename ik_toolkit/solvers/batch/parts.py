@@ -29,7 +29,7 @@ SLICE = 0.05  # [s] a thread checks this often whether to stop
 
 
 def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
-    """Return validated starts (1 or m, n), moved inside the limits."""
+    """Return the starts q0 (1 or m, n), checked and moved inside the limits; first: number of their first target."""
     bad = ~np.isfinite(q0).all(axis=1)
     if bad.any():
         raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
@@ -73,7 +73,7 @@ class Part(NamedTuple):
 
 
 def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable | None = None) -> None:
-    """Solve rows (m, width), each from its own target and start alone."""
+    """Solve the targets of a part and write the rows of `out` (m, width); a row depends only on its own target and start."""
     if len(plan.held) and len(part.start) > 1:  # each target then has its own table of starts
         for k in range(len(part.T)):
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
@@ -103,10 +103,10 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
 
 
 def _sampled(first: int, count: int, share: float) -> Iterator[int]:
-    """Yield which rows of a part to check, so that of the whole batch these are the rows ceil(j / share), j = 0, 1, 2, ...
+    """Yield the indices of the rows to check in a part; over the whole batch they are ceil(j / share) for j = 0, 1, 2, ...
 
-    Whole numbers are used throughout, so any share is met to a row, by the same rows however the batch is cut, and none
-    overflows.
+    first, count: number of the part's first row, and of its rows. Python's whole numbers do not round or overflow, so the
+    share is met to within a row, and the checked rows do not depend on how the batch is divided.
     """
     p, q = float(share).as_integer_ratio()
     j = (first - 1) * p // q + 1
@@ -125,7 +125,7 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
 
 
 def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | None = None) -> np.ndarray:
-    """Solve the rows (m, width) of one part in slices, between which it may be stopped, and is then incomplete."""
+    """Solve one part in slices and return its rows (m, width); if `stop` ends it between two slices, they are incomplete."""
     start = plan.home if job.q0 is None else _starts(plan, job.q0, job.first)
     part = Part(job.T, job.kinds, start, job.q0 is not None, job.first)
     out = np.zeros((len(part.T), plan.width))

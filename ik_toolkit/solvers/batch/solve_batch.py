@@ -1,4 +1,4 @@
-"""Solves many targets at once: compiled, on all cores, in parts, with the same bytes for any number of threads or workers."""
+"""Solves many targets at once, compiled and on all cores; any number of threads or workers gives the same result to the byte."""
 
 import math
 import os
@@ -40,8 +40,8 @@ def solve_parts(
 ) -> Iterator[BatchResult]:
     """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
 
-    An array is read as parts are taken, so it must not change before; arrays from an iterator may be reused at once.
-    Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
+    An array of targets is read part by part, so it must not change until the last part is taken; arrays from an iterator
+    are copied. Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
     require_robot(robot)
     if "chain" in options:
@@ -84,7 +84,7 @@ def _length(targets: Any) -> int:
 
 
 def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarray | None:
-    """Return starts (n,) or (rows, n), with any number of rows if that is None. Raises InvalidConfiguration."""
+    """Return the starts q0 as (n,) or (rows, n); if `rows` is None, any number of rows is valid. Raises InvalidConfiguration."""
     if q0 is None:
         return None
     n = robot.n
@@ -205,7 +205,7 @@ def solve_batch(
         if part is None:
             raise
         raise BatchInterrupted(part.of(table[:done])) from None
-    # The rows up to the one that failed are kept, and none after it, whether solved or not.
+    # The rows up to the one that failed are kept; all rows after it are emptied, whether they were solved or not.
     except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
         table.resize((total if total is not None else done + len(part), part.table.shape[1]), refcheck=False)

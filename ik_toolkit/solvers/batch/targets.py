@@ -84,13 +84,11 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
     if options.get("free_turn") is not None:
         raise InvalidOption("an axis target frees the turn about its axis; leave free_turn out")
     made = {tip: [one.T_base_tip for one in columns[tip]] if tip in axes else column for tip, column in columns.items()}
-    if robot.by_tip:
-        return made, {**options, "free_turn": axes}
-    return made[robot.tips[0]], {**options, "free_turn": axes[robot.tips[0]]}
+    return robot.for_tips(made), {**options, "free_turn": robot.for_tips(axes)}
 
 
 def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
-    """The tip axis of a list of AxisTargets; None where it holds none."""
+    """Return the tip axis that all AxisTargets of a list share, or None if it holds none. Raises InvalidTarget if they differ."""
     axes = (
         [one.axis if isinstance(one, AxisTarget) else None for one in column]
         if isinstance(column, list | tuple)
@@ -136,14 +134,14 @@ def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
 
 
 def _plain(target: Any, base: str) -> np.ndarray:
-    """Return one target of a list, or the list of those of several tips, as numbers."""
+    """Return one entry of a list of targets as numbers: a target, or a list with the targets of several tips."""
     if isinstance(target, list | tuple) and any(not isinstance(one, float | int | list | tuple) for one in target):
         return np.array([_numbers(as_array(one, base)) for one in target])
     return _numbers(as_array(target, base))
 
 
 def _numbers(targets: Any) -> np.ndarray:
-    """Return targets as an array of real numbers (see `errors.floats`), a view if they are one."""
+    """Return targets as an array of real numbers (see `errors.floats`), without a copy if they are one already."""
     if masked(targets):
         raise InvalidTarget("targets must be numbers, and some of these are masked")
     if isinstance(targets, AxisTarget):
@@ -158,7 +156,10 @@ def _numbers(targets: Any) -> np.ndarray:
 
 
 def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
-    """Turn chunks into blocks, and refuse a wrong shape, or another kind than the first; the kernel checks their numbers."""
+    """Yield chunks of targets as Blocks; the kernel checks their numbers.
+
+    Raises InvalidTarget for a wrong shape, and for a chunk whose kinds differ from those of the first.
+    """
     kinds = None
     for chunk in chunks:
         if isinstance(chunk, Mapping):
@@ -213,9 +214,9 @@ def _named_tips(chunk: Mapping[str, Any], robot: Any) -> Block:
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
-    """Make a target T (4, 4) or (F, 4, 4) that the kernel refused exact.
+    """Return a target T (4, 4) or (F, 4, 4) that the kernel refused, with its rotations made exact.
 
-    Raises InvalidTarget naming the target and the tip.
+    Raises InvalidTarget, which names the target (its `number` in the batch) and the tip, if a pose cannot be corrected.
     """
     good = T.copy().reshape(-1, 4, 4)
     for tip, kind, one in zip(tips, kinds, good, strict=True):

@@ -1,4 +1,4 @@
-"""Closed forms: each gives every branch at once for robots of the structure that it recognises."""
+"""Closed-form solvers: each lists all branches of a target, for robots whose structure it recognises."""
 
 from typing import Any
 
@@ -10,9 +10,9 @@ def fits(robot: Any, kind: int) -> str | None:
 
 
 def fit(robot: Any, kind: int) -> tuple[str, float] | None:
-    """Return the closed form for a kind of target and how far the robot is off its structure [rad, or of the reach], or None.
+    """Return the name of the closed form for a kind of target, and the deviation of the robot from its structure; or None.
 
-    The chain's geometry decides; the answer is kept with the robot, so asking again costs a look-up.
+    The deviation is an angle [rad] or a length over the reach. The result is stored with the robot for later calls.
     """
     if "closed forms" not in robot.memo:
         robot.memo["closed forms"] = (

@@ -1,4 +1,4 @@
-"""Calls the EAIK package, which has all answers for six revolute joints of a structure it knows, like any other solver."""
+"""Makes the EAIK package a solver of this toolkit: closed forms for many structures of six revolute joints."""
 
 import functools
 from typing import Any, NamedTuple
@@ -15,12 +15,12 @@ N = 6
 # Number of Newton steps that improve a solution of EAIK.
 # At a singular pose EAIK's solutions have errors of 1e-4, which each step halves.
 STEPS = 12
-# Slices of the parameters: axes, vectors from one axis to the next, and the tip's orientation, at q = 0.
+# Slices of the parameters (48,), all at q = 0: axes (6, 3), vectors from one axis to the next (7, 3), the tip's rotation.
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
 def recognise_six_axes(chain: Chain) -> Fit:
-    """Recognise an arm by its axes at q = 0."""
+    """Return how EAIK fits a chain, which depends on the chain's axes at q = 0."""
     if chain.n != N:
         return no_fit(f"it has {chain.n} joints on the path, not 6")
     screws = read_screws(chain)
@@ -37,7 +37,7 @@ def recognise_six_axes(chain: Chain) -> Fit:
 
 @functools.lru_cache(16)
 def _arm(parameters: bytes) -> Any:
-    """Make EAIK's robot from packed axes."""
+    """Return EAIK's robot for the parameters that `recognise_six_axes` found, given as bytes."""
     try:
         from eaik.IK_HP import HPRobot
     except ImportError:
@@ -47,7 +47,10 @@ def _arm(parameters: bytes) -> Any:
 
 
 def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return EAIK's answers (K, 6) [rad] for T (4, 4), exact or not, because its flag for inexact ones is set on exact ones too."""
+    """Return all of EAIK's solutions (K, 6) [rad] for the pose T (4, 4); p: the parameters that `recognise_six_axes` found.
+
+    Solutions that EAIK flags as inexact are kept, because the flag is set on exact ones, too.
+    """
     if not np.isfinite(T).all():
         return np.empty((0, N))
     tool = np.eye(4)
@@ -58,7 +61,11 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 @inline
 def joint_values(angles, box, q):
-    """Fill q (6,) with angles on turns in limits nearest box[2] (reference); return excess [rad] and distance."""
+    """Fill q (6,) with `angles` (6,) [rad], each on the full turn inside its limits that is nearest the reference box[2].
+
+    box (4, 6): see `geometry.copy_limits`. Returns the largest limit excess [rad] and the weighted squared distance from
+    the reference.
+    """
     worst, distance = 0.0, 0.0
     for i in range(N):
         q[i], broken = legal_turn(angles[i], box[0, i], box[1, i], box[2, i])
@@ -69,7 +76,7 @@ def joint_values(angles, box, q):
 
 @cached
 def eaik_branches(Q, box, out, broken):
-    """Fill out (K, 6) with Q on the turns in limits nearest box[2] (reference), broken (K,) with limit excess [rad]."""
+    """Fill out (K, 6) with the rows of Q (K, 6) as moved by `joint_values`, and broken (K,) with their limit excess [rad]."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
 
@@ -86,7 +93,10 @@ class EAIK(NamedTuple):
     recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return EAIK's solutions for T (4, 4), on turns nearest box[2] (reference); near singularities some lack."""
+        """Return EAIK's solutions for the pose T (4, 4), on the full turns nearest the reference box[2].
+
+        Near singular poses some solutions are missing.
+        """
         Q = branches(p, T)
         out, broken = np.empty_like(Q), np.empty(len(Q))
         eaik_branches(Q, box, out, broken)

@@ -57,7 +57,7 @@ class Branches(NamedTuple):
 
     q: np.ndarray  # (K, n) the branches [rad or m], on the full turns nearest the reference
     broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
-    marks: np.ndarray  # Signs (K, 3) of shoulder, elbow and wrist.
+    marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
     complete: bool  # Whether these branches are proven to be all.
     words: str  # Part of the message that says where the branches are, such as ' at lift 0.2 m'.
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
@@ -69,14 +69,14 @@ class Branches(NamedTuple):
 class Screws(NamedTuple):
     """The joint axes of a chain at q = 0 in base axes."""
 
-    turns: np.ndarray  # Whether each joint turns (n,).
+    turns: np.ndarray  # (n,) whether each joint is revolute
     axis: np.ndarray  # Unit direction of each axis (n, 3).
     point: np.ndarray  # The point (n, 3) [m] of a revolute joint's axis that is nearest the tip.
     T: np.ndarray  # The pose T_base_tip (4, 4) [m].
 
 
 def read_screws(chain: Chain) -> Screws | str:
-    """Return the joint screws at q = 0, or the reason why there are none: a coordinate drives several joints (mimic)."""
+    """Return the joint screws at q = 0, or the reason (text) why there are none: one coordinate drives several joints (mimic)."""
     if not chain.plain:
         return "it has mimic joints"
     # `evaluate` is not compiled, so recognising a robot compiles nothing.
@@ -88,7 +88,7 @@ def read_screws(chain: Chain) -> Screws | str:
 
 
 def angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Return the angle [rad] that turns direction `start` into `end` about `axis`; all are unit vectors, both across the axis."""
+    """Return the angle [rad] about `axis` that rotates `start` into `end`; unit vectors, the last two perpendicular to `axis`."""
     return math.atan2(float(axis @ np.cross(start, end)), float(start @ end))
 
 
@@ -99,7 +99,10 @@ def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 @shared
 def legal_turn(angle, low, high, near):
-    """Return angle + k 2 pi inside [low, high] nearest to `near`, and by how much [rad] it is outside (0: inside)."""
+    """Return the angle moved by full turns into [low, high] and, of several such values, the one nearest `near`.
+
+    Also returns by how much [rad] the result is outside the limits (0: inside), if no full turn puts it inside.
+    """
     x = angle + TAU * np.rint((near - angle) / TAU)
     if x > high + SNAP:
         x -= TAU * math.ceil((x - high - SNAP) / TAU)
@@ -122,14 +125,14 @@ def clamp(x, low, high):
 
 @inline
 def legal_start(ends, opt, q0):
-    """Return whether a start (n,), if there is one, is finite and, if limits count, inside them [rad or m]."""
+    """Return whether the start q0 (n,) [rad or m] is finite and, if limits count, inside them; True if no start is given."""
     o = read(Orders, opt)
     return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
 
 
 @inline
 def copy_limits(ends, opt, q0, box):
-    """Fill box (4, n): lower limits, upper limits, reference configuration [rad or m], distance weights."""
+    """Fill the rows of box (4, n): lower limits, upper limits, reference (q0, or else home) [rad or m], distance weights."""
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)
     for i in range(n):
@@ -143,10 +146,10 @@ def copy_limits(ends, opt, q0, box):
 
 @inline
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
-    """Evaluate q with the kernel's forward kinematics and write the result row, whose errors and status are of that evaluation.
+    """Evaluate q (n,) [rad or m] by the kernel's forward kinematics; write its errors and the status to the result row `out`.
 
-    `broken` is by how much the best branch exceeds a limit; `gap` how far [m] the target is out of reach with its
-    orientation kept; `slack` how much of that [m] the orientation's tolerance may make up for. `goal` (12,), `joints`
+    `broken` is by how much the best branch exceeds a limit. `gap` is how far [m] the target is out of reach with its
+    orientation kept, and `slack` how much of `gap` [m] the orientation tolerance may make up for. `goal` (12,), `joints`
     and `trig` are scratch, see `kinematics.room`.
     """
     n = box.shape[1]

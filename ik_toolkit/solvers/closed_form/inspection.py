@@ -1,9 +1,9 @@
 """Solves an arm with a spherical shoulder on a lift (the 7-joint inspection robot): every branch in closed form.
 
-The arm is recognised by its axes: joint 1 turns about an axis along which joint 2 slides (in either order, or the slide
-is locked or absent); axes 1, 3 and 4 meet in one point, each across the next; axis 5 is parallel to 4, axis 6 crosses
-axis 5 at right angles level with the shoulder, axis 7 is parallel to 6. Base, tool, axis signs, angle offsets and
-lengths are free.
+The arm is recognised by its axes. Joint 1 turns about an axis along which joint 2 slides (in either order, or the slide
+is locked or absent). Axes 1, 3 and 4 meet in one point, the shoulder, each at right angles to the next. Axis 5 is
+parallel to axis 4. Axis 6 crosses axis 5 at right angles, in the plane through the shoulder perpendicular to axis 5.
+Axis 7 is parallel to axis 6. Base, tool, axis signs, angle offsets and lengths are arbitrary.
 """
 
 import math
@@ -63,7 +63,7 @@ CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
 
 
 def recognise(chain: Chain) -> Fit:
-    """Recognise the arm by its joint axes."""
+    """Return how the closed form fits a chain, which depends on the chain's joint axes."""
     if chain.n not in (6, 7):
         return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 revolute joints (or these 6)")
     screws = read_screws(chain)
@@ -84,12 +84,12 @@ def recognise(chain: Chain) -> Fit:
         off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
     for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
         off.append((np.linalg.norm(np.cross(a, b)), f"its revolute joints {pair} are not parallel"))
-    # The shoulder is the origin of joint 3 projected onto axis 1; axes 3 and 4 must pass through it.
+    # The shoulder is a point of axis 3 projected onto axis 1; axes 3 and 4 must pass through it.
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         missed = np.linalg.norm(across(z, c - shoulder)) / chain.reach
         off.append((missed, f"its {place} revolute axis misses the point where the first and second are nearest"))
-    level5 = c5 + z4 * (z4 @ (shoulder - c5))  # This is the point of axis 5 that is level with the shoulder.
+    level5 = c5 + z4 * (z4 @ (shoulder - c5))  # the point of axis 5 nearest the shoulder
     missed = np.linalg.norm(across(z6, c6 - level5)) / chain.reach
     off.append((missed, "its fifth revolute axis does not cross the fourth level with the shoulder"))
     for value, words in off:
@@ -126,7 +126,10 @@ def recognise(chain: Chain) -> Fit:
 
 @cached
 def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Find the branch inside the limits nearest Q0, or how far none is; the arguments are those of `kernel.search.entry`."""
+    """Write for each target the branch inside the limits nearest the start in Q0, or how far the target is from having one.
+
+    `protocol.ClosedForm.loop` describes the arguments.
+    """
     n = seeds.shape[1]
     p = opt[WEIGHTS + n :]
     box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
@@ -180,7 +183,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(found + 1):  # the best so far first, then every branch at its lift
+            for k in range(found + 1):  # k = 0 is the best so far; then follow all branches at its lift
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
@@ -212,8 +215,8 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 class Inspection(NamedTuple):
     """All branches (8) of a spherical shoulder on a lift, for poses; the branch inside limits nearest q0 is returned.
 
-    Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed: every branch, the lift as the free
-    parameter, reach test, singular poses.
+    Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed by the other branches, the lift as the
+    free parameter, a reach test and singular poses.
 
     Args:
         lift: 'nearest' takes the feasible lift nearest q0's, or another if no branch there is inside the limits; 'mid'
@@ -229,7 +232,7 @@ class Inspection(NamedTuple):
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
         """Return the geometry and the choice of lift for the compiled solver.
 
-        Raises UnknownSolver if the robot has another structure, InvalidOption for a lift that is no choice.
+        Raises UnknownSolver if the robot has another structure, InvalidOption if `lift` is none of its choices.
         """
         parameters, _, off = fitted(self, robot)
         choice = CHOICES.get(self.lift, GIVEN)
@@ -244,7 +247,7 @@ class Inspection(NamedTuple):
         return np.concatenate([parameters, [choice, value, float(off > FIT)]])
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Map the index in q of the lift to its value [m] if that is given as a number; else the result is empty."""
+        """Return {index of the lift in q: its value [m]} if `lift` is a number, otherwise an empty dict."""
         place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
@@ -255,5 +258,5 @@ class Inspection(NamedTuple):
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled function that solves, called as `kernel.search.entry`."""
+        """Return the compiled function that solves."""
         return solve_inspection

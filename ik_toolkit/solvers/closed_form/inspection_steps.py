@@ -28,15 +28,16 @@ THETA = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
 LEGEND = (
     "Shoulder, elbow and wrist: the signs of sin theta_3, sin theta_6 and cos theta_5 (0 where two branches merge)."
 )
-ANGLES, BROKEN, Q = 3, 9, 10  # indices in a row of `table`, which is a branch
-# Slices of the transforms base -> shoulder axes and tip -> wrist axes: rotation and point of each.
+# A row of the `table` of `worked_out` describes a branch. These are the indices where its angles, limit excess and q begin.
+ANGLES, BROKEN, Q = 3, 9, 10
+# Indices in the parameters of the transforms base -> shoulder axes and tip -> wrist axes: rotation (9), then point (3).
 BASE, TOOL = 0, 12
 ALIGNED = 1e-12  # axes that differ by less [m, or rotation matrix entries] are the same
 PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 class HeadSlots(NamedTuple):
-    """Indices in the array `head` of `worked_out` of the numbers that follow the wrist pose."""
+    """Indices of the numbers that follow the wrist pose in the array `head` of `worked_out`."""
 
     shoulder: int = 12
     room: int = 15
@@ -55,9 +56,9 @@ HEAD = HeadSlots()
 def worked_out(p, T, d, box, head, table):
     """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return the number of branches.
 
-    head has the wrist pose (12), the shoulder seen from it (3), the room left in the reach and how far the pose was
-    moved to be reached [m], then what `forearm` returns about the elbow. A row of table has a branch's numbers of
-    elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit excess, and q.
+    head holds the wrist pose (12), the shoulder in its axes (3), the room left in the reach [m], how far [m] the wrist
+    was moved to be reachable, and the first five values of `forearm`. A row of table describes a branch: the numbers
+    (0 or 1) of its elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit excess, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -83,7 +84,7 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return formulas and branches of the pose T (4, 4) at the lift of the reference box[2], or the given lift."""
+    """Return the formulas and branches of the pose T (4, 4), at the given lift or else at the lift of the reference box[2]."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))
@@ -119,10 +120,10 @@ def _is_far(p: np.ndarray, head: np.ndarray) -> bool:
 
 
 def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> tuple[Any, Any, dict[str, Any]]:
-    """Write down the target; return the wrist's rotation, its point, and the angles theta at q = 0 as symbols.
+    """Write the target on the sheet; return the wrist's rotation, its position, and the angles theta at q = 0, as symbols.
 
-    The point follows by a formula if base and tool only shift and the target is in reach, because the rotation is then
-    the target's.
+    The position gets a formula if the target is in reach and the base and tool transforms are pure translations, so that
+    the wrist has the target's rotation. Otherwise only its numbers are written.
     """
     plain = all(np.abs(p[at : at + 9].reshape(3, 3) - np.eye(3)).max() < ALIGNED for at in (BASE, TOOL))
     of = "the target's rotation" if plain else "the wrist's rotation, in the shoulder's axes"
@@ -151,7 +152,7 @@ def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> 
 
 
 def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, lift: float) -> dict[str, Any]:
-    """Write down what all branches have in common, reach and forearm; return the symbols that they need."""
+    """Write the formulas that all branches share (reach and forearm) on the sheet; return the symbols that `_angles` needs."""
     a4 = sheet.given("a4", p[A4], "m", "shoulder to axis 5")
     a6 = sheet.given("a6", p[A6], "m", "axis 5 to axis 7")
     d = sheet.given("d", lift, "m", "height of the shoulder above where it is at lift 0")
@@ -190,7 +191,7 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
 def _angles(
     sheet: Worksheet, symbols: dict[str, Any], robot: Any, p: np.ndarray, head: np.ndarray, row: np.ndarray
 ) -> None:
-    """Write down the joint angles of one branch, a row of `worked_out`."""
+    """Write the formulas for the joint angles of one branch on the sheet; row: the branch in the `table` of `worked_out`."""
     k6, k5, k3 = map(int, row[:3])
     t1, t3, t4, t5, t6, t7 = row[ANGLES:BROKEN]
     R, L, s_z, beta, gamma, chi = (symbols[name] for name in ("R", "L", "s_z", "beta", "gamma", "chi"))

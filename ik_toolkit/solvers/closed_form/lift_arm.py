@@ -24,19 +24,20 @@ from .reach import (
 # From LIFT on, the lift has its index in q (-1: none), sign, choice and given value.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
-SCAN = 12  # number of lifts tried in each feasible interval if no branch at the first is inside limits
-# If 33 lifts of a branch all exceed limits, minima of the excess are searched for between them.
+SCAN = 12  # number of lifts tried in each feasible interval if no branch at the first lift is inside the limits
+# A branch is tried at 33 lifts. If all exceed limits, minima of the excess are searched for between these lifts.
 WINDOWS = 33
 # The golden section takes 64 steps, after which it is at rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
 TURNS = 8  # number of full turns considered either way; joints with wider limits count as endless
-# An arm is level (axes 1 and 4 parallel) if tool z's slope, and the forearm's error over its length, are below 1e-9.
+# An arm counts as level (axes 1 and 4 parallel) if the component of the wrist's z axis along axis 1, and the miss of
+# `level_arm` over the arm's length a4 + a6, are below this.
 LEVEL = 1e-9
 
 
 @shared
 def wrist_pose(p, T, P):
-    """Fill P (12: rotation by rows, point [m]) with the wrist pose of T (4, 4) in shoulder axes."""
+    """Fill P (12: rotation by rows, point [m]) with the wrist pose of T (4, 4) in shoulder axes; p: the arm's parameters."""
     for r in range(3):
         b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
         m0 = b0 * T[0, 0] + b1 * T[1, 0] + b2 * T[2, 0]
@@ -49,7 +50,11 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q with lift d and `angles` (6,) on turns in limits nearest the reference box[2]; return excess, distance."""
+    """Fill q (n,) with lift d and `angles` (6,), each on the full turn inside its limits nearest the reference box[2].
+
+    p: the arm's parameters; box (4, n): see `copy_limits`. Returns the largest limit excess [rad or m] and the weighted
+    squared distance from the reference.
+    """
     worst, distance = 0.0, 0.0
     for k in range(6):
         i = int(p[JOINTS + 3 * k])
@@ -67,16 +72,17 @@ def joint_values(p, angles, d, box, q):
 
 @inline
 def near_angles(p, box, near):
-    """Fill near (6,) with the angles theta of the reference configuration, which are used where an angle is free."""
+    """Fill near (6,) with the angles theta of the reference configuration box[2], which are used where an angle is free."""
     for k in range(6):
         near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
 
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d that is nearest inside the limits, or else exceeds them least.
+    """Fill best (n,) with the branch at lift d that is inside the limits and nearest the reference, or exceeds them least.
 
-    The wrist point is first moved to the nearest reachable one. Returns limit excess and distance.
+    The point of the wrist pose P is first moved to the nearest reachable one. Returns limit excess and distance. near
+    (6,): angles used where one is free; moved, sols and q are scratch.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -91,7 +97,7 @@ def pick(p, P, d, box, near, moved, sols, q, best):
 
 @inline
 def lift_limits(p, box):
-    """Return the lowest and highest lift [m] that the limits allow, along the shoulder's own axis."""
+    """Return the lowest and highest lift [m] that the joint's limits in `box` allow, counted along the shoulder's own axis."""
     i = int(p[LIFT])
     if p[LIFT + 1] > 0.0:
         return box[0, i], box[1, i]
@@ -100,10 +106,11 @@ def lift_limits(p, box):
 
 @inner
 def choose_lift(p, P, box, spans):
-    """Return the lift [m] to try first and the number of feasible intervals, which spans (2, 2) receives.
+    """Return the lift [m] to try first and the number of feasible intervals, whose ends are written to spans (2, 2).
 
-    A number of 0 means that no lift inside limits reaches the target, so the nearest is returned; -1: the lift is not
-    free or its first choice is feasible.
+    A lift is feasible if the wrist pose P is in reach from it. If the number is 0, no lift inside the limits is feasible,
+    and the one that comes nearest is returned. If it is -1, no intervals were needed: the arm has no lift, its lift is
+    given, or the reference lift is feasible and is to be kept.
     """
     a4, a6 = p[A4], p[A6]
     i = int(p[LIFT])
@@ -131,9 +138,10 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Return how a lift whose limits keep it from the target is stopped: lift, gap and missing stroke [m].
+    """Return lift, gap and missing stroke [m] of a lift whose limits keep the arm from the target.
 
-    It is the limit nearest a lift that would reach, with gap 0; if no lift would, d and gap are returned with stroke 0.
+    If a lift beyond the limits reaches the target, these are the limit nearest to such a lift, a gap of 0, and the
+    distance between the two. Otherwise d and gap are returned, with a stroke of 0.
     """
     low, high = lift_limits(p, box)
     least = np.inf
@@ -147,9 +155,10 @@ def stopped_at(p, P, box, d, gap, spans):
 
 @inner
 def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
-    """Try a few feasible lifts for a branch inside limits; best receives the nearest, or the one of least excess.
+    """Try SCAN lifts in each feasible interval, a row of `spans`, and fill best (n,) with the best branch of all.
 
-    Lifts are closer together at the ends of an interval, where the angles change fastest. Returns the limit excess.
+    That is the branch inside the limits nearest the reference, or else the one of least limit excess, which is returned.
+    Lifts are closer together at the ends of an interval, where the angles change fastest.
     """
     least, nearest = np.inf, np.inf
     for k in range(spans.shape[0]):
@@ -165,7 +174,10 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 
 @inner
 def at_turn(p, P, k, span, turn, box, near, row, q):
-    """Fill q with branch k at the share (1 - cos(turn)) / 2 of a span of lifts; return limit excess and distance."""
+    """Fill q (n,) with branch k at a lift of the interval `span`; return its limit excess and distance from the reference.
+
+    turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval.
+    """
     d = 0.5 * (span[0] + span[1]) - 0.5 * (span[1] - span[0]) * math.cos(turn)
     inspection_branch(P, d, p[A4], p[A6], near, k, row)
     return joint_values(p, row, d, box, q)
@@ -173,10 +185,11 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search every branch over the feasible lifts for windows inside all limits, however narrow.
+    """Search the feasible intervals of lifts (rows of `spans`) for windows: parts in which a branch is inside all limits.
 
-    Such a window lies at a minimum of the largest limit excess; each minimum is approached by golden section until it
-    is zero or as small as it gets. Returns the least limit excess.
+    A window may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
+    minimum is approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of
+    least excess, and returns this excess.
     """
     least, nearest = np.inf, np.inf
     step = math.pi / (WINDOWS - 1)
@@ -213,9 +226,9 @@ def narrow_windows(p, P, box, near, spans, broken, row, q, best):
 
 @inline
 def coupled(p, up, row):
-    """Return how a level arm (6,) couples its joints i and j, which turn theta_1 and theta_4: q_j = base + slope q_i.
+    """Return i, j, base and slope of the coupling q_j = base + slope q_i in a level arm with the angles `row` (6,).
 
-    The sum or difference theta_4 - up theta_1 is given by the pose.
+    Joints i and j turn theta_1 and theta_4. The pose determines theta_4 - up theta_1, where up is 1 or -1.
     """
     sign, sign4 = p[JOINTS + 1], p[JOINTS + 7]
     base = sign4 * (row[2] - up * row[0] + up * p[JOINTS + 2] - p[JOINTS + 8])
@@ -224,14 +237,17 @@ def coupled(p, up, row):
 
 @inline
 def shared_range(box, i, j, shift, slope):
-    """Return the range of q_i with q_i and q_j = shift + slope q_i (slope +-1) inside limits; empty if low > high."""
+    """Return the ends of the range of q_i in which q_i and q_j = shift + slope q_i are inside their limits; slope is 1 or -1.
+
+    The range is empty if its first end is above its second.
+    """
     a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
     return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
 
 
 @inline
 def set_free(p, up, x, row):
-    """Set theta_1 of a level arm (6,) to that of the joint value x; theta_4 follows."""
+    """Set theta_1 of a level arm with the angles `row` (6,) by the joint value x, and theta_4 so that the pose is kept."""
     turned = p[JOINTS + 1] * x + p[JOINTS + 2] - row[0]
     row[0] += turned
     row[2] += up * turned
@@ -239,10 +255,10 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, nearest the reference in limits.
+    """Set theta_1 and theta_4 of a level arm with the angles `row` (6,) to the pair in limits nearest the reference.
 
-    theta_4 = constant + up theta_1, where up is 1 or -1. If no pair is inside limits, the one that exceeds them least
-    is taken.
+    The pose determines theta_4 - up theta_1, where up is 1 or -1. If no pair is inside the limits, the one that exceeds
+    them least is taken.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -262,10 +278,10 @@ def meet_limits(p, box, up, row):
 
 @inner
 def pick_level(p, P, d, free, box, near, row, q, best):
-    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) of least limit excess, then the nearest.
+    """Fill best (n,) with the level arm (axes 1 and 4 parallel) of least limit excess; of several, the nearest to the reference.
 
-    Returns its limit excess, or infinity if the pose has no level arm. With `free` the lift may be chosen, otherwise
-    it is d.
+    Returns its limit excess, or infinity if no level arm reaches the pose P. If `free`, each arm takes the lift that it
+    needs, otherwise lift d.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]

@@ -48,7 +48,8 @@ LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # bits for what leaves an angle free 
 def every_branch(p, T, box, lifts, out, broken):
     """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return their number.
 
-    broken (8 K,) receives by how much each branch exceeds a joint limit.
+    broken (8 K,) receives by how much each branch exceeds a joint limit. p: the arm's parameters; box (4, n): see
+    `geometry.copy_limits`.
     """
     near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
     near_angles(p, box, near)
@@ -66,7 +67,7 @@ def every_branch(p, T, box, lifts, out, broken):
 
 @cached
 def first_lift(p, T, box):
-    """Return the lift [m] along the shoulder's axis at which the branches of T (4, 4) are listed if one is enough."""
+    """Return the lift [m] along the shoulder's axis at which the branches of T (4, 4) are listed if one lift is enough."""
     P, spans = np.empty(12), np.empty((2, 2))
     wrist_pose(p, T, P)
     return choose_lift(p, P, box, spans)[0]
@@ -74,7 +75,10 @@ def first_lift(p, T, box):
 
 @cached
 def looks(p, T, d, Q, marks):
-    """Fill marks (K, 3) with the signs of shoulder, elbow, wrist of Q (K, n); return bits for angles free at lift d."""
+    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of the branches Q (K, n) of the pose T (4, 4).
+
+    Returns what leaves an angle free at lift d, as bits (LEVEL_ARM, ON_AXIS_6, ON_AXIS_7).
+    """
     for k in range(Q.shape[0]):
         for m in range(3):  # These are the signs of sin theta_3, sin theta_6 and cos theta_5.
             place = JOINTS + (3, 12, 9)[m]
@@ -94,10 +98,10 @@ def looks(p, T, d, Q, marks):
 
 @cached
 def level_family(p, T, box, d, free, samples, spans, out, broken):
-    """Fill spans (S, 2) with the ranges [rad] in limits of theta_1's joint, for level arms at T; return their number.
+    """Fill spans (S, 2) with the ranges [rad] over which theta_1's joint is free in level arms at T; return their number.
 
-    out (S samples, n) and broken (S samples,) receive configurations spread evenly over each range. With `free` the
-    lift is what each arm needs, otherwise it is d.
+    `samples` configurations spread evenly over each range are written to out (S samples, n), their limit excess to
+    broken (S samples,). If `free`, each arm takes the lift that it needs, otherwise lift d.
     """
     P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
     near_angles(p, box, near)
@@ -140,9 +144,9 @@ def reaching(p, T, low, high, spans):
 
 @cached
 def shortened(p, T, lift, P, before):
-    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift, and its first point to `before` (3,).
+    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift; return how far [m] it was moved.
 
-    Returns how far [m] it was moved.
+    Its point before that move is written to `before` (3,).
     """
     wrist_pose(p, T, P)
     before[:] = P[9:]
@@ -213,8 +217,12 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
 def _free_angles(
     robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, d: float, free: int, free_lift: bool, count: int
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Family]]:
-    """Return members (q, broken) and families for a free theta_1, theta_6 or theta_7."""
-    # Indices in q of theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
+    """Return the families in which theta_1, theta_6 or theta_7 is free at lift d, and members of each.
+
+    free: bits returned by `looks`; free_lift: whether the lift is free, too; count: number of members to list per range.
+    Members come first in the result, as pairs of configurations (M, n) and their limit excess (M,).
+    """
+    # Names of the joints that turn theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
     names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]
     more, families = [], []
     if free & LEVEL_ARM:

@@ -17,9 +17,9 @@ SAMPLE = 64  # number of branches asked for from a continuous family
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:
-    """Make a solve function, with the arguments of `kernel.search.entry`, from the `every` of a closed form.
+    """Return a solve function (see `protocol.ClosedForm.loop`) that chooses among the branches listed by `form.every`.
 
-    A failure proves nothing about the target.
+    If it fails, nothing is proven about the target.
     """
 
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
@@ -42,9 +42,10 @@ def nearest_of(form: Any, robot: Any) -> Callable:
 
 @cached
 def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
-    """Write the result row of T (4, 4) from its branches Q (K, n), finished on the chain: the nearest one within tolerance.
+    """Polish the branches Q (K, n) of the target T (4, 4), choose one, and write it to the result row `out`.
 
-    If none meets the tolerances inside the limits, the one with the smallest error is taken.
+    Of the branches within the tolerances, the one nearest the start q0 (or home if no q0 is given) is chosen. If no branch
+    is within them, the one with the smallest error is chosen. steps, fixed: as in `polish`.
     """
     n = Q.shape[1]
     if not legal_start(ends, opt, q0):

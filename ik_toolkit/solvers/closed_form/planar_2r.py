@@ -35,7 +35,7 @@ STEPS = 8  # number of Newton steps that correct a branch if axes are only nearl
 
 
 def recognise_planar(chain: Chain) -> Fit:
-    """Recognise the arm by its joint axes."""
+    """Return how the closed form fits a chain, which depends on the chain's joint axes."""
     if chain.n != 2:
         return no_fit(f"it has {chain.n} joints on the path, not 2")
     screws = read_screws(chain)
@@ -63,10 +63,11 @@ def recognise_planar(chain: Chain) -> Fit:
 
 @inner
 def nearest_on_limits(p, x, y, box, q, best):
-    """Fill best (2,) with the configuration inside limits that comes nearest to (x, y), if no branch is inside limits.
+    """Fill best (2,) with the configuration inside the limits whose tip is nearest (x, y), if no branch is inside them.
 
-    A joint is then at a limit. With joint 1 there the tip moves on a circle about the elbow, with joint 2 there on one
-    about the base; the nearest point of the arc is where the circle's angle is nearest that of the target.
+    One joint is then at a limit. If it is joint 1, the tip moves on an arc about the elbow; if it is joint 2, on an arc
+    about the base. The arc's nearest point lies in the direction of (x, y) from its centre, or is an end of the arc. p:
+    the arm's parameters; box (4, 2): see `copy_limits`; q (2,) is scratch.
     """
     a, b = p[L1], p[L2]
     miss = np.inf
@@ -82,7 +83,7 @@ def nearest_on_limits(p, x, y, box, q, best):
         j = 1 - i
         q[i] = limit
         angle = p[ANGLES + 2 * j] * (free - p[ANGLES + 2 * j + 1])
-        # The angle itself is tried, and both limits: the nearer end counts if the arc does not contain the angle.
+        # Three angles are tried: the one towards (x, y), and the arc's two ends in case the arc does not contain it.
         for turned in range(3):
             if turned == 0:
                 q[j] = legal_turn(angle, box[0, j], box[1, j], box[2, j])[0]
@@ -99,7 +100,10 @@ def nearest_on_limits(p, x, y, box, q, best):
 
 @cached
 def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-    """Find the branch inside the limits nearest Q0, or how far none is; the arguments are those of `kernel.search.entry`."""
+    """Write for each target the branch inside the limits nearest the start in Q0, or how far the target is from having one.
+
+    `protocol.ClosedForm.loop` describes the arguments.
+    """
     n = 2
     p = opt[WEIGHTS + n :]
     box = np.empty((4, n))
@@ -128,7 +132,7 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
         spent = 0
-        if p[NEARLY] > 0.0:  # a nearly fitting arm is corrected numerically and proves nothing
+        if p[NEARLY] > 0.0:  # branches of an arm that only nearly fits are corrected numerically, and prove nothing
             nearest = np.inf
             for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
                 joint_values(p, sols[k], box, q)
@@ -159,8 +163,8 @@ class Planar2R(NamedTuple):
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
         """Return all branches of the point of T (4, 4).
 
-        If the links fold back onto the base, the first joint is free and `count` of its values are listed. box (4, 2)
-        has limits, reference and weights (see geometry.copy_limits).
+        If the links fold back onto the base, the first joint is free and `count` of its values are listed. p: the arm's
+        parameters; box (4, 2): limits, reference and weights (see geometry.copy_limits).
         """
         q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
         found, folded = list_planar(p, T, box, q, broken, marks)
@@ -185,5 +189,5 @@ class Planar2R(NamedTuple):
         return derive_planar(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled function that solves, called as `kernel.search.entry`."""
+        """Return the compiled function that solves."""
         return solve_planar

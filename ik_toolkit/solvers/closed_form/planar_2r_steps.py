@@ -17,7 +17,7 @@ LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen alo
 
 
 def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return formulas and branches of the point of T (4, 4); box: limits, reference, weights (see `copy_limits`)."""
+    """Return the formulas and branches for the position of T (4, 4); box: limits, reference, weights (see `copy_limits`)."""
     q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
     count, _ = list_planar(p, T, box, q, broken, marks)
     angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # The angles theta_1 and theta_2 of each branch.
@@ -67,7 +67,10 @@ def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> 
 
 
 def _words(robot: Any, room: float, off: float) -> str:
-    """Return what is wrong with the target, or ''."""
+    """Return a sentence that says by how much the target is out of reach, or ''.
+
+    room: room left in the reach [m], negative out of reach; off: distance [m] from the arm's plane.
+    """
     near = 1e-9 * robot.reach
     parts = []
     if room < -near:

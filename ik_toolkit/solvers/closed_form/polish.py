@@ -1,4 +1,4 @@
-"""The last steps of every closed form: Newton steps on the real chain, and the list of the branches that count."""
+"""The last steps of every closed form: Newton steps on the actual chain, and the list of branches within the tolerances."""
 
 import math
 
@@ -21,9 +21,9 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
     """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits by at most `steps` damped Newton steps.
 
     The errors count in units of their tolerances, so that a step into both tolerances is preferred to a smaller error
-    of one. `fixed` is the place of a joint that is not moved, or -1; `most` is the number of evaluations allowed (inf:
-    any). It stops when both errors are a thousandth of their tolerances. Returns both errors of q [m], [rad] (inf if it
-    was not evaluated) and the evaluations made.
+    of one. `fixed` is the index of a joint that is not moved, or -1; `most` is the number of evaluations allowed (inf:
+    any). The steps end when both errors are at most a thousandth of their tolerances. Returns both errors of q [m],
+    [rad] (inf if q was not evaluated) and the number of evaluations made.
     """
     n = q.shape[0]
     return newton(make_serial(rows, ends, opt[HEAD:], n, read(Orders, opt)), np.empty(n), opt, T, q, fixed, steps, most)
@@ -31,7 +31,7 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
 
 @inner
 def newton(p, old, opt, T, q, fixed, steps, most):
-    """Make the steps of `polish` on arrays that it has made."""
+    """Carry out the steps of `polish`, which has made the problem p and the scratch array `old` (n,)."""
     n, o = q.shape[0], read(Orders, opt)
     s, box = p.desk, p.ends
     limited = o.limits > 0.0
@@ -94,10 +94,10 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
     """Fill table (K, 3 + n) and signs (K, 3) with the branches of Q (K, n) that count, nearest to `start` (n,) first.
 
-    Counted branches exceed no limit (broken (K,)) and, after `polish` with `steps`, meet the tolerances of T (4, 4) as
-    evaluated. The columns of table are position error [m], rotation error [rad], distance (angles [rad], lengths over
-    the scale) and q; marks (K, 3) are the labels of the branches. Returns how many count and how many are inside the
-    limits.
+    A branch counts if it exceeds no limit (its number in broken (K,) is 0) and after `polish` meets the tolerances of
+    T (4, 4). The columns of table are position error [m], rotation error [rad], distance from `start` (angles [rad],
+    lengths over the scale) and q. signs gets the signs marks (K, 3) of the counted branches. Returns the number of
+    branches that count, and the number inside the limits.
     """
     n = Q.shape[1]
     box = Ends(ends, n)
@@ -130,10 +130,10 @@ def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, tab
 
 @cached
 def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
-    """Fill q (n,) with the first of starts (K, n), polished, that meets the tolerances of T (4, 4).
+    """Polish the rows of starts (K, n) one by one until one meets the tolerances of T (4, 4), and leave that one in q (n,).
 
-    `most` is the number of evaluations allowed in all (inf: any). Returns the errors of q, or inf, and the evaluations
-    made.
+    `most` is the number of evaluations allowed in all (inf: any). Returns the errors [m] and [rad] of q (inf if no row
+    meets the tolerances), and the number of evaluations made.
     """
     evaluations = 0
     for k in range(starts.shape[0]):
@@ -145,10 +145,3 @@ def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
         if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r]:
             return position, rotation, evaluations
     return np.inf, np.inf, evaluations
-
-
-@cached
-def polish_rows(rows, ends, opt, T, Q, steps, errors):
-    """Polish Q (K, n) for T (4, 4) in place; errors (K, 2) receives both errors [m], [rad] of each."""
-    for k in range(Q.shape[0]):
-        errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps, np.inf)

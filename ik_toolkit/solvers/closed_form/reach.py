@@ -13,7 +13,7 @@ from ...compile.jit import cached, inline, inner, shared
 from ...kernel.kinematics import TAU
 from .geometry import legal_turn
 
-# Both elbow branches count as one if the sine of the elbow angle is below 1e-7: an error of 1e-15 of the length.
+# Both elbow branches count as one if the sine of the elbow angle is below 1e-7; the error is 1e-15 of the arm's length.
 MERGED = 1e-7
 ON_AXIS = 1e-12  # An angle about an axis is free if the point is nearer to the axis than this fraction of the lengths.
 EDGE = 1e-13  # Rounding allowed in a reach test, as a fraction of the lengths.
@@ -26,7 +26,7 @@ FOLDED = 1e-9  # The links count as folded onto the base if the tip is nearer to
 
 @shared
 def wrap(x):
-    """Return the angle in -pi..pi."""
+    """Return the angle x [rad], moved by full turns into the range -pi..pi."""
     return x - TAU * math.floor(x / TAU + 0.5)
 
 
@@ -72,7 +72,7 @@ def planar_branches(x, y, l1, l2, near, sols):
 
 @inline
 def to_plane(p, T):
-    """Return the position of T (4, 4) in the arm's plane, x and y [m], and its distance [m] from the plane."""
+    """Return x and y [m] of the position of T (4, 4) in the arm's plane, and its distance [m] from the plane; p: parameters."""
     x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
     y = p[3] * T[0, 3] + p[4] * T[1, 3] + p[5] * T[2, 3] + p[10]
     z = p[6] * T[0, 3] + p[7] * T[1, 3] + p[8] * T[2, 3] + p[11]
@@ -81,7 +81,10 @@ def to_plane(p, T):
 
 @inner
 def joint_values(p, angles, box, q):
-    """Fill q (2,) with theta_1, theta_2 on turns in limits nearest box[2] (reference); return excess and distance."""
+    """Fill q (2,) with theta_1 and theta_2 (`angles`), each on the full turn inside its limits nearest the reference box[2].
+
+    p: the arm's parameters. Returns the largest limit excess [rad] and the weighted squared distance from the reference.
+    """
     worst, distance = 0.0, 0.0
     for i in range(2):
         x = p[ANGLES + 2 * i] * (angles[i] - p[ANGLES + 2 * i + 1])
@@ -93,7 +96,7 @@ def joint_values(p, angles, box, q):
 
 @cached
 def list_planar(p, T, box, out, broken, marks):
-    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with limit excess, marks (2, 3) with their signs.
+    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with their limit excess, marks (2, 3) with their signs.
 
     Returns the number of branches, and whether the links fold back onto the base, which leaves the first angle free.
     """
@@ -110,7 +113,7 @@ def list_planar(p, T, box, out, broken, marks):
 
 @shared
 def shoulder_in_tool(P, d):
-    """Return the shoulder point (0, 0, d) [m] in the axes of the wrist pose P (12: rotation by rows, point), from its origin."""
+    """Return x, y, z [m] of the shoulder (0, 0, d) in the frame of the wrist pose P (12: rotation by rows, point)."""
     h = d - P[11]
     x = P[6] * h - P[0] * P[9] - P[3] * P[10]
     y = P[7] * h - P[1] * P[9] - P[4] * P[10]
@@ -120,7 +123,7 @@ def shoulder_in_tool(P, d):
 
 @shared
 def inspection_margin(P, d, a4, a6):
-    """Return the distance [m] of the wrist point inside (positive) or outside (negative) the reach at lift d, orientation kept."""
+    """Return how far [m] wrist pose P is inside (positive) or outside (negative) the reach at lift d, its orientation kept."""
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
     return min(a4 - math.hypot(r - a6, z), math.hypot(r + a6, z) - a4)
@@ -130,8 +133,8 @@ def inspection_margin(P, d, a4, a6):
 def inspection_nearest(P, d, a4, a6):
     """Move the point of P to the nearest one reachable at lift d with the orientation kept; return the distance [m].
 
-    The reach is a torus about the tool axis (circle a6, tube a4) without its inner lemon: the point is projected on the
-    tube's circle.
+    In the wrist's frame the shoulder can be anywhere in a torus about the z axis (circle of radius a6, tube of radius a4),
+    except where the tube overlaps itself around the axis. The shoulder is projected onto the tube's surface.
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -156,11 +159,11 @@ def inspection_nearest(P, d, a4, a6):
 
 @shared
 def forearm(P, d, a4, a6, near):
-    """Return the elbow and wrist of a wrist pose P at lift d, which all branches share.
+    """Return what all branches of a wrist pose P at lift d share: the geometry of elbow and wrist.
 
-    These are: whether the shoulder is on axis 6, whether the elbow is straight, a4 cos(theta_5), theta_6 >= 0, the
-    inner and outer angle, and theta_5's sine and cosine. P must be reachable (see inspection_nearest); a free theta_6
-    or theta_7 is taken from `near` (6,).
+    That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the
+    angles `inner` and `heading` (`wrist` makes theta_7 of them), and theta_5's sine and cosine. P must be reachable (see
+    inspection_nearest); a free theta_6 or theta_7 is taken from `near` (6,).
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -183,7 +186,10 @@ def forearm(P, d, a4, a6, near):
 
 @shared
 def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
-    """Return cos(theta_5), theta_5, theta_6 and theta_7 of elbow branch k6 and wrist branch k5 (0 or 1 each) of a forearm."""
+    """Return cos(theta_5), theta_5, theta_6, theta_7 of elbow branch k6 and wrist branch k5 (0 or 1 each).
+
+    The other arguments are what `forearm` returns.
+    """
     e6 = 1.0 - 2.0 * k6
     t6, t7 = bend if on_six else e6 * bend, e6 * inner - heading
     yaw = math.atan2(s5, c5)
@@ -194,9 +200,10 @@ def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
 
 @shared
 def shoulder(P, c5, s5, phi, given, t1):
-    """Return the tilt of axis 4 against axis 1, and theta_1, 3, 4 of one shoulder branch, for phi = theta_6 + theta_7.
+    """Return the tilt (sine of the angle between axes 1 and 4), and theta_1, theta_3, theta_4 of the first shoulder branch.
 
-    theta_1 is t1 if it is free (no tilt) or given; the other branch is theta_1 + pi, -theta_3, theta_4 + pi.
+    phi = theta_6 + theta_7. theta_1 is t1 if it is free (no tilt) or if `given`. The second branch is theta_1 + pi,
+    -theta_3, theta_4 + pi.
     """
     cp, sp = math.cos(phi), math.sin(phi)
     m02 = -(P[0] * sp + P[1] * cp)
@@ -248,7 +255,10 @@ def inspection_branches(P, d, a4, a6, near, sols):
 
 @shared
 def inspection_branch(P, d, a4, a6, near, k, row):
-    """Fill row (6,) with branch k = 0..7 (shoulder, wrist, elbow as bits) at lift d; it varies smoothly with the lift."""
+    """Fill row (6,) with branch k = 0..7 at lift d; bits 0, 1, 2 of k choose shoulder, wrist and elbow.
+
+    For a given k the angles vary smoothly with the lift.
+    """
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k // 4, k // 2 % 2)
     tilt, t1, t3, t4 = shoulder(P, c, s5, t6 + t7, False, near[0])
@@ -259,8 +269,9 @@ def inspection_branch(P, d, a4, a6, near, k, row):
 def level_arm(P, d, free, a4, a6, k, near, row):
     """Fill row (6,) with arm k = 0..7 whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift and its miss [m].
 
-    Only a pose whose tool z axis is level has such arms. A free lift follows from theta_6, otherwise it is d and the
-    miss is that of the forearm's length. The bits of k are: arm up or down, elbow, wrist.
+    Only a pose P whose z axis is perpendicular to axis 1 has such arms. If `free`, the lift follows from theta_6, otherwise
+    it is d. The miss [m] is the error with which the arm reaches P. Bits 0, 1, 2 of k choose the sign of cos(theta_3), the
+    elbow and the wrist.
     """
     up = 1.0 - 2.0 * (k % 2)  # cos(theta_3)
     phi = math.atan2(up * P[6], up * P[7])
@@ -305,7 +316,7 @@ def depressed_roots(p, q):
 
 @shared
 def reach_edge(P, a4, a6, outside, inside):
-    """Return the lift between an unreachable and a reachable one where the reach margin vanishes, on the reachable side."""
+    """Return the lift at the edge of the reach between `outside` (P unreachable) and `inside` (reachable); P is reachable there."""
     for _ in range(60):
         middle = 0.5 * (outside + inside)
         if inspection_margin(P, middle, a4, a6) >= 0.0:
@@ -328,10 +339,11 @@ def keep_interval(out, count, a, b, low, high):
 
 @shared
 def lift_intervals(P, a4, a6, low, high, out):
-    """Fill out (2, 2) with the lifts inside [low, high] from which P is reachable, ascending; return their number (0, 1 or 2).
+    """Fill out (2, 2) with the intervals of lifts, inside [low, high], from which P is reachable; return how many (0 to 2).
 
-    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points (a cubic) split the lifts
-    into pieces with at most one end each, which bisection on the reach margin finds to rounding.
+    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide
+    the lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to
+    rounding.
     """
     wx, wy, wz, az = P[9], P[10], P[11], P[8]
     p = wx * wx + wy * wy - a4 * a4 - a6 * a6 + 2.0 * a6 * a6 * az * az
@@ -358,7 +370,10 @@ def lift_intervals(P, a4, a6, low, high, out):
 
 @shared
 def nearest_lift(P, a4, a6, low, high):
-    """Return the lift in [low, high] that comes nearest to the point of P, which no lift reaches, orientation kept."""
+    """Return the lift in [low, high] at which the arm, with its orientation kept, comes nearest to the wrist pose P.
+
+    P is not reachable from any lift in that range.
+    """
     side = math.hypot(P[9], P[10]) + a4 + a6  # lifts further away than this only add distance
     low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
     best, step = low, (high - low) / 64.0

@@ -18,7 +18,7 @@ AGREES = 1e-6  # [arm reaches or rad] largest difference between table and robot
 
 
 def dh_of(robot: Any) -> DHTable | None:
-    """Return the D-H table whose rows are the robot's joints in order, or None if there is none (a joint drives others)."""
+    """Return the D-H table whose rows are the robot's joints in order, or None if there is none (as with mimic joints)."""
     entry = shipped_robots().get(robot.name)
     if entry is not None and entry.dh_file is not None:
         table = read_dh_table(entry.dh_file)
@@ -43,7 +43,7 @@ def _agrees(table: DHTable, robot: Any) -> bool:
 
 
 def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]:
-    """Yield the table of an arm with its joints at q (n,), in millimetres and degrees; what a joint changes is marked."""
+    """Yield the table of an arm with its joints at q (n,), in mm and degrees; the value that a joint changes is marked."""
     if table is None:
         yield Sentence("None: a joint that drives others has no row of its own.")
         return
@@ -70,13 +70,14 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
 def _from_axes(robot: Any) -> DHTable | None:
     """Read a classic table off the joint axes at q = 0.
 
-    A frame that can be chosen stays as close to the previous one as possible.
+    Where the rules leave a frame free, it is chosen as close to the previous frame as possible.
     """
     screws = read_screws(robot.chain)
     if isinstance(screws, str):
         return None
     n, near = robot.n, SAME * robot.reach
-    # Frame 0 is the base itself if its z axis is that of joint 1, otherwise the base's foot on that axis.
+    # Frame 0 is the base frame if its z axis is the axis of joint 1.
+    # Otherwise its origin is the point of that axis nearest the base's origin.
     z = screws.axis[0]
     point = screws.point[0] if screws.turns[0] else np.zeros(3)
     frame = np.eye(4)
@@ -144,7 +145,7 @@ def _next(
 
 
 def _last(T: np.ndarray, z: np.ndarray, x: np.ndarray, origin: np.ndarray, near: float) -> np.ndarray:
-    """Return the tip's own frame if four parameters lead to it, otherwise a frame on the last axis, level with the tip."""
+    """Return the tip's own frame if one D-H row leads to it, otherwise a frame on the last axis at the point nearest the tip."""
     step = T[:3, 3] - origin
     if abs(T[:3, 0] @ z) < SAME and abs(np.cross(z, T[:3, 0]) @ step) < near:
         return T

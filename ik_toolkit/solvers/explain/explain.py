@@ -22,14 +22,14 @@ from .worked_solution import Branch, WorkedSolution
 
 # Newton steps on the real chain correct errors up to 1e-3 of the reach, as EAIK has near singular poses.
 NEARLY = 1e-3
-# An answer counts as a branch within 1e-6 [rad or arm reaches]; Newton steps move branches of a near fit.
+# An answer this close to a branch [rad or arm reaches] counts as it; Newton steps move the branches of an approximate fit.
 SAME = 1e-6
 
 
 def explain_result(result: Any) -> Explanation:
     """Explain a result.
 
-    Raises InvalidTarget for one that keeps no target (a row of a batch), MissingExtra if sympy is not installed.
+    Raises InvalidTarget for a result that keeps no target (a row of a batch), MissingExtra if sympy is not installed.
     """
     of = result._of
     if not of.T.size:
@@ -40,7 +40,7 @@ def explain_result(result: Any) -> Explanation:
     if form is not None:
         solution = _derived(form, of, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
-        if not solution.steps:  # EAIK's branches, without steps, match only roughly
+        if not solution.steps:  # EAIK shows no steps, and some of its branches do not match
             kept = [branch for branch in solution.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach]
             solution = solution._replace(branches=tuple(kept))
         chosen = _nearest(robot, solution.branches, q)
@@ -108,7 +108,7 @@ def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | N
 
 
 def _search(of: SolveRecord) -> SolveRecord:
-    """Run the search that answered after a closed form."""
+    """Run again the search that found the answer after the closed form had failed."""
     return _run(of, of.plan.search())
 
 
@@ -135,7 +135,7 @@ def _run(of: SolveRecord, plan: Plan) -> SolveRecord:
 
 
 def _iterations(of: SolveRecord, read: Any) -> Iterations:
-    """Return the attempt that counts, evaluation by evaluation."""
+    """Return the errors and q of every evaluation in the attempt that gave the answer; read: makes a Result of a record."""
     made = of if of.history is not None else record(of)
     history, result = made.history, read(made)
     assert history is not None

@@ -124,7 +124,7 @@ def quantity(text: str, form: str) -> str:
 
 @functools.lru_cache(4096)
 def _with_slots(node: Any, bare: bool) -> Any:
-    """Return the same expression with slots for its symbols; with `bare`, nothing is before or behind it."""
+    """Return the expression `node` with slots for its symbols; bare: whether it stands alone, so needs no parentheses."""
     if node.is_Symbol or node is sympy.pi:
         return _Slot(str(node), bare)
     if not node.args:

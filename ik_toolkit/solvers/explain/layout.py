@@ -69,10 +69,11 @@ def digits(value: float, unit: str, places: int) -> str:
 
 # --------------------------------------------------------------------------------------------------------------- equations
 def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[str]]]]:
-    """Yield equations that belong together, each as its sides in a form of `expression.written`, with their first step.
+    """Yield groups of equations that belong together, each with its first step.
 
-    A step with a formula is a chain of its own: symbol, formula, formula with numbers, value with unit. A given number
-    without words joins the given numbers before it.
+    An equation is a list of its sides, written in a form of `expression.written`. A step with a formula is a group of its
+    own with one equation: symbol, formula, formula with numbers, value with unit. A given number without words joins the
+    group of given numbers before it.
     """
     # SymPy is imported here, because only explanations need it.
     from .expression import quantity, with_numbers, written
@@ -87,7 +88,7 @@ def chains(block: Equations, form: str) -> Iterator[tuple[WorkedStep, list[list[
         sides = [written(step.symbol, form)]
         if step.formula is not None:
             sides.append(written(step.formula, form))
-            # otherwise the same text would be shown twice
+            # If the formula with numbers is just the value, the value is not shown twice.
             if with_numbers(step.formula, "text", texts) != texts[step.name]:
                 sides.append(with_numbers(step.formula, form, texts))
         value = quantity(texts[step.name] + " mm" * (step.unit == "m"), form)

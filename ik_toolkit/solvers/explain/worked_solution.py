@@ -42,8 +42,8 @@ class Branch(NamedTuple):
 class Free(NamedTuple):
     """A joint that the target leaves free.
 
-    `joint` is its place in q, `parameter` the option of the closed form that sets it, `inside` the intervals [rad or m]
-    of values that reach the target within the joint's limits, `every` those without regard to its limits.
+    `joint` is its index in q, `parameter` the option of the closed form that sets it, `inside` the intervals [rad or m]
+    of values that reach the target within the joint's limits, `every` the intervals without regard to its limits.
     """
 
     joint: int

@@ -27,7 +27,7 @@ class Worksheet:
         return self._add(name, formula, self.value(formula) if value is None else float(value), unit, words)
 
     def angle(self, name: str, formula: Any, value: float, words: str = "") -> Any:
-        """Add an angle [rad] from which the solver may have taken full turns, which are then written into the formula."""
+        """Add an angle [rad]; if the solver has removed full turns from it, they are written into the formula."""
         turns = round((self.value(formula) - value) / (2.0 * math.pi))
         return self._add(name, formula - 2 * turns * pi, float(value), "rad", words)
 
@@ -42,9 +42,10 @@ class Worksheet:
         return Matrix(made)
 
     def joint(self, name: str, angle: Any, place: int, sign: float, offset: Any, value: float) -> None:
-        """Add the value [rad] of the joint at a place in q, unless it is simply the angle = sign q + offset.
+        """Add the value [rad] of the joint at index `place` of q, which follows from angle = sign q + offset.
 
-        `name` is the joint's, `angle` the symbol of the angle, `offset` the symbol of the angle at q = 0, or 0.
+        Nothing is added if the value equals the angle. `name` is the joint's name, `angle` the symbol of the angle,
+        `offset` the symbol of the angle at q = 0, or 0.
         """
         formula = (angle - offset) * (-1 if sign < 0.0 else 1)
         if formula != angle or abs(value - self.values[angle]) > 1.0:

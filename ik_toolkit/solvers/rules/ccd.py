@@ -11,7 +11,7 @@ from ..protocol import Asked, rule
 class Sweep(NamedTuple):
     """The compiled step of CCD; it has a field because numba passes no NamedTuple without one."""
 
-    least: float  # a joint with a smaller squared tip speed does not move the tip
+    least: float  # a joint whose motion gives the tip a smaller squared speed than this counts as not moving it
 
     JACOBIAN = False
 
@@ -51,9 +51,9 @@ class Sweep(NamedTuple):
 class CCD(NamedTuple):
     """Cyclic coordinate descent: each joint in turn, tip first, moves the tip as near the target as it can.
 
-    For a position that step is exact. A pose has no such closed step: there each joint takes the least-squares step on
-    the six errors, which is kept if the error falls. Several tips are treated as a pose. Source: Wang and Chen, IEEE
-    Trans. Robotics and Automation 7 (1991); Olsen and Petersen (2011) for positions.
+    For a position the best move of a joint has a closed form. For a pose each joint takes the least-squares step on the
+    six errors instead, which is kept if the error falls; several tips are treated as a pose. Source: Wang and Chen,
+    IEEE Trans. Robotics and Automation 7 (1991); Olsen and Petersen (2011) for positions.
     """
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Sweep:

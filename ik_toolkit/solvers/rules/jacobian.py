@@ -11,11 +11,11 @@ from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # least damping; J J' of a planar arm has no inverse
+FLOOR = 1e-12  # least damping, because J J' of a planar arm has no inverse
 
 
 def negative(name: str, value: Any) -> str:
-    """Return why a rule refuses a negative parameter, or ''; what is no number is refused elsewhere."""
+    """Return why a rule refuses a negative parameter, or ''; a value that is no number is refused elsewhere."""
     return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
 
 
@@ -38,7 +38,7 @@ class LM(NamedTuple):
         return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
-        """Return arguments of `kernel.simd_search.lanes`, which solves eight targets at once."""
+        """Return the compiled function that solves eight targets at once, see `kernel.simd_search.lanes`."""
         from ...kernel.simd_search import lanes
 
         return lanes()
@@ -147,7 +147,7 @@ class Transpose(NamedTuple):
 class Inverse(NamedTuple):
     """The compiled step of Newton-Raphson; it has a field because numba passes no NamedTuple without one."""
 
-    least: float  # Jacobian rows with only smaller entries do not count
+    least: float  # a row of the Jacobian whose entries are all below this does not count as a row of the task
 
     def step(self, p, e):
         s = p.desk

@@ -25,7 +25,7 @@ ROUNDING = 1e-14
 class Gains(NamedTuple):
     """The compiled step of PID with its gains in kernel units.
 
-    Its state holds the sum of error norms, the last norm, and whether there was one.
+    Its memory holds the sum of the error norms so far, the last error norm, and whether there is a last one.
     """
 
     kp: float
@@ -63,7 +63,7 @@ class Gains(NamedTuple):
                 s.q[i] = p.inside(i, old + size if sign == 0 else old - size)
                 f = p.try_out(s.q)
                 value = p.norm(f, self.orientation)
-                # On ties the joint does not move, such as a roll joint at the tip when only positions count.
+                # On ties the joint does not move. A roll joint at the tip, for example, does not change a position.
                 if value < least - ROUNDING:
                     least = value
                     kept = s.q[i]
@@ -81,16 +81,16 @@ class PID(NamedTuple):
     """IK-PID, Algorithm I: for each joint, tip first, try q + d and q - d with d = kp |e| + ki sum|e| + kd (change of |e|).
 
     Trials are clamped to the limits; the lowest error wins, and not moving wins ties. A sweep with no movement ends the
-    attempt. Without kp, kp is 0.25 over the length scale, times the median joint range if that is under 1 rad (or
-    scale), and kd = 3 kp unless given: a joint whose lever is no longer than the scale then changes the error by a
-    quarter of it at most, far from the 2 |e| beyond which no trial helps. Source: Burrell et al. (2016), section 4, eq.
-    (13), Algorithm I; defaults are ours.
+    attempt. If kp is not given, it is 0.25 over the length scale, times the median joint range if that is under 1 rad
+    (or 1 length scale), and kd is 3 kp unless given. A joint whose lever is no longer than the scale then changes the
+    error by at most a quarter of |e|; a change above 2 |e| could not reduce it. Source: Burrell et al. (2016), section
+    4, eq. (13), Algorithm I; defaults are ours.
 
     Args:
-        kp, ki, kd: Gains K_p, K_i, K_d in rad per m of error; a prismatic joint moves gain times the chain's length
-            scale.
-        orientation_scale: Metres per radian by which the orientation error is scaled before it joins the norm (default:
-            a fifth of the length scale).
+        kp, ki, kd: Gains K_p, K_i, K_d in rad per m of error; for a prismatic joint they are multiplied by the chain's
+            length scale.
+        orientation_scale: Factor [m/rad] by which the orientation error is multiplied before it enters the norm
+            (default: a fifth of the length scale).
         starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken.
         units: "si", or "mm-deg" for the paper's gains (error in mm, increments in degrees).
         tuned: Options of the search that come with a preset.
@@ -106,7 +106,7 @@ class PID(NamedTuple):
 
     @classmethod
     def preset(cls, name: str | Path) -> "PID":
-        """Make the rule with published or tuned gains, by name or path of a file.
+        """Make the rule with published or tuned gains, given by the name of a preset or the path of a preset file.
 
         Raises InvalidOption listing the presets.
         """

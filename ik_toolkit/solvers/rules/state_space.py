@@ -2,9 +2,9 @@
 
 Stability: along one direction of the task let kappa be the loop gain, an eigenvalue of J(q) C B (or of J(q) D). The
 error e falls by kappa e when the map's increment for e is taken. With A = a I and the literal delay of eq. (14) (dq(k)
-= C x(k), where x has not absorbed e(k) yet) the error obeys z^2 - (1 + a) z + (a + kappa) = 0. By Jury's test it is
-stable for 0 < kappa < 1 - a: kappa < 1.5 at the paper's a = -0.5 (1 without the delay), with both poles at 0.25 for
-kappa = 0.5625. A feedthrough D alone gives z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
+= C x(k), where x has not absorbed e(k) yet) the error has the characteristic equation z^2 - (1 + a) z + (a + kappa) = 0.
+By Jury's test it is stable for 0 < kappa < 1 - a: kappa < 1.5 at the paper's a = -0.5 (1 without the delay), with both
+poles at 0.25 for kappa = 0.5625. A feedthrough D alone has the pole z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
 # For each system of units: units of error per metre, and radians per unit of joint increment.
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
-# `numbers` of Maps begins with the counts of states and maps, and flags: is there a D, does each step choose a map.
+# `numbers` of Maps begins with the counts of states and maps, and two flags: whether D exists, whether each step chooses a map.
 HEAD = 4
 C_FIXED = -0.05  # C is not searched: (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver
 SETTLED = 1e-13  # a state that changes by less in a step has settled
@@ -38,7 +38,7 @@ class MapDesign(NamedTuple):
     # Jacobians are averaged within +- spread (share of a joint's range), at most radius [rad or arm reaches].
     spread: float = 0.15
     radius: float = 0.3
-    damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, in its units of reach and joint range.
+    damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, which is scaled by reach and joint ranges.
     position_gain: float = 0.9  # Loop gain kappa at a start, for positions; at 2 the step is unstable.
     pose_gain: float = 0.6  # Loop gain kappa at a start, for poses.
 
@@ -50,7 +50,7 @@ DESIGN = MapDesign()
 class Maps(NamedTuple):
     """The compiled step of Algorithm II.
 
-    Its memory holds the state x in 4 n numbers, then the number of the map in use, counted from 1.
+    Its memory holds the state x (2 n numbers), the next state (2 n), and the number of the map in use (counted from 1).
     """
 
     numbers: Array  # head, 1 / (2 pi) or 0 per joint, A and C, then start, B and D of each map
@@ -108,7 +108,7 @@ class Maps(NamedTuple):
         for i in range(m):
             changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
             s.x[i] = s.x[2 * n + i]
-        # Joints that rest at limits while the state still changes are no stall.
+        # Joints may rest at limits while the state still changes, which is no stall.
         return WAITING if changed > SETTLED else 0
 
 
@@ -117,9 +117,9 @@ class StateSpace(NamedTuple):
     """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, where dq is taken before x absorbs e.
 
     The error e = target - actual is in base axes [m, rad], orientation as a rotation vector. Joints saturate at their
-    limits; the state is not changed. From a q0 the map of the nearest start is chosen in every step. Without any
-    matrix, the solver is designed: 128 starts are spread over the workspace, and each has D = kappa pinv(mean Jacobian
-    around it), damped. Source: Burrell et al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
+    limits; the state is not changed. If q0 is given, each step uses the map of the start nearest the current q. Without
+    any matrix, the solver is designed: 128 starts are spread over the workspace, and each has D = kappa times a damped inverse
+    of the mean Jacobian around it. Source: Burrell et al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
 
     Args:
         A: State matrix (m, m).
@@ -144,7 +144,7 @@ class StateSpace(NamedTuple):
 
     @classmethod
     def preset(cls, name: str | Path) -> "StateSpace":
-        """Make the rule with published or tuned matrices, by name or path of a file.
+        """Make the rule with published or tuned matrices, given by the name of a preset or the path of a preset file.
 
         Raises InvalidOption listing the presets.
         """
@@ -156,7 +156,7 @@ class StateSpace(NamedTuple):
         return dict(self.tuned or {})
 
     def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
-        """Return the rule itself, or the designed rule, which is kept with the robot, if it has no matrices."""
+        """Return the rule itself or, if it has no matrices, the rule designed for the robot, which the robot keeps."""
         if any(part is not None for part in (self.A, self.B, self.C, self.D)):
             return self
         key = ("state-space design", position_only)
@@ -228,7 +228,7 @@ class StateSpace(NamedTuple):
 
 
 def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> np.ndarray:
-    """Return maps (count, rows, 3 or 6). Raises InvalidOption on a wrong shape."""
+    """Return `maps` (B or D) as an array (count, rows, 3 or 6), one per start. Raises InvalidOption on a wrong shape."""
     array = np.asarray(maps, dtype=float)
     if array.ndim not in (2, 3) or array.shape[-2] != rows or array.shape[-1] not in (3, 6):
         raise InvalidOption(f"state-space: {name} must have the shape ({rows}, 3) or ({rows}, 6), not {array.shape}")
@@ -350,7 +350,7 @@ def _plain(rule: StateSpace, n: int) -> tuple[float, np.ndarray]:
 
 
 def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
-    """Return starts to tune; the map of each is the damped inverse of the Jacobian averaged around it, times one loop gain."""
+    """Return the space of starts to tune; a start's map is the damped inverse of the Jacobian averaged around it, times kappa."""
     starts = spread_starts(robot, position_only, maps)
 
     def make(values: dict[str, Any]) -> StateSpace:
@@ -366,7 +366,7 @@ def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
 
 
 def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
-    """Return several starts to tune with A = a I, C = -0.05 I and the literal delay.
+    """Return the space of several starts to tune, for rules with A = a I, C = -0.05 I and the literal delay.
 
     Each start's B lies between the given one (share 0) and the one designed for that start (share 1).
     """
