@@ -55,6 +55,7 @@ _NAMES = {
     "best_gains": "servo.stability",
     "check_gains": "servo.stability",
     "view": "show.scene",
+    "interact": "show.interact",
     "plot": "show.plot",
     "IKError": "errors",
     "NotSolved": "errors",

@@ -24,6 +24,7 @@ from .servo.run import track as track
 from .servo.stability import best_gains as best_gains
 from .servo.stability import check_gains as check_gains
 from .servo.tracker import Tracker as Tracker
+from .show.interact import interact as interact
 from .show.plot import plot as plot
 from .show.scene import view as view
 from .solvers.batch.result import BatchCheckFailed as BatchCheckFailed

@@ -1,12 +1,13 @@
 """Numbers and values as people type and read them: parsing, forms for sentences and tables, conversion of results to JSON."""
 
 import functools
+import html
 import json
 import math
 import re
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,3 +129,46 @@ def plain(value: Any) -> Any:
     if isinstance(value, str | int | bool) or value is None:
         return value
     return str(value)
+
+
+class TextTable:
+    """A title, words, rows under a head, and notes: what a result says of itself, in a notebook and in a terminal."""
+
+    def __init__(
+        self,
+        title: str,
+        words: str,
+        head: Sequence[str],
+        rows: Iterable[Sequence[Any]],
+        *notes: str,
+        color: str = "",
+        most: int = 12,
+    ) -> None:
+        """Make a table of at most so many rows; numbers are written with four digits, None as nothing."""
+        every = [[_entry(value) for value in row] for row in rows]
+        self.title, self.words, self.head, self.rows, self.color = title, words, head, every[:most], color
+        more = [f"and {len(every) - most} more rows"] if len(every) > most else []
+        self.notes = [*more, *(note for note in notes if note)]
+
+    def html(self) -> str:
+        """Return the table for a cell of a notebook; all of it is text, whatever is in it."""
+        style = f" style='color:{self.color}'" if self.color else ""
+        title = f"<b{style}>{html.escape(self.title)}</b>"
+        head = "".join(f"<th>{html.escape(one)}</th>" for one in self.head)
+        rows = "".join(f"<tr>{''.join(f'<td>{html.escape(one)}</td>' for one in row)}</tr>" for row in self.rows)
+        notes = "".join(f"<div>{html.escape(note)}</div>" for note in self.notes)
+        table = f"<table style='white-space:nowrap'>{f'<tr>{head}</tr>' if head else ''}{rows}</table>"
+        return f"{title} {html.escape(self.words)}{table}{notes}"
+
+    def __str__(self) -> str:
+        """Return the table for a terminal."""
+        lines = [line for line in (list(self.head), *self.rows) if line]
+        wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        drawn = ["  ".join(f"{x:<{n}}" for x, n in zip(line, wide, strict=True)).rstrip() for line in lines]
+        return "\n".join([f"{self.title} {self.words}".rstrip(), *(line for line in drawn if line), *self.notes])
+
+
+def _entry(value: Any) -> str:
+    if value is None:
+        return ""
+    return value if isinstance(value, str) else str(value) if isinstance(value, int) else figure(float(value), 4)

@@ -3,26 +3,22 @@
     python scripts/run_notebooks.py [NAME ...]      execute, strip, write back
     python scripts/run_notebooks.py --strip         only strip what is there
 
-A scene is an HTML page of some 300 kB that code-hosting sites do not show anyway; it comes back when the cell is run. Its picture
-is captured in headless Chromium, as in scripts/make_pictures.py.
+A scene is an HTML page of some 300 kB that code-hosting sites do not show anyway; it comes back when the cell is run. The picture
+that is among its outputs is kept.
 """
 
 import argparse
 import base64
-import html as markup
 import io
-import re
-import tempfile
 from pathlib import Path
 
 import nbformat
-from make_pictures import palette_of, photograph
+from make_pictures import palette_of
 from PIL import Image  # comes with matplotlib
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 LARGEST_HTML = 20_000  # characters; tables of robots and results are far below, scenes far above
 COLOURS = 200
-SCENE = (760, 456)  # pixels of a scene's picture
 
 
 def strip(notebook: nbformat.NotebookNode) -> None:
@@ -50,25 +46,15 @@ def small(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
     if "execution_count" in output:
         output.execution_count = None
     html = output.data.get("text/html", "")
-    if page := re.search(r'<iframe srcdoc="([^"]*)"', html):
-        output.data = {"image/png": picture(markup.unescape(page[1])), "text/plain": "<a scene>"}
+    if "image/png" in output.data:
+        output.data.pop("text/html", None)
         html = ""
-    if "<iframe" in html or "<script" in html or len(html) > LARGEST_HTML:
+    if "application/vnd.jupyter.widget-view+json" in output.data or "<script" in html or len(html) > LARGEST_HTML:
         return None
     output.metadata = {}
     if "image/png" in output.data:
         output.data["image/png"] = with_palette(output.data["image/png"])
     return output
-
-
-def picture(page: str) -> str:
-    """Base64 picture of a scene's page."""
-    with tempfile.TemporaryDirectory() as folder:
-        source, made = Path(folder) / "scene.html", Path(folder) / "scene.png"
-        source.write_text(page, encoding="utf-8")
-        photograph(source, made)
-        Image.open(made).resize(SCENE, Image.Resampling.LANCZOS).save(made)
-        return base64.b64encode(made.read_bytes()).decode()
 
 
 def with_palette(png: str) -> str:

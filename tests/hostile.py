@@ -1,6 +1,7 @@
 """A robot with names that a page must treat as text only."""
 
 import html
+import html.parser
 
 EVIL = (
     "<img src=x onerror=alert(1)>",
@@ -29,3 +30,20 @@ def arm(names=EVIL):
 
 def quoted(text):
     return '"' + html.escape(text, quote=True) + '"'
+
+
+class Reader(html.parser.HTMLParser):
+    """Tags, attributes and texts of a page, as a browser takes them."""
+
+    def __init__(self, page):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.handlers, self.text = [], [], ""
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.handlers += [(name, value) for name, value in attrs if name.startswith("on")]
+
+    def handle_data(self, data):
+        self.text += data

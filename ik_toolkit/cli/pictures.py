@@ -9,8 +9,11 @@ from ..errors import InvalidOption
 from .output import notice
 
 
-def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:
-    """Draw what was requested of a result with history or of several solutions: chart, page, scene in the browser."""
+def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html: Path | None, live: bool) -> None:
+    """Draw what was requested of a result with history or of several solutions: chart, page, scene in the browser.
+
+    `around` is the option `avoid_collisions` of the solve.
+    """
     if plot is not None and len(what.history["q"]) < 2:
         notice("no plot: the solve took no step")
     elif plot is not None:
@@ -21,7 +24,8 @@ def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None,
     if html is not None or live:
         from ..show.scene import view as make
 
-        present(make(arm, what, target=getattr(target, "T_base_tip", target)), html, live)
+        model = None if isinstance(around, bool | None) else around
+        present(make(arm, what, target=getattr(target, "T_base_tip", target), obstacles=model), html, live)
 
 
 def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bool = True) -> None:

@@ -296,7 +296,8 @@ def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
 def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], out: SolveOutput) -> None:
     """Requested pictures, with the targets as they are when the robot is at q."""
     if out.drawn:
-        draw(arm, what, in_base(target, arm.fk(q), options.get("relative_to")), out.plot, out.html, out.live)
+        target, around = in_base(target, arm.fk(q), options.get("relative_to")), options.get("avoid_collisions")
+        draw(arm, what, target, around, out.plot, out.html, out.live)
 
 
 def _solve_all(

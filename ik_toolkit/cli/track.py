@@ -89,7 +89,8 @@ def track(
     if out.html is not None or out.live:
         from ..show.scene import view
 
-        present(view(arm, result), out.html, out.live)
+        around = collisions.read(arm).get("avoid_collisions")
+        present(view(arm, result, obstacles=None if isinstance(around, bool | None) else around), out.html, out.live)
     stopped, tried = None, []
     try:
         if result.reach is not None:

@@ -12,6 +12,8 @@ from ..errors import InvalidOption, floats
 from ..files import as_path, write_table, write_whole
 from ..robot.robot import Robot
 from ..robot.ros import joint_trajectory
+from ..style import BAD, GOOD
+from ..text import TextTable
 from .reference import Reference, Samples
 from .time_law import coordinate_at
 
@@ -154,6 +156,17 @@ class Trajectory:
         f = 0 if tip is None else tips.index(tip)
         function = partial(_motion_of, self.robot.arms[f], self.robot.places[f], self.pieces)
         return Reference(function, self.duration, name=f"trajectory of {tips[f]}")
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks: how far and how fast each joint moves."""
+        speed, gain = (np.abs(rate).max(axis=0, initial=0.0) for rate in (self.dq, self.ddq))
+        columns = (self.q[0], self.q[-1], speed, self.velocity, gain, self.acceleration)
+        rows = zip(self.robot.joint_names, *columns, strict=True)
+        head = ("joint", "from", "to", "largest speed", "limit", "largest acceleration", "limit")
+        units = "Joint values in rad or m, speeds per s, accelerations per s^2."
+        how = "ik.plot(trajectory) draws them over time, ik.view(robot, trajectory) shows the motion."
+        color = GOOD if self.success else BAD
+        return TextTable(f"{self.duration:.4g} s", self.message, head, rows, units, how, color=color, most=40).html()
 
     def __repr__(self) -> str:
         """Return a line with the number of samples, the duration and the number of joints."""

@@ -12,7 +12,8 @@ from ..errors import InvalidOption, NotSolved
 from ..files import as_path, whole_file, write_table, write_whole
 from ..motion.trajectory import Trajectory
 from ..solvers.options import Options
-from ..text import plain
+from ..style import BAD, GOOD
+from ..text import TextTable, angle, duration, length, plain
 from .certificate import Continuity
 
 
@@ -236,6 +237,23 @@ class PathResult:
         from .timing import retime
 
         return retime(self, velocity, acceleration, rate, seed, path_tolerance, tip_speed)
+
+    def _repr_html_(self) -> str:
+        """Return a table of the most important numbers for notebooks."""
+        (turn, slide), (step, shift), (off, tilt) = self.length, self.largest_step, self.deviation
+        least = "not proven" if self.lower_bound is None else f"{self.lower_bound}"
+        rows = [
+            ("poses", f"{len(self.q)}, not reached: {len(self.unreachable)}"),
+            ("reconfigurations", f"{len(self.reconfigurations)}, the least possible: {least}"),
+            ("length", f"{turn:.4g} rad" + (f" and {slide:.4g} m" if slide else "")),
+            ("largest step", angle(step) + (f" and {length(shift)}" if shift else "")),
+            ("off the path at most", f"{length(off)} and {angle(tilt)}"),
+            ("clearance at least", None if self.clearance is None else length(self.clearance)),
+            ("time of the search", duration(self.elapsed)),
+        ]
+        how = "ik.plot(result) draws joints and bounds, ik.view(robot, result) shows the motion."
+        color = GOOD if self.success else BAD
+        return TextTable(self.status.name, self.message, (), [row for row in rows if row[1]], how, color=color).html()
 
     def __repr__(self) -> str:
         """Return one line: the status and the most important numbers."""

@@ -1,7 +1,6 @@
 """Named joint values with limits: what a robot with one tip and a tree with several have in common."""
 
 import functools
-import html
 import logging
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Self
@@ -9,6 +8,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import pinocchio as pin
 
+from ..copying import ReadOnly
 from ..errors import (
     FEW_TURNS,
     FrameNotFound,
@@ -20,7 +20,7 @@ from ..errors import (
     whole,
 )
 from ..kernel.records import POINTS
-from ..readonly import ReadOnly
+from ..text import TextTable
 from .base import Given
 from .configuration import Named, configuration_in, joint_values, leaders_of, read_configuration, values_by_joint
 from .formats.mimic import Tie
@@ -386,9 +386,5 @@ class Joints(ReadOnly):
 
     def _repr_html_(self) -> str:
         """Return a table of the joints for notebooks."""
-        head = "<tr><th>joint</th><th>kind</th><th>lower</th><th>upper</th><th>home</th></tr>"
-        rows = "".join(
-            f"<tr><td>{html.escape(j)}</td><td>{k}</td><td>{a:.4g}</td><td>{b:.4g}</td><td>{h:.4g}</td></tr>"
-            for j, k, a, b, h in zip(self.joint_names, self.joint_kinds, self.lower, self.upper, self.home, strict=True)
-        )
-        return f"<b>{html.escape(self.name)}</b>: {html.escape(self._route())}<table>{head}{rows}</table>"
+        rows = zip(self.joint_names, self.joint_kinds, self.lower, self.upper, self.home, strict=True)
+        return TextTable(self.name, self._route(), ("joint", "kind", "lower", "upper", "home"), rows, most=100).html()

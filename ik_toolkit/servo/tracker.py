@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from ..compile.array_view import LINE
-from ..copying import CopiesViews
+from ..copying import CopiesViews, ReadOnly
 from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel.counted_error import POSITION
-from ..readonly import ReadOnly
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree

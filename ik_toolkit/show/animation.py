@@ -1,17 +1,32 @@
-"""A path or a trajectory in the scene: the robot moves along it, the tip path is coloured by a value."""
+"""What a result draws in the scene: a solve, a run, a path or a trajectory, along which the robot moves, and its obstacles."""
 
+import base64
+import copy
 import csv
+import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidConfiguration
-from ..files import check_arrays, read_json, without_mark
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
+from ..files import as_path, check_arrays, read_json, whole_file, without_mark, write_whole
 from ..robot.joints import Joints
-from ..text import figure
-from .body import DrawnShape, primitive
+from ..robot.pose import LAST
+from ..solvers.collision_free import collision_model
+from ..text import angle as in_words
+from ..text import figure, length
+from .body import GREY, drawn_shape
+from .meshcat_server import ROOT
+from .plots import drawing, iterates
 
+# Colours of Okabe and Ito (2008), as in the plots.
+BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
+YELLOW, SKY = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914)
+TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # colours of the paths of several tips
+GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
+BETWEEN = 6  # frames between two iterates of a solve, so that the eye can follow
 OBSTACLE = (0.55, 0.58, 0.62)
 SLATE = (0.30, 0.34, 0.40)  # colour of target poses and of the start of a motion
 BANDS = (
@@ -111,20 +126,116 @@ def _much(value: float, unit: str) -> str:
 
 
 # ------------------------------------------------------------------------------------------------------------- the scene
-def draw_obstacles(scene: Any, model: Any) -> None:
-    """Draw the boxes, spheres, cylinders and capsules of a CollisionModel."""
-    for name, shape, T in model.placed():
-        if shape.kind != "mesh":
-            scene.window.shape(f"obstacle/{name}", DrawnShape(*primitive(shape.kind, shape.sizes), OBSTACLE, 0.75))
-            scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
-            corner = (scene.body.T_world_base @ T)[:3, 3]
-            scene._corners.append(np.array([corner, corner]))
+def numbered(word: str, k: int) -> str:
+    """Return the scene path for tip k, which is the bare word for the first tip."""
+    return f"{word}{k + 1 if k else ''}"
+
+
+def each_target(robot: Joints, target: Any) -> dict[str, Any]:
+    """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
+    if isinstance(target, Mapping):
+        robot.check_tips(target)
+        return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
+    if not robot.by_tip:
+        return {robot.tips[0]: target}
+    if len(target) != len(robot.tips):
+        raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
+    return dict(zip(robot.tips, target, strict=True))
+
+
+def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None]:
+    """Return the configurations (N, n) [rad or m] of anything that a scene shows (None: home), and its motion if it has one.
+
+    Raises InvalidConfiguration for what does not fit the robot, InvalidOption if there is none.
+    """
+    motion = motion_of(what)
+    what = robot.home if what is None else what
+    many = isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what)
+    rows = motion.q if motion is not None else getattr(what, "q", what)
+    rows = rows if many or np.ndim(rows) == 2 else [rows]
+    if not len(rows):
+        raise InvalidOption("there is nothing to show: the list of configurations is empty")
+    if rows is not what and len(rows) > 1:  # of a result, which may be long
+        robot.check_q(rows[0])
+        return np.array(rows, dtype=float), motion
+    return np.array([robot.check_q(getattr(item, "q", item)) for item in rows]).reshape(-1, robot.n), motion
+
+
+def model_of(what: Any, motion: ShownMotion | None) -> Any:
+    """Return the CollisionModel whose shapes a result kept clear of, or None."""
+    if motion is not None:
+        return motion.collision
+    asked = what._of.plan.options.avoid_collisions if hasattr(what, "_of") and hasattr(what._of, "plan") else False
+    return None if asked is False else collision_model(what.robot, asked)
+
+
+def draw_result(scene: Any, what: Any, motion: ShownMotion | None) -> None:
+    """Draw what belongs to a result: its motion and its caption."""
+    if hasattr(what, "target_xyz"):
+        draw_run(scene, what)
+        scene.say(f"{what.method} at {1 / what.dt:.4g} Hz: {what.message or what.status.value}")
+    elif motion is not None:
+        animate(scene, motion)
+    elif hasattr(what, "history"):
+        if what.history is not None:
+            draw_solve(scene, what)
+        scene.say(f"{what.solver}: {what.status.name}", what.message)
+
+
+def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
+    """Draw the shapes around the robot of a CollisionModel as NAME/SHAPE; those in its hand move with the tip."""
+    for one, placed in model._placed.items():
+        if placed.arm is None:
+            scene.add(placed.shape, placed.T, f"{name}/{one}")
+        elif numbered("tip", placed.arm) in scene.window.transforms:
+            path = f"{numbered('tip', placed.arm)}/{one}"
+            scene.window.shape(path, drawn_shape(placed.shape, OBSTACLE, 0.75))
+            scene.window.place(path, placed.T)
+
+
+def draw_solve(scene: Any, result: Any) -> None:
+    """Animate a solve as `Scene.converge` says."""
+    Q, position, angle, others = iterates(result)
+    rows = np.unique(np.linspace(0, len(Q) - 1, min(len(Q), MAX_FRAMES)).astype(int))
+    between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
+    frames, labels = [], []
+    for k, row in enumerate(rows):
+        text = f"iteration {row}: {length(float(position[row]))}"
+        if np.isfinite(angle[row]):
+            text += f", {in_words(float(angle[row]))}"
+        last = k + 1 == len(rows)
+        for step in range(1 if last else between):
+            frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
+            labels.append(text)
+    scene.show(Q[0], "start", SLATE, 0.22, "start")
+    for number, other in enumerate(others):
+        ways = np.array([scene._tips(q) for q in result.history["q"][other]])
+        for k in range(ways.shape[1]):
+            label = "" if number or k else "other attempts"
+            scene.trail(ways[:, k], f"trail_of_{number}_{k}", GREY, 0.0015 * scene._extent(), label)
+    ways = np.array([scene._tips(q) for q in Q[rows]])
+    several = len(scene.robot.tips) > 1
+    for k, tip in enumerate(scene.robot.tips):
+        label = f"path of {tip}" if several else "tip path"
+        scene.trail(ways[:, k], numbered("trail", k), TRAILS[k % len(TRAILS)], label=label)
+    scene.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
+
+
+def draw_run(scene: Any, result: Any) -> None:
+    """Show a tracking run as `Scene.follow` says."""
+    rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
+    wide = 0.005 * scene._extent()
+    ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
+    for k in range(ways.shape[1]):  # labels for the first tip only
+        scene.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
+        scene.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
+    labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
+    span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
+    scene.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))
 
 
 def animate(scene: Any, motion: ShownMotion) -> None:
     """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values."""
-    if motion.collision is not None:
-        draw_obstacles(scene, motion.collision)
     wide = 0.004 * scene._extent()
     ways = np.array([scene._tips(q) for q in motion.q])
     for f in range(len(scene.robot.tips)):
@@ -135,7 +246,8 @@ def animate(scene: Any, motion: ShownMotion) -> None:
     if np.isfinite(motion.values).any():
         low, high = np.nanmin(motion.values), np.nanmax(motion.values)
         bands = ", ".join("#" + "".join(f"{round(255 * c):02x}" for c in band) for band in BANDS)
-        scene._say(f"linear-gradient(90deg, {bands})", f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}")
+        label = f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}"
+        scene._say("trail/0", (f"linear-gradient(90deg, {bands})", label))
     count = len(motion.q)
     rows = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).astype(int))
     span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
@@ -157,6 +269,42 @@ def _coloured(
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
         last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece of the motion
         scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
+
+
+# ------------------------------------------------------------------------------------------------------------- pictures
+def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> Path:
+    """Write a Window as a .png file of a size [pixels], or its animation as a .gif file of at most `most` pictures."""
+    from .picture import picture
+
+    with drawing():  # says what to install
+        from PIL import Image
+    file, suffix, made = as_path(path, "path"), ".gif" if most else ".png", window.about["animation"]
+    if file.suffix.lower() != suffix:
+        raise InvalidOption(f"the picture is written as {suffix}, not '{file.suffix or file.name}'")
+    pixels = floats(size, "size must be width and height [pixels]", InvalidOption)
+    if pixels.shape != (2,) or not ((pixels >= 16) & (pixels <= 4000) & (pixels % 1 == 0)).all():
+        raise InvalidOption(f"size must be width and height of 16 to 4000 pixels, not {size!r:.60}")
+    wide, high = (int(x) for x in pixels)
+    if not most:
+        write_whole(file, picture(window, (wide, high)))
+        return file
+    if made is None:
+        raise InvalidOption("there is no animation to record: see animate, or show a result with history or a run")
+    poses = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4").reshape(made["count"], -1, 3, 4)
+    rows = np.unique(np.linspace(0, made["count"] - 1, min(most, made["count"])).astype(int))
+    frames, seen = [], copy.copy(window)
+    for row in rows.tolist():
+        moved = {
+            name.removeprefix(ROOT): np.vstack([T, LAST]) for name, T in zip(made["paths"], poses[row], strict=True)
+        }
+        seen.transforms = window.transforms | moved
+        seen.about = window.about | {"lines": [*window.about["lines"], made["labels"][row]]}
+        frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
+    lasts = np.diff(rows, append=rows[-1] + 1) / made["fps"] * 1e3  # [ms]
+    lasts[-1] = 1500.0  # [ms] the end is shown for longer
+    with whole_file(file) as stream:
+        frames[0].save(stream, "gif", save_all=True, append_images=frames[1:], duration=lasts.round().tolist(), loop=0)
+    return file
 
 
 # ------------------------------------------------------------------------------------------------------------- read back

@@ -1,14 +1,15 @@
 """The look of a robot: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
 
 Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. Parts that cannot
-be drawn are reported; a robot without any drawable part becomes a stick figure, so that every model can be seen.
+be drawn are reported. Links between base and tip that have no drawable part are drawn as sticks, so that every model can be seen.
 """
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -17,6 +18,7 @@ import pinocchio as pin
 from ..errors import MissingExtra, ModelError
 from ..robot.geometry.link_shapes import LinkShape, geometry_model, link_shapes, problems_sentence
 from ..robot.geometry.meshes import Mesh
+from ..robot.geometry.shape import Shape
 from ..robot.joints import Joints
 from ..solvers.solve import require_robot
 
@@ -40,19 +42,61 @@ class DrawnShape:
     opacity: float = 1.0
 
 
+class ChainPoint(NamedTuple):
+    """A point of a robot: its joint in the model (0: the world), and its place (3,) [m] in the joint's axes."""
+
+    joint: int
+    place: np.ndarray
+
+
+def chain_points(arm: Any) -> list[ChainPoint]:
+    """Return the points from the base of a Robot to its tip: the base, two for every joint in between, and the tip.
+
+    The two of a joint, on its parent and on itself, are apart only where it slides, so that the distance of all other
+    neighbours never changes. Joints that mimic others and locked ones are included.
+    """
+    model, path = arm.model, arm._path
+    base, tip = (model.frames[i] for i in arm._ids)
+    points = [ChainPoint(base.parentJoint, base.placement.translation)]
+    for count, joint in enumerate(path.joints):
+        ends = (
+            ChainPoint(model.parents[joint], model.jointPlacements[joint].translation),
+            ChainPoint(joint, np.zeros(3)),
+        )
+        points += ends[::-1] if count < path.up else ends
+    return [*points, ChainPoint(tip.parentJoint, (tip.placement * arm.tool).translation)]
+
+
+def skeleton(arm: Any, q: np.ndarray) -> np.ndarray:
+    """Return the chain of a Robot at q (n,) [rad or m] as points (K, 3) [m] in the base frame; the last one is that of fk(q)."""
+    model, data = arm.model, arm.model.createData()
+    pin.forwardKinematics(model, data, arm._fill(arm.rest.copy(), q))
+    base = pin.updateFramePlacement(model, data, arm._ids[0])
+    return np.array([base.actInv(data.oMi[joint].act(place)) for joint, place in chain_points(arm)])
+
+
 @dataclass(frozen=True)
 class BodyPart:
-    """One rigid piece of a robot: its name, and its shapes in its own axes."""
+    """One piece of a robot: its name, its shapes in its own axes, and its pose in a joint of the model.
+
+    A bar ends at a point, which may belong to another joint: its shapes, of unit length and radius along z, are stretched
+    from the origin of the pose to there, `thick` [m] wide.
+    """
 
     name: str
     shapes: tuple[DrawnShape, ...]
+    joint: int
+    placement: pin.SE3
+    end: ChainPoint | None = None
+    thick: float = 1.0
 
 
 class Body:
     """The drawn parts of a robot and their placements.
 
-    parts (list of BodyPart); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
-    why); T_world_base (4, 4) at rest; floor: height [m] of the floor, under the robot's lowest part that never moves.
+    parts (list of BodyPart); `placements(q)` gives their poses (P, 4, 4) in the model's world, with a scale for bars; notice ('' or
+    what is not drawn, and why); T_world_base (4, 4) at rest; floor: height [m] of the floor, under the robot's lowest part that
+    never moves; joints: ids in the model of all joints between base and tips, those that mimic others included.
     """
 
     def __init__(self, robot: Joints) -> None:
@@ -66,19 +110,36 @@ class Body:
         pin.framesForwardKinematics(self.model, self.data, robot.rest)
         if not max(np.abs(place.translation).max() for place in self.data.oMf) <= FARTHEST:
             raise ModelError(f"robot '{robot.name}' has links farther than {FARTHEST:g} m away: it cannot be drawn")
-        self.geometry, self.parts, self.notice = _read(self.arms[0])
+        self.parts, self.notice = _read(self.arms[0])
+        sticks = _sticks(robot, {part.joint for part in self.parts})
         if not self.parts:
-            self.notice = f"{self.notice or 'the URDF has no visual shapes'}; drawn as a stick figure"
-            self.geometry, self.parts = _sticks(robot, self.arms)
-        self.geometry_data = self.geometry.createData()
+            given = "the model was given without" if self.arms[0].urdf is None else "the URDF has no"
+            self.notice = f"{self.notice or f'{given} visual shapes'}; drawn as a stick figure"
+        elif self.notice and sticks:
+            self.notice += "; links without shapes are drawn as sticks"
+        self.parts += sticks
+        self.mounts = np.array([part.placement.homogeneous for part in self.parts])
+        self.bars = [k for k, part in enumerate(self.parts) if part.end is not None]
+        self.joints = list(dict.fromkeys(joint for arm in self.arms for joint in arm._path.joints))
         self.T_world_base = self.data.oMf[self.arms[0]._ids[0]].homogeneous
         self.floor = float(self.bounds(robot.home, still=True)[0, 2])
 
     def placements(self, q: Any) -> np.ndarray:
-        """Return the poses (P, 4, 4) [m] of the parts in the world for joint values q (n,) [rad or m]."""
+        """Return the poses (P, 4, 4) [m] of the parts in the world for joint values q (n,) [rad or m].
+
+        The base stays at T_world_base. The poses (njoints, 4, 4) of all joints of the model are then in `frames`.
+        """
         pin.forwardKinematics(self.model, self.data, self.robot._fill(self.robot.rest.copy(), q))
-        pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
-        return np.array([M.homogeneous for M in self.geometry_data.oMg])
+        self.frames = np.array([M.homogeneous for M in self.data.oMi])
+        base = pin.updateFramePlacement(self.model, self.data, self.arms[0]._ids[0]).homogeneous
+        if not np.array_equal(base, self.T_world_base):  # a joint above the base follows one below it
+            self.frames = self.T_world_base @ np.linalg.inv(base) @ self.frames
+        poses = self.frames[[part.joint for part in self.parts]] @ self.mounts
+        for k in self.bars:
+            joint, place = self.parts[k].end or (0, np.zeros(3))
+            end = self.frames[joint, :3, :3] @ place + self.frames[joint, :3, 3]
+            poses[k] = standing(poses[k, :3, 3], end, self.parts[k].thick)
+        return poses
 
     def tips(self, q: Any) -> np.ndarray:
         """Return the poses (tips, 4, 4) [m] of the tips in the world at q (n,) [rad or m]."""
@@ -90,17 +151,23 @@ class Body:
         )
 
     def apart(self, A: np.ndarray, B: np.ndarray) -> np.ndarray:
-        """Return whether each part (P,) is visibly in different places at two sets of poses (P, 4, 4)."""
-        gap = np.abs(A - B)
-        gap[:, :3, 3] /= self.robot.reach
-        return gap.max(axis=(1, 2)) > SEEN
+        """Return whether each part (P,) is visibly in different places at poses (P, 4, 4), or at any of (F, P, 4, 4)."""
+        gap = np.abs(A - B).reshape(-1, len(self.parts), 4, 4)
+        gap[:, :, :3, 3] /= self.robot.reach
+        gap[:, self.bars, :3, :3] /= self.robot.reach
+        return gap.max(axis=(0, 2, 3)) > SEEN
 
-    def bounds(self, q: Any, still: bool = False) -> np.ndarray:
-        """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only."""
+    def bounds(self, q: Any, still: bool = False, world: np.ndarray | None = None) -> np.ndarray:
+        """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only.
+
+        `world` is the pose (4, 4) [m] of the robot's world in another in whose axes the box is.
+        """
+        world = np.eye(4) if world is None else world
         points = [np.zeros((0, 3))]
         moved = {self.model.getJointId(name) for name in self.robot.joint_names}
-        for part, T, shown in zip(self.parts, self.placements(q), self.geometry.geometryObjects, strict=True):
-            if still and moved & set(self.model.supports[shown.parentJoint]):
+        for part, T in zip(self.parts, world @ self.placements(q), strict=True):
+            ends = {part.joint} if part.end is None else {part.joint, part.end.joint}
+            if still and any(moved & set(self.model.supports[joint]) for joint in ends):
                 continue
             for shape in part.shapes:
                 low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
@@ -108,7 +175,7 @@ class Body:
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
         if still and not len(stacked):  # the base has no drawn part, so the model's origin is used
-            stacked = self.T_world_base[None, :3, 3]
+            stacked = (world @ self.T_world_base)[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
 
@@ -121,23 +188,24 @@ def need_trimesh() -> Any:
     return trimesh
 
 
-def _read(robot: Any) -> tuple[pin.GeometryModel, list[BodyPart], str]:
-    """Return geometry and parts of what can be drawn, and a sentence about what cannot."""
+def _read(robot: Any) -> tuple[list[BodyPart], str]:
+    """Return what can be drawn, and a sentence about what cannot."""
     if robot.visual_model is None and robot.urdf is None:
-        return pin.GeometryModel(), [], "the Pinocchio model was given without visual_model="
+        return [], "the Pinocchio model was given without visual_model="
     try:
         shapes, problems = link_shapes(robot, "look", MAX_SHAPES)
     except ModelError as error:
-        return pin.GeometryModel(), [], str(error)
-    parts, drawn = [], []
-    for shape in shapes:
-        pieces = _pieces(shape)
-        if sum(len(piece.faces) for piece in pieces):  # a mesh may have only points and lines
-            parts.append(BodyPart(shape.name, pieces))
-            drawn.append(shape)
-    # Only the placements of this geometry are used.
-    geometry = geometry_model(robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn))
-    return geometry, parts, f"not read: {problems_sentence(problems)}" if problems else ""
+        return [], str(error)
+    pieces = [_pieces(shape) for shape in shapes]
+    # A mesh may have only points and lines. Of the geometry only the placements are used.
+    drawn = [(shape, own) for shape, own in zip(shapes, pieces, strict=True) if sum(len(one.faces) for one in own)]
+    placed = geometry_model(
+        robot.model, [shape for shape, _ in drawn], [coal.Sphere(1e-3)] * len(drawn)
+    ).geometryObjects
+    parts = [
+        BodyPart(shape.name, own, at.parentJoint, at.placement) for (shape, own), at in zip(drawn, placed, strict=True)
+    ]
+    return parts, f"not read: {problems_sentence(problems)}" if problems else ""
 
 
 def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
@@ -156,6 +224,15 @@ def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
             for vertices, faces, c in _smoothed(shape.mesh)
         )
     return (DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity),)
+
+
+def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float) -> DrawnShape:
+    """Triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
+    if shape.kind != "mesh":
+        return DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity)
+    form = shape.form()
+    faces = [[form.tri_indices(k)[i] for i in range(3)] for k in range(form.num_tris)]
+    return DrawnShape(*split_sharp_edges(need_trimesh().Trimesh(form.vertices(), faces)), color, opacity)
 
 
 def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -208,46 +285,55 @@ def split_sharp_edges(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarr
     return vertices, label.reshape(-1, 3).astype(np.uint32)
 
 
-def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[BodyPart]]:
-    """Build a stick figure: a ball at every joint of the paths, a bar to the next joint, a bar to the tip."""
-    trimesh = need_trimesh()
-    model, geometry, parts = robot.model, pin.GeometryModel(), []
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, robot.rest)
-    ball = pin.GeometryObject  # only the placement of this object is used
+def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
+    """Build sticks for the joints that have no shapes: a ball at each, a bar for its link, and one for its stroke if it slides.
 
-    def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
-        if name not in {part.name for part in parts}:
-            geometry.addGeometryObject(ball(name, joint, pin.SE3.Identity(), coal.Sphere(1e-3)))
-            parts.append(BodyPart(name, (DrawnShape(*split_sharp_edges(mesh, scale), color),)))
-
+    Where other parts of the robot have shapes, the coordinates of a moving base get no sticks.
+    """
+    make, model, data = need_trimesh().creation, robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, robot.rest)
+    unit = split_sharp_edges(make.cylinder(1.0, segment=((0, 0, 0), (0, 0, 1)), sections=24))
+    bar, rod, world = DrawnShape(*unit, STEEL), DrawnShape(*unit, GREY), pin.SE3.Identity()
+    parts: dict[Any, BodyPart] = {}
+    arms: Any = robot.arms
     for arm in arms:
-        r = max(0.018 * arm.reach, THINNEST)
-        joints = list(dict.fromkeys(model.getJointId(name) for name in arm.joint_names))
-        for k, joint in enumerate(joints):
-            name = model.names[joint]
-            add(f"{name}_ball", joint, trimesh.creation.uv_sphere(radius=1.7, count=(16, 16)), r, JOINT)
-            end = data.oMi[joints[k + 1]] if k + 1 < len(joints) else data.oMf[arm._ids[1]] * arm.tool
-            p = data.oMi[joint].actInv(end.translation)
-            if np.linalg.norm(p) > r:
-                add(
-                    f"{name}_bar_{arm.tip}",
-                    joint,
-                    trimesh.creation.cylinder(1.0, segment=[np.zeros(3), p / r]),
-                    r,
-                    STEEL,
-                )
-        foot = data.oMi[joints[0]].translation - data.oMf[arm._ids[0]].translation
-        if np.linalg.norm(foot) > r:
-            start = data.oMf[arm._ids[0]].translation
-            add(
-                f"base_bar_{arm.tip}",
-                0,
-                trimesh.creation.cylinder(1.3, segment=[start / r, (start + foot) / r]),
-                r,
-                STEEL,
-            )
-    return geometry, parts
+        pieces = [*itertools.pairwise(chain_points(arm))]
+        links = [size for a, b in pieces if a.joint == b.joint and (size := float(np.linalg.norm(b.place - a.place)))]
+        r = max(min(0.018 * arm.reach, 0.12 * float(np.mean(links or [arm.reach]))), THINNEST)
+        based = {0, *(model.getJointId(name) for name in arm._of_base)} if clothed and arm._of_base else set()
+        bare = {*range(model.njoints)} - clothed - based
+        sphere = split_sharp_edges(make.uv_sphere(radius=1.0, count=(16, 16)), 1.7 * r)
+        ball, knob = DrawnShape(*sphere, JOINT), DrawnShape(sphere[0] / 1.5, sphere[1], STEEL)
+        for joint in arm._path.joints:
+            if joint in bare and joint in arm._path.owner:
+                parts.setdefault(joint, BodyPart(f"{model.names[joint]}_ball", (ball,), joint, world))
+        for start, end in pieces:
+            joint, link = max(start.joint, end.joint), start.joint == end.joint
+            moves = np.asarray(data.joints[joint].S).reshape(6, -1)[:3].any() if not link else True
+            if not bare & {start.joint, end.joint} or not moves or (link and np.array_equal(start.place, end.place)):
+                continue
+            name, at = model.names[joint], pin.SE3(np.eye(3), start.place)
+            key = start.joint, end.joint, *start.place, *end.place
+            if link:
+                parts.setdefault(key, BodyPart(f"{name}_bar_{arm.tip}", (bar,), joint, at, end, r))
+            else:  # the rod of a slide, between its joint and a knob on the parent's link
+                foot = min(start, end)
+                parts.setdefault(key, BodyPart(f"{name}_stroke", (rod,), start.joint, at, end, 0.6 * r))
+                at = pin.SE3(np.eye(3), foot.place)
+                parts.setdefault((name, "foot"), BodyPart(f"{name}_foot", (knob,), foot.joint, at))
+    return [*parts.values()]
+
+
+def standing(start: np.ndarray, end: np.ndarray, thick: float) -> np.ndarray:
+    """Return the matrix (4, 4) that stretches a shape of unit length and radius from one point (3,) [m] to another."""
+    way = end - start
+    length, least = float(np.linalg.norm(way)), 1e-9 * thick  # A viewer cannot take the rotation of a flat matrix.
+    z, length = (way / length, length) if length > least else (np.array([0.0, 0.0, 1.0]), least)
+    across = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    across /= np.linalg.norm(across)
+    T = np.eye(4)
+    T[:3] = np.column_stack([thick * across, thick * np.cross(z, across), length * z, start])
+    return T
 
 
 def grid_cell(radius: float) -> float:

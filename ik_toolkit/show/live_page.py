@@ -90,8 +90,10 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
                 at(frames[tip].parentJoint, frames[tip].placement * arm.tool) for arm in arms for tip in arm._ids[1:]
             ],
             "parts": [
-                at(place.parentJoint, place.placement) | {"shapes": [next(rest) for _ in part.shapes]}
-                for part, place in zip(body.parts, body.geometry.geometryObjects, strict=True)
+                at(part.joint, part.placement)
+                | {"shapes": [next(rest) for _ in part.shapes], "thick": part.thick}
+                | ({} if part.end is None else {"end": at(part.end.joint, pin.SE3(np.eye(3), part.end.place))})
+                for part in body.parts
             ],
             "handles": dict(zip(tools, rest, strict=True)),
         },
@@ -162,14 +164,14 @@ def handles() -> dict[str, DrawnShape]:
     return shapes | {"floor": DrawnShape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
 
 
-def thin(shapes: Sequence[DrawnShape], size: float) -> list[Mesh]:
-    """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most MOST_FACES together."""
+def thin(shapes: Sequence[DrawnShape], size: float, most: int = MOST_FACES) -> list[Mesh]:
+    """Simplify vertices, normals and faces of a robot of a size [m] until its shapes have at most `most` faces together."""
     meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
     cell = FINEST * size
-    while (count := sum(len(faces) for _, _, faces in meshes)) > MOST_FACES:
+    while (count := sum(len(faces) for _, _, faces in meshes)) > most:
         if meshes is not whole:
             # The number of faces falls with the square of the cell size.
-            cell *= max(GROW, np.sqrt(count / MOST_FACES))
+            cell *= max(GROW, np.sqrt(count / most))
         meshes = [merged(*mesh, cell) for mesh in whole]
     return meshes
 

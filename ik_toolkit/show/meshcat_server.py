@@ -101,6 +101,13 @@ class Window:
             for feed in self.feeds:
                 feed.changed(path)
 
+    def pose(self, path: str) -> np.ndarray:
+        """Return the pose (4, 4) [m] of a path in the world: those of the paths above it, one in the other."""
+        words, T = path.split("/"), np.eye(4)
+        for k in range(len(words)):
+            T = T @ self.transforms.get("/".join(words[: k + 1]), np.eye(4))
+        return T
+
     def delete(self, path: str) -> None:
         """Remove a path and everything below it."""
         with self.lock:

@@ -12,23 +12,27 @@ from ..paths.result import PathResult
 from ..robot.joints import Joints
 from ..robot.pose import check_target
 from ..servo.result import TrackResult
+from ..solvers.batch.result import BatchResult
 from ..solvers.result import Result
+from ..solvers.solutions import Solutions
 from ..solvers.solve import require_robot
 from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
-from .motion_plots import plot_motion, plot_track, skeleton
-from .plots import SUFFIXES, convergence, drawing, literal_text, save, tracking_errors
+from ..text import length
+from .body import skeleton
+from .plots import SUFFIXES, convergence, drawing, literal_text, plot_motion, plot_track, save, tracking_errors
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:
     """Draw a chart of any result as a matplotlib Figure, which a notebook cell that ends with it shows.
 
     Args:
-        what: A Result with history, or a dict label -> Result, for the error at every evaluation; a TrackResult, or a
+        what: A Result with history, or a dict label -> Result, for the error after every iteration; a TrackResult, or a
             dict label -> TrackResult for their errors; a PathResult or Trajectory for joints, speeds and bounds; a
-            Benchmark, TuneResult or Workspace; a configuration q (n,) [rad or m] or a dict label -> q for the arm as
+            Benchmark, TuneResult or Workspace; a BatchResult for the share solved within so many iterations; Solutions, the
+            first eight as lines; a configuration q (n,) [rad or m] or a dict label -> q for the arm as
             lines from the side and from above.
         robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
         target: Pose or position [m] in the base frame, drawn as a cross beside configurations.
@@ -58,6 +62,10 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         figure = plot_tuning(what)
     elif isinstance(what, Workspace):
         figure = plot_workspace(what, _needed(robot, "a workspace"))
+    elif isinstance(what, BatchResult):
+        figure = plot_batch(what)
+    elif isinstance(what, Solutions):
+        figure = postures({f"solution {k}": q for k, q in enumerate(what.q[: len(COLOURS)])}, what.robot, target)
     elif isinstance(what, TrackResult):
         figure = plot_track(what, _needed(robot, "a tracking run"))
     elif several and all(isinstance(one, TrackResult) for one in several):
@@ -133,6 +141,27 @@ def plot_benchmark(found: Benchmark) -> Any:
                 xlabel="time of a solve [us]",
             )
         return figure
+
+
+def plot_batch(batch: BatchResult) -> Any:
+    """Draw the share of targets that were solved within so many iterations, and the errors of those that were not."""
+    good = batch.success
+    with drawing() as plt:
+        figure, axis = plt.subplots(figsize=(6.2, 3.2), layout="constrained")
+        steps = np.maximum(np.sort(batch.iterations[good]), 1)
+        share = 100.0 * np.arange(1, len(steps) + 1) / max(len(batch), 1)
+        axis.step(np.append(steps, steps[-1:]), np.append(share, share[-1:]), where="post", color=COLOURS[0])
+        axis.set(ylim=(0, 102), xlabel="iterations", ylabel="of 100 targets")
+        if len(steps) and steps[-1] > 20 * steps[0]:
+            axis.set_xscale("log")
+            axis.xaxis.set_major_formatter("{x:g}")
+        left = (
+            f", of the others at most {length(float(batch.position_error[~good].max()))} off" if not good.all() else ""
+        )
+        axis.set_title(
+            literal_text(f"{batch.solver} on {batch.plan.robot.name}: {good.sum()} of {len(batch)} solved{left}")
+        )
+    return figure
 
 
 LEAST_RATE = 1.0  # [%] least upper end of the colour scale of a map of failure rates

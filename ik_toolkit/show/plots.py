@@ -1,9 +1,10 @@
 """Charts in one style, readable in print, in grey and with colour blindness. Each returns a matplotlib Figure.
 
-Lines differ in dashes as well as in colour, so that nothing depends on colour alone. `save` writes a figure to a file.
+They are of solves, of tracking runs (the arm along its path, errors, joints and speeds in shares of their limits), of paths and of
+trajectories. Lines differ in dashes as well as in colour, so that nothing depends on colour alone; `save` writes a file.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,15 @@ import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
 from ..files import as_path, whole_file
-from ..style import COLOURS, DASHES, GREY, STYLE
+from ..robot.joints import Joints
+from ..servo.result import TrackResult
+from ..style import COLOURS, DASHES, GREY, PALE, STYLE
+from ..text import length
+from .body import skeleton
 
 FLOOR = 1e-12  # [m, rad] smaller errors are drawn at this value, because a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
+COLUMNS = 5  # largest number of columns of the legend of joints
 
 
 @contextmanager
@@ -54,7 +60,7 @@ def save(figure: Any, path: str | Path) -> Path:
 
 
 def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -> Any:
-    """Draw the error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
+    """Draw the error after every iteration of a solve, several solvers side by side, on one logarithmic scale.
 
     The attempt that found the result is drawn up to it, the position [m] as a solid line, the orientation [rad] dashed;
     the other attempts are thin and grey. runs is a Result with history, its history, or a dict label -> either. Labels
@@ -83,7 +89,9 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
             axis.xaxis.get_major_locator().set_params(integer=True)
-            axis.set(xlabel="evaluation", title=literal_text(f"{label}: {len(position) - 1} steps") if label else "")
+            axis.set(
+                xlabel="iteration", title=literal_text(f"{label}: {len(position) - 1} iterations") if label else ""
+            )
         axes[0, 0].set_ylabel("error (log scale)")
         axes[0, 0].legend(loc="best", fontsize=8)
         _title(figure, title)
@@ -167,3 +175,185 @@ def _named(runs: Any) -> dict[str, tuple[Any, Any]]:
             raise InvalidOption(f"the result {label!r} has no history: solve with history=True")
         found[label] = history, q
     return found
+
+
+# ----------------------------------------------------------------------------------------------------- motions
+def plot_track(result: TrackResult, robot: Joints) -> Any:
+    """Draw a tracking run. Raises MissingExtra without matplotlib."""
+    slowed = result.added_time > 0.0
+    with drawing() as plt:
+        figure = plt.figure(figsize=(10.5, 8.2 if slowed else 6.8), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), wspace=0.1)
+        _path_panel(figure.add_subplot(grid[:, 0], projection="3d"), result, robot)
+        right = grid[:, 1].subgridspec(3 + slowed, 1, height_ratios=(1.0, 1.0, 1.0, 0.6)[: 3 + slowed])
+        axes = [figure.add_subplot(right[0])]
+        axes += [figure.add_subplot(right[i], sharex=axes[0]) for i in range(1, 3 + slowed)]
+        _errors(axes[0], result)
+        _joints(axes[1], robot, result.joint_names, result.t, result.q, [])
+        axes[1].set_ylim(-1.15, 1.15)
+        axes[1].set_title("joint positions between their limits", loc="left")
+        _speeds(axes[2], result, robot)
+        if slowed:
+            _clock(axes[3], result)
+        for ax in axes[:-1]:
+            ax.tick_params(labelbottom=False)
+        axes[-1].set_xlabel("time [s]")
+        joints = axes[2].get_legend_handles_labels()
+        for columns in range(COLUMNS, 0, -1):  # as many columns as fit; names may be long
+            legend = figure.legend(*joints, fontsize=7.5, ncols=columns, loc="outside lower right")
+            if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
+                break
+            legend.remove()
+        settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
+        figure.suptitle(
+            literal_text(
+                f"{result.robot}: {result.method}{' (' + settings + ')' if settings else ''}, {1 / result.dt:.4g} Hz: "
+                f"{result.status.name.lower()}"
+            ),
+            x=0.01,
+            ha="left",
+            fontweight="bold",
+        )
+        return figure
+
+
+def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    count = len(result.t)
+    arms = [*zip(robot.arms, robot.places, strict=True)]
+    for i, shade in ((0, "#C8C8C8"), (count // 2, "#969696"), (count - 1, "#4D4D4D")):
+        for arm, place in arms:
+            ax.plot(*skeleton(arm, result.q[i][place]).T, color=shade, lw=2.2, marker="o", ms=3.5, zorder=1)
+    ways, wanted = (array.reshape(count, -1, 3) for array in (result.xyz, result.target_xyz))
+    for k in range(ways.shape[1]):
+        names = ("", "", "") if k else ("target", "tip", "start")
+        ax.plot(*wanted[:, k].T, color=COLOURS[6], lw=0.9, ls="--", label=names[0], zorder=3)
+        ax.plot(*ways[:, k].T, color=COLOURS[1], lw=2.0, label=names[1], zorder=2)
+        ax.plot(*ways[:1, k].T, color=COLOURS[1], marker="s", ms=5, ls="", label=names[2], zorder=4)
+    first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
+    corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # a planar arm still gets a box with some depth
+    for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
+        getattr(ax, f"set_{name}lim")(middle - size, middle + size)
+    ax.set_box_aspect(half, zoom=0.92)
+    ax.view_init(elev=22, azim=-60)
+    for name, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
+        axis.pane.set_alpha(0.0)
+        axis._axinfo["grid"].update(color=PALE, linewidth=0.6)
+        axis.set_major_locator(MaxNLocator(3))
+        getattr(ax, f"set_{name}label")(f"{name} [m]")
+    ax.set_title("arm at start, half time and end (light to dark)", loc="left")
+    ax.legend(loc="upper left", fontsize=8)
+
+
+def _errors(ax: Any, result: TrackResult) -> None:
+    ax.semilogy(result.t, np.maximum(result.position_error, FLOOR), color=COLOURS[0], lw=1.3, label="position [m]")
+    if result.orientation_error is not None:
+        ax.semilogy(
+            result.t, np.maximum(result.orientation_error, FLOOR), color=COLOURS[4], lw=1.3, label="orientation [rad]"
+        )
+    held = np.append(result.at_limits.any(axis=1), False)
+    if held.any():
+        ax.fill_between(
+            result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color=PALE, lw=0, label="at a limit"
+        )
+    ax.axhline(result.position_tolerance, color=COLOURS[0], lw=0.8, ls=":", label="tolerance")
+    if result.orientation_error is not None:
+        ax.axhline(result.orientation_tolerance, color=COLOURS[4], lw=0.8, ls=":")
+    ax.set_title("error at the samples", loc="left", pad=20)  # room for the legend between title and curves
+    ax.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0)
+
+
+def _clock(ax: Any, result: TrackResult) -> None:
+    """Draw the clock rate of the reference."""
+    ax.stairs(result.sigma, result.t, fill=True, color=PALE)
+    ax.stairs(result.sigma, result.t, color=COLOURS[0], lw=1.3)
+    ax.set_ylim(0.0, 1.05)
+    joint = result.pace_joint
+    pace = f", limited by {literal_text(joint)}" if joint else ""
+    ax.set_title(f"clock rate: {result.added_time:.3g} s added to {result.clock[-1]:.4g} s{pace}", loc="left")
+
+
+def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
+    limit = np.where(robot.velocity_limits > 0, robot.velocity_limits, np.inf)
+    bounded = bool(np.isfinite(limit).all())
+    speed = np.diff(result.q, axis=0) / result.dt
+    _lines(ax, result.t[1:], 100.0 * speed / limit if bounded else speed, result.joint_names)
+    ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
+
+
+def plot_motion(what: Any) -> Any:
+    """Draw a PathResult or a Trajectory. Raises MissingExtra without matplotlib."""
+    timed = hasattr(what, "dq")
+    with drawing() as plt:
+        figure, axes = plt.subplots(
+            3 if timed else 2, 1, figsize=(8.6, 7.2 if timed else 5.6), sharex=True, layout="constrained"
+        )
+        x = what.t if timed else what.at
+        breaks = [] if timed else [one.index + 0.5 for one in what.reconfigurations]
+        _joints(axes[0], what.robot, what.robot.joint_names, x, what.q if timed else what.curve, breaks)
+        axes[0].set_title("joints between their limits" + (" (dotted: the branch changes)" if breaks else ""))
+        if timed:
+            free = np.isnan(what.place)
+            for ax, values, limit, title in (
+                (axes[1], what.dq, what.velocity, "joint speeds [% of the limit]"),
+                (axes[2], what.ddq, what.acceleration, "joint accelerations [% of the limit]"),
+            ):
+                _lines(ax, x, 100.0 * values / limit, what.robot.joint_names)
+                ax.set_title(title)
+                ax.set_ylim(-112.0, 112.0)
+                ax.axhline(100.0, color=GREY, lw=0.8)
+                ax.axhline(-100.0, color=GREY, lw=0.8)
+            for ax in axes if free.any() else ():
+                ax.fill_between(x, 0, 1, where=free, transform=ax.get_xaxis_transform(), color=PALE, lw=0)
+            axes[-1].set_xlabel("time [s]" + (" (grey: from one branch to the other)" if free.any() else ""))
+            title = f"{what.robot.name}: {what.message}"
+        else:
+            _deviation(axes[1], what)
+            axes[-1].set_xlabel("pose")
+            title = f"{what.robot.name}: {what.status.name}, {len(what.q)} poses, length {what.length[0]:.4g} rad"
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize=8)
+        figure.suptitle(literal_text(title), x=0.01, ha="left", fontweight="bold")
+        return figure
+
+
+def _lines(ax: Any, x: np.ndarray, values: np.ndarray, names: Sequence[str]) -> None:
+    for i, name in enumerate(names):
+        ax.plot(x, values[:, i], color=COLOURS[i % 8], ls=DASHES[i // 8 % 8], lw=1.3, label=literal_text(name))
+
+
+def _joints(
+    ax: Any, robot: Joints, names: Sequence[str], x: np.ndarray, Q: np.ndarray, breaks: Sequence[float]
+) -> None:
+    """Draw joints relative to their limits, and those without limits in half turns."""
+    bounded = np.isfinite(robot.upper - robot.lower)
+    low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
+    shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
+    for k in breaks:  # no line is drawn across a change of branch
+        after = int(np.searchsorted(x, k))
+        x, shown = np.insert(x, after, k), np.insert(shown, after, np.nan, axis=0)
+    _lines(ax, x, shown, names)
+    for edge in (-1, 1):
+        ax.axhline(edge, color=GREY, lw=0.8)
+    for k in breaks:
+        ax.axvline(k, color=GREY, lw=0.9, ls=":")
+    ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
+
+
+def _deviation(ax: Any, result: Any) -> None:
+    """Draw the bounds between the poses relative to their tolerances."""
+    proof, tolerance = result.continuity, result.path_tolerance
+    for values, most, colour, dash, name in (
+        (proof.deviation, tolerance[0], COLOURS[0], "-", f"position (1 = {length(tolerance[0])})"),
+        (proof.turn, tolerance[1], COLOURS[4], "--", f"orientation (1 = {np.degrees(tolerance[1]):.3g} deg)"),
+    ):
+        if np.isfinite(values).any():
+            ax.stairs(values / most, result.at, color=colour, ls=dash, lw=1.3, label=name, baseline=None)
+    for contact in proof.contacts:
+        ax.axvline(contact.place, color=COLOURS[1], lw=1.0)
+    ax.axhline(1.0, color=GREY, lw=0.8)
+    ax.set_ylim(bottom=0.0)
+    ax.legend(fontsize=8, loc="upper right", bbox_to_anchor=(1.0, 1.16), ncols=2)
+    ax.set_title("bound on the deviation between poses, in tolerances")

@@ -1,321 +1,369 @@
-"""The 3-D view: robot, ghosts, targets, trails, clouds and animations; live in a browser, in a notebook, or as one file."""
+"""The 3-D view: robots, ghosts, targets, obstacles, trails, clouds and animations; live, in a notebook, or as one file."""
 
 import base64
-import html
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..copying import Unique
-from ..errors import InvalidOption, InvalidTarget, floats
+from ..errors import InvalidOption, whole
+from ..robot.geometry.collision import CollisionModel
+from ..robot.geometry.shape import is_shape
 from ..robot.joints import Joints
-from ..robot.pose import AxisTarget, check_target
-from ..text import angle as in_words
-from ..text import length
-from .animation import MAX_FRAMES, SLATE, animate, motion_of
-from .body import GREY, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges, tube
+from ..robot.pose import AxisTarget, as_matrix, check_target
+from ..validate import positive, switch
+from . import animation
+from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
+from .body import Body, DrawnShape, drawn_shape, need_trimesh, split_sharp_edges, tube
 from .feed import Guest
 from .meshcat_server import Window, write_page
-from .plots import iterates
+from .notebook import InCell, PageInCell
+from .scene_state import Color, SceneState, css, read_color, read_opacity, read_text
 
-# Colours of Okabe and Ito (2008), as in the plots.
-BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
-YELLOW, SKY, RED = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15)
-TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # colours of the paths of several tips
-GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
+RED = (0.80, 0.20, 0.15)
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # colours of x, y and z axes
-FAR = 3.0  # [scene sizes] a target farther away does not shrink the picture
-BETWEEN = 6  # frames between two iterates of a solve, so that the eye can follow
 MAX_GHOSTS = 12
 
 
-def css(color: Sequence[float]) -> str:
-    """Return a CSS colour for (r, g, b) in 0..1."""
-    return "#" + "".join(f"{round(255 * c):02x}" for c in color)
+class Scene(InCell, SceneState):
+    """The drawing of a robot and of what is around it. Poses are in the robot's base axes [m], joint values as in `robot`.
 
-
-class Scene(Unique):
-    """The drawing of one robot. Poses are in the robot's base axes [m], joint values as in `robot`.
-
-    `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.
+    Everything has a name, by which it is moved, drawn anew or removed; the scene's robot is "robot", its tip "tip". `names` lists
+    them, `drawn()` returns all poses. Raises MissingExtra without meshcat or trimesh.
     """
 
-    def __init__(self, robot: Joints, title: str | None = None) -> None:
-        """Create an empty scene for a Robot or a Tree."""
-        self.robot = robot
-        self.body = Body(robot)
-        self.window = Window()
-        self._corners: list[np.ndarray] = []
-        self._placed: dict[str, np.ndarray] = {}  # poses (P, 4, 4) of the parts of the robot and its copies
-        self._legend: list[tuple[str, str]] = []
-        self._names: list[tuple[str, str, int]] = []
-        self.window.say(title=title or robot.name)
-        self.say()
+    # -------------------------------------------------------------------------------------------------- what is shown
+    def update(self, what: Any = None, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
+        """Show something else, as `view` does: robot, tips, target, caption and all that belonged to a result change together.
+
+        A target or a cloud that is not given stays, and so do the camera and what was added by name. Bad input raises, as in
+        `view`, and changes nothing.
+        """
+        rows, motion = animation.shown_rows(self.robot, what)
+        given = {} if target is None else animation.each_target(self.robot, target)
+        targets = {numbered("target", k): (tip, T) for k, (tip, T) in enumerate(given.items())}
+        for _, T in targets.values():
+            self._target(T)
+        points, success = cloud if isinstance(cloud, tuple) and len(cloud) == 2 else (cloud, None)
+        if cloud is not None:
+            self._cloud(points, success)
+        if not isinstance(obstacles, CollisionModel | None):
+            raise InvalidOption(f"obstacles must be a CollisionModel, not {obstacles!r:.60}")
+        model = animation.model_of(what, motion) if obstacles is None else obstacles
+        around = None if model is None else (model, model.version)
+        kept = {
+            *(targets or [one for one in self._marks if one.startswith("target")]),
+            *(["cloud"] if cloud is None else []),
+            *(one for one in self._boxes if one.startswith("obstacle/") and around == self._around),
+        }
+        self._forget(self._shown - kept)
+        lines, several = self.window.about["lines"], len(self.robot.tips) > 1
+        self._put("robot", self._poses("robot", rows[:1]), (None, None))
+        for k, T in enumerate(self.body.tips(rows[0])):
+            name = numbered("tip", k)
+            size = self._marks[name][-1] if name in self._marks else 0.09 * self._extent()
+            self.frame(np.linalg.inv(self.body.T_world_base) @ T, name, size)
+            if several:
+                self.name(name, self.robot.tips[k], below=True)
+        with self._with_result():
+            if model is not None and around != self._around:
+                animation.draw_obstacles(self, model)
+            self._around = around
+            animation.draw_result(self, what, motion)
+            for name, (tip, T) in targets.items():
+                size = self._marks[name][-1] if name in self._marks else 0.14 * self._extent()
+                self.frame(T, name, size, label="" if name != "target" else "targets" if several else "target")
+                if several:
+                    self.name(name, f"target of {tip}")
+            if len(rows) > 1 and motion is None and not hasattr(what, "target_xyz"):
+                self._say("robot", (css(SLATE), "1 (solid)"))
+                self.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
+                more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""
+                self.say(f"{len(rows)} configurations{more}")
+            if cloud is not None:
+                self.cloud(points, success)
+        self._captioned = self.window.about["lines"] is not lines
 
     def show(
-        self,
-        q: Any,
-        name: str = "robot",
-        color: tuple[float, float, float] | None = None,
-        opacity: float = 1.0,
-        label: str = "",
+        self, q: Any, name: str = "robot", color: Color | None = None, opacity: float | None = None, label: str = ""
     ) -> None:
-        """Draw the robot at q (n,), or move it; with a colour, a translucent copy, without parts that others have there."""
-        poses = self.body.placements(q)
-        if color is not None:
-            self._placed.pop(name, None)
-            self.window.delete(name)
-            if "robot" not in self._placed:
-                self.show(q)
-            drawn = np.all([self.body.apart(poses, others) for others in self._placed.values()], axis=0)
-            for part, alone in zip(self.body.parts, drawn, strict=True):
-                for k in range(len(part.shapes) if alone else 0):
-                    self.window.copy(f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}", color, opacity)
-        elif name not in self._placed:
-            for part in self.body.parts:
-                for k, shape in enumerate(part.shapes):
-                    self.window.shape(f"{name}/{part.name}/{k}", shape)
-        self._placed[name] = poses
-        for part, T in zip(self.body.parts, poses, strict=True):
-            self.window.place(f"{name}/{part.name}", T)
-        self._corners.append(self.body.bounds(q))
+        """Draw a robot at q (n,) [rad or m], or move it there, and give it a colour or an opacity, which it keeps.
+
+        The scene's robot takes its tip axes along; target, trail, caption and animation of a result that was shown go. Under
+        another name it is a copy, without parts that others have in the same place, or a robot that was added.
+
+        Args:
+            q: Joint values of the robot of this name.
+            name: The robot.
+            color: Red, green and blue in 0..1; by default those of its description.
+            opacity: 0 (invisible) to 1 (solid).
+            label: Text for the legend.
+
+        Raises:
+            InvalidConfiguration: q does not fit the robot.
+            InvalidOption: The other arguments are wrong.
+        """
+        body, label = self._body(read_text(name, "name"))[0], read_text(label, "label")
+        q, look = body.robot.check_q(q), (read_color(color), read_opacity(opacity))
+        if name == "robot":
+            self._forget({one for one in self._shown if not one.startswith(("ghost_", "cloud"))})
+            self._around = None
+            for k, T in enumerate(self.body.tips(q)):
+                if numbered("tip", k) in self.window.transforms:
+                    self.window.place(numbered("tip", k), T)
+        elif name not in self._placed and name in self._boxes:
+            self._drop(name)
+        self._put(name, self._poses(name, q[None]), look)
         if label:
-            self._say(css(color or SLATE), label)
+            self._say(name, (css(self._looks[name][0] or SLATE), label))
 
     def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
         """Draw the robot translucent at the rows of Q (N, n), at most the first 12, in eight alternating colours."""
-        names = [*labels]
-        for k, q in enumerate(np.atleast_2d(Q)[:MAX_GHOSTS]):
+        rows, names = animation.shown_rows(self.robot, Q)[0][:MAX_GHOSTS], [*labels]
+        for name in [one for one in self._placed if one.startswith("ghost_")][len(rows) :]:
+            self._drop(name)
+        for k, q in enumerate(rows):
             label = names[k] if k < len(names) else ""
             self.show(q, f"ghost_{k + 1}", GHOSTS[k % len(GHOSTS)], 0.32, label)
 
+    # --------------------------------------------------------------------------------------------- surroundings
+    def add(
+        self, what: Any, at: Any = None, name: str | None = None, *, T_base: Any = None,
+        color: Color | None = None, opacity: float | None = None, label: str = "",
+    ) -> str:  # fmt: skip
+        """Draw another robot, a shape, or the shapes of a CollisionModel around the robot and in its hand.
+
+        Args:
+            what: A Robot or Tree, a Shape, or a CollisionModel of the scene's robot.
+            at: Of a robot q (n,) [rad or m], by default home; of a shape its pose (4, 4), pin.SE3 or position (3,) [m].
+            name: Name for `show` (a robot), `move` (a shape) and `remove`; by default one is made, of a model "obstacle".
+            T_base: Pose of the other robot's base; by default that of the scene's robot.
+            color: Red, green and blue in 0..1.
+            opacity: 0 (invisible) to 1 (solid).
+            label: Text for the legend.
+
+        Returns:
+            The name.
+
+        Raises:
+            InvalidOption, InvalidConfiguration, InvalidTarget: An argument is wrong.
+        """
+        color, opacity, label = read_color(color), read_opacity(opacity), read_text(label, "label")
+        if isinstance(what, CollisionModel):
+            animation.draw_obstacles(self, what, name or "obstacle")
+            return name or "obstacle"
+        stem = "robot" if isinstance(what, Joints) else is_shape(what).kind
+        name = name or next(
+            one for k in range(1 + (stem == "robot"), 10**6) if (one := f"{stem}_{k}") not in self._boxes
+        )
+        if isinstance(what, Joints):
+            q, T = what.check_q(what.home if at is None else at), np.eye(4) if T_base is None else as_matrix(T_base)
+            body = Body(what)
+            self._clear(name)
+            self._bodies[name] = body, self.body.T_world_base @ T @ np.linalg.inv(body.T_world_base)
+            self._put(name, self._poses(name, q[None]), (color, opacity))
+        else:
+            T = as_matrix(np.zeros(3) if at is None else at)
+            drawn = drawn_shape(what, color or OBSTACLE, 0.75 if opacity is None else opacity)
+            self._clear(name)
+            self.window.shape(name, drawn)
+            self.window.place(name, self.body.T_world_base @ T)
+            self._see(name, self._world(drawn.vertices @ T[:3, :3].T + T[:3, 3]))
+        if label:
+            self._say(name, (css(color or (SLATE if name in self._bodies else OBSTACLE)), label))
+        return name
+
     def frame(self, T_base: Any, name: str = "target", size: float | None = None, label: str = "") -> None:
         """Draw the axes (x red, y green, z blue) of a pose; of a position (3,) or an axis target only what it fixes."""
-        trimesh = need_trimesh()
-        size = size or 0.14 * self._extent()
-        r = 0.035  # radius of an axis over its length
-        free = isinstance(T_base, AxisTarget)
-        T = np.eye(4)
-        shapes = []
-        target = T_base.T_base_tip if free else check_target(T_base)[0]
-        if target.ndim == 1:
-            T[:3, 3] = target
-        else:
-            T = target
-        ball = trimesh.creation.uv_sphere(radius=(2.2 if target.ndim == 1 else 1.7) * r, count=(16, 16))
-        shapes.append((ball, RED if target.ndim == 1 else SLATE))
-        arrows = [(np.asarray(T_base.axis), PURPLE)] if free else [*zip(np.eye(3), AXES, strict=True)]
-        for direction, color in arrows if target.ndim == 2 else ():
-            shaft = trimesh.creation.cylinder(r, segment=[np.zeros(3), 0.8 * direction], sections=20)
-            cone = trimesh.creation.cone(radius=2.1 * r, height=0.22, sections=24)
-            cone.apply_transform(trimesh.geometry.align_vectors((0, 0, 1), direction))
-            cone.apply_translation(0.78 * direction)
-            shapes += [(shaft, color), (cone, color)]
-        self.window.delete(name)
-        for k, (mesh, color) in enumerate(shapes):
-            self.window.shape(f"{name}/{k}", DrawnShape(*split_sharp_edges(mesh, size), color))
-        self.move(T, name)
-        point = (self.body.T_world_base @ T)[:3, 3]
-        if self._corners and np.linalg.norm(point - np.mean(self._corners, axis=(0, 1))) > FAR * self._extent():
+        (target, free), label = self._target(T_base), read_text(label, "label")
+        size = 0.14 * self._extent() if size is None else positive(size, "size")
+        mark, T = (target.ndim, tuple(T_base.axis) if free else (), size), self.body.T_world_base @ as_matrix(target)
+        if self._marks.get(name) != mark:
+            self._clear(name)
+            self._marks[name] = mark
+            for k, shape in enumerate(_axes(T_base.axis if free else None, target.ndim == 1, size)):
+                self.window.shape(f"{name}/{k}", shape)
+        self.window.place(name, T)
+        if not self._see(name, T[None, :3, 3]):
             label = label and f"{label} (outside the picture)"
-        else:
-            self._corners.append(np.array([point, point]))
         if label:
             bands = f"linear-gradient(90deg, {', '.join(css(color) for color in AXES)})"
-            self._say(css(shapes[-1][1]) if free or target.ndim == 1 else bands, label)
+            self._say(name, (css(RED) if target.ndim == 1 else css(PURPLE) if free else bands, label))
 
     def name(self, path: str, text: str, below: bool = False) -> None:
-        """Label a drawn frame, above or below it."""
-        self._names = [one for one in self._names if one[0] != path] + [(path, text, 6 if below else -24)]
+        """Label a drawn frame, above or below it. Raises InvalidOption if there is none of this name."""
+        self._known(path)
+        self._names = [one for one in self._names if one[0] != path] + [
+            (path, read_text(text, "text"), 6 if below else -24)
+        ]
         self.window.say(names=self._names)
 
-    def move(self, T_base: np.ndarray, name: str = "target") -> None:
-        """Move a drawn frame to another pose (4, 4) [m]."""
-        self.window.place(name, self.body.T_world_base @ T_base)
+    def move(self, T_base: Any, name: str = "target") -> None:
+        """Move a drawn frame or shape to another pose (4, 4), pin.SE3 or position (3,) [m].
+
+        Raises InvalidOption if there is none of this name, InvalidTarget if it is no pose.
+        """
+        self._known(name)
+        self.window.place(name, self.body.T_world_base @ as_matrix(T_base))
 
     def trail(
-        self,
-        points: Any,
-        name: str = "trail",
-        color: tuple[float, float, float] = ORANGE,
-        radius: float | None = None,
-        label: str = "",
+        self, points: Any, name: str = "trail", color: Color = ORANGE, radius: float | None = None, label: str = ""
     ) -> None:
         """Draw the path of a tip through points (N, 3) [m]."""
-        P = self._world(points)
-        self.window.delete(name)
-        self.window.shape(name, tube(P, radius or 0.005 * self._extent(), color))
-        self._corners.append(np.array([P.min(axis=0), P.max(axis=0)]))
+        P, color, label = self._world(points), read_color(color) or ORANGE, read_text(label, "label")
+        wide = 0.005 * self._extent() if radius is None else positive(radius, "radius")
+        self._clear(name)
+        self.window.shape(name, tube(P, wide, color))
+        self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
         if label:
-            self._say(css(color), label)
+            self._say(name, (css(color), label))
 
     def cloud(self, points: Any, success: Any = None, name: str = "cloud", size: float | None = None) -> None:
         """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not reached)."""
-        P = self._world(points)
-        good = np.ones(len(P), dtype=bool) if success is None else np.asarray(success, dtype=bool)
-        if good.shape != (len(P),):
-            raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
-        self.window.delete(name)
-        colors = np.where(good[:, None], BLUE, ORANGE)
-        self.window.points(name, P, colors, size or 0.012 * self._extent())
-        self._corners.append(np.array([P.min(axis=0), P.max(axis=0)]))
+        P, good = self._cloud(points, success)
+        size = 0.012 * self._extent() if size is None else positive(size, "size")
+        self._clear(name)
+        self.window.points(name, P, np.where(good[:, None], BLUE, ORANGE), size)
+        self._boxes[name] = np.array([P.min(axis=0), P.max(axis=0)])
         if success is not None:
-            self._say(css(BLUE), f"reached: {good.sum()} of {len(good)}")
-            self._say(css(ORANGE), "not reached")
+            reached = css(BLUE), f"reached: {good.sum()} of {len(good)}"
+            self._say(name, reached, (css(ORANGE), "not reached"))
 
-    def animate(self, Q: Any, labels: Sequence[str], fps: float, first: int = 0, name: str = "robot") -> None:
-        """Animate the robot through the rows of Q (F, n) with a time slider; labels (F,) are shown next to it."""
-        Q = np.atleast_2d(np.asarray(Q, dtype=float))
-        if len(Q) != len(labels) or not len(Q):
+    # ------------------------------------------------------------------------------------------------- animations
+    def animate(
+        self, Q: Any, labels: Sequence[str] | None = None, fps: float = 25.0, first: int = 0, name: str = "robot"
+    ) -> None:
+        """Animate a robot through the rows of Q (F, n) with a time slider; labels (F,) are shown next to it.
+
+        It is shown at row number `first`. Raises InvalidConfiguration or InvalidOption.
+        """
+        body, base = self._body(read_text(name, "name"))
+        Q = animation.shown_rows(body.robot, Q)[0]
+        labels = [f"{k} of {len(Q)}" for k in range(1, len(Q) + 1)] if labels is None else labels
+        labels = [read_text(label, "a label") for label in labels]
+        if len(Q) != len(labels):
             raise InvalidOption(f"an animation needs one label per row: {len(Q)} rows, {len(labels)} labels")
-        self.show(Q[first], name)
-        poses = np.array([self.body.placements(q) for q in Q], dtype="<f4")[:, :, :3]
-        paths = [f"/meshcat/{name}/{part.name}" for part in self.body.parts]
-        drawn = [tip for tip in range(len(self.robot.tips)) if numbered("tip", tip) in self.window.transforms]
-        tips = np.array([self.body.tips(q)[drawn, :3] for q in Q])
-        poses = np.concatenate([poses, tips.astype("<f4")], axis=1)
-        paths += [f"/meshcat/{numbered('tip', tip)}" for tip in drawn]
-        self._corners += [self.body.bounds(q) for q in Q[:: max(1, len(Q) // 12)]]
-        self.window.say(
-            animation={
-                "paths": paths,
-                "count": len(Q),
-                "first": first,
-                "fps": fps,
-                "labels": list(labels),
-                "data": base64.b64encode(np.ascontiguousarray(poses).tobytes()).decode(),
-            }
-        )
+        fps, first = positive(fps, "fps"), whole(first, "first", 0)
+        if first >= len(Q):
+            raise InvalidOption(f"first must be the number of a row, 0 to {len(Q) - 1}, not {first}")
+        self._stop()
+        poses = self._poses(name, Q)
+        self._put(name, np.concatenate([poses[first : first + 1], poses]), (None, None))
+        paths = [f"/meshcat/{name}/{part.name}" for part in body.parts]
+        if name == "robot":
+            drawn = [k for k in range(len(self.robot.tips)) if numbered("tip", k) in self.window.transforms]
+            poses = np.concatenate([poses, np.array([self.body.tips(q)[drawn] for q in Q])], axis=1)
+            paths += [f"/meshcat/{numbered('tip', k)}" for k in drawn]
+        data = base64.b64encode(np.ascontiguousarray(poses[:, :, :3], dtype="<f4").tobytes()).decode()
+        made = {"paths": paths, "count": len(Q), "first": first, "fps": fps, "labels": labels, "data": data}
+        self.window.say(animation=made)
 
     def converge(self, result: Any) -> None:
         """Animate a solve, a Result with history: the iterates of the attempt that found the result, ending there.
 
         Also drawn are the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey.
         """
-        Q, position, angle, others = iterates(result)
-        rows = np.unique(np.linspace(0, len(Q) - 1, min(len(Q), MAX_FRAMES)).astype(int))
-        between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
-        frames, labels = [], []
-        for k, row in enumerate(rows):
-            text = f"evaluation {row}: {length(float(position[row]))}"
-            if np.isfinite(angle[row]):
-                text += f", {in_words(float(angle[row]))}"
-            last = k + 1 == len(rows)
-            for step in range(1 if last else between):
-                frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
-                labels.append(text)
-        self.show(Q[0], "start", SLATE, 0.22, "start")
-        for number, other in enumerate(others):
-            ways = np.array([self._tips(q) for q in result.history["q"][other]])
-            for k in range(ways.shape[1]):
-                label = "" if number or k else "other attempts"
-                self.trail(ways[:, k], f"trail_of_{number}_{k}", GREY, 0.0015 * self._extent(), label)
-        ways = np.array([self._tips(q) for q in Q[rows]])
-        several = len(self.robot.tips) > 1
-        for k, tip in enumerate(self.robot.tips):
-            label = f"path of {tip}" if several else "tip path"
-            self.trail(ways[:, k], numbered("trail", k), TRAILS[k % len(TRAILS)], label=label)
-        self.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
+        if getattr(result, "history", None) is None:
+            raise InvalidOption(
+                "there is nothing to animate: a Result with history is needed, from solve(..., history=True)"
+            )
+        with self._with_result():
+            animation.draw_solve(self, result)
 
     def follow(self, result: Any) -> None:
         """Show a tracking run (TrackResult): the arm moving in real time, its trail and the requested path."""
-        rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
-        wide = 0.005 * self._extent()
-        ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
-        for k in range(ways.shape[1]):  # labels for the first tip only
-            self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
-            self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
-        labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
-        span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
-        self.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))
+        if not hasattr(result, "target_xyz"):
+            raise InvalidOption(f"there is nothing to follow: a TrackResult is needed, not {result!r:.60}")
+        with self._with_result():
+            animation.draw_run(self, result)
 
-    def say(self, *lines: str) -> None:
-        """Write lines under the title."""
-        notice = [self.body.notice] if self.body.notice else []
-        self.window.say(lines=[*notice, *lines])
-
-    def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
-        """Aim the camera from `eye` at `target` [m], world axes; without arguments it sees everything drawn so far."""
-        box = np.array([np.min([c[0] for c in self._corners], axis=0), np.max([c[1] for c in self._corners], axis=0)])
-        centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
-        to = centre if target is None else np.asarray(target, dtype=float)
-        away = 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
-        at = to + away if eye is None else np.asarray(eye, dtype=float)
-        cell = grid_cell(max(radius, 1e-3))
-        self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, self.body.floor])
-        grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")
-        self.window.say(legend=[*self._legend, grid])
-
+    # ---------------------------------------------------------------------------------------------------- the page
     def html(self) -> str:
         """Return the scene as one self-contained page: a single file that needs no network and opens from disk."""
-        if self.window.about["camera"] is None:
-            self.look()
-        return self.window.html()
+        return self._aimed().html()
 
     def save(self, path: str | Path) -> Path:
         """Write the self-contained page. Raises InvalidOption if the name does not end in .html."""
         return write_page(path, "a scene", self.html)
 
-    def page(self, path: str | Path) -> Path:
+    def controls(self, shown: bool = True) -> None:
+        """Show or hide meshcat's control panel, in which everything drawn can be hidden and the lights set."""
+        self.window.say(controls=switch(shown, "shown"))
+
+    def screenshot(self, path: str | Path, size: tuple[int, int] = (1000, 640)) -> Path:
+        """Write the scene as it is now as a .png file of a size [pixels]; no browser is needed.
+
+        Raises InvalidOption if the name does not end in .png, or the size is wrong; MissingExtra without matplotlib.
+        """
+        return animation.write_pictures(path, self._aimed(), size)
+
+    def record(self, path: str | Path, size: tuple[int, int] = (640, 400), pictures: int = 48) -> Path:
+        """Write the animation as a .gif file of at most so many pictures, in its own time; no browser is needed.
+
+        A picture takes about a second. Raises InvalidOption if there is no animation, the name does not end in .gif or another
+        argument is wrong; MissingExtra without matplotlib.
+        """
+        return animation.write_pictures(path, self._aimed(), size, whole(pictures, "pictures", 2))
+
+    def _aimed(self) -> Window:
+        if self.window.about["camera"] is None:
+            self.look()
+        return self.window
+
+    def page(self, path: str | Path | None = None) -> Any:
         """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
 
-        A result, ghosts or a cloud are left out. Raises InvalidOption if the name does not end in .html.
+        Without a path the page displays itself in the cell of a notebook. A result, ghosts or a cloud are left out. Raises
+        InvalidOption if the name does not end in .html.
         """
         from .live_page import page_html
 
-        return write_page(path, "a live page", lambda: page_html(self.robot, self.body, self.window.about["title"]))
+        def made() -> str:
+            return page_html(self.robot, self.body, self.window.about["title"])
+
+        return PageInCell(made(), self.window) if path is None else write_page(path, "a live page", made)
 
     def serve(self, port: int = 0) -> str:
         """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""
-        if self.window.about["camera"] is None:
-            self.look()
-        return self.window.serve(port)
+        if whole(port, "port", 0) >= 2**16:
+            raise InvalidOption(f"port must be between 0 and 65535, not {port}")
+        return self._aimed().serve(port)
 
     def close(self) -> None:
         """Stop serving the scene."""
         self.window.close()
 
-    def _repr_html_(self) -> str:
-        """Return the output of a notebook cell, which embeds the whole page so that it lives as long as the notebook."""
-        page = html.escape(self.html(), quote=True)
-        return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
+    def _target(self, T_base: Any) -> tuple[np.ndarray, bool]:
+        """Return a pose (4, 4) or position (3,) [m], and whether it leaves the turn about an axis free. Raises InvalidTarget."""
+        free = isinstance(T_base, AxisTarget)
+        return T_base.T_base_tip if free else check_target(T_base)[0], free
 
-    def drawn(self) -> dict[str, np.ndarray]:
-        """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
-        found = {path: T.copy() for path, T in self.window.transforms.items()}
-        for path in self.window.objects:
-            if path.startswith(("trail", "path")) or path == "cloud":
-                found[path] = np.eye(4)
-        return found
 
-    def _extent(self) -> float:
-        corners = self._corners or [self.body.bounds(self.robot.home)]
-        low, high = np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
-        return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
-
-    def _tips(self, q: np.ndarray) -> np.ndarray:
-        """Return the positions (tips, 3) [m] of the tips in base axes."""
-        world = self.body.tips(q)[:, :3, 3]
-        base = self.body.T_world_base
-        return (world - base[:3, 3]) @ base[:3, :3]
-
-    def _world(self, points: Any) -> np.ndarray:
-        P = np.atleast_2d(floats(points, "points must be finite numbers (N, 3)", InvalidOption))
-        if P.ndim != 2 or P.shape[1] != 3 or not len(P) or not np.isfinite(P).all():
-            raise InvalidOption(f"points must be finite numbers (N, 3), not shape {P.shape}")
-        base = self.body.T_world_base
-        return P @ base[:3, :3].T + base[:3, 3]
-
-    def _say(self, color: str, label: str) -> None:
-        if (color, label) not in self._legend:
-            self._legend.append((color, label))
-            self.window.say(legend=self._legend)
+def _axes(axis: Any, bare: bool, size: float) -> list[DrawnShape]:
+    """Return the ball and arrows of a frame of a size [m], of one arrow along an axis (3,), or of a ball only (bare)."""
+    make, align = need_trimesh().creation, need_trimesh().geometry.align_vectors
+    r = 0.035  # radius of an axis over its length
+    shapes = [(make.uv_sphere(radius=(2.2 if bare else 1.7) * r, count=(16, 16)), RED if bare else SLATE)]
+    arrows = zip(np.eye(3), AXES, strict=True) if axis is None else [(np.asarray(axis), PURPLE)]
+    for direction, color in () if bare else arrows:
+        cone = make.cone(radius=2.1 * r, height=0.22, sections=24)
+        cone.apply_transform(align((0, 0, 1), direction))
+        cone.apply_translation(0.78 * direction)
+        shapes += [(make.cylinder(r, segment=[np.zeros(3), 0.8 * direction], sections=20), color), (cone, color)]
+    return [DrawnShape(*split_sharp_edges(mesh, size), color) for mesh, color in shapes]
 
 
 def view(
-    robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str = "", viewer: Any = None
+    robot: Joints,
+    what: Any = None,
+    *,
+    target: Any = None,
+    cloud: Any = None,
+    obstacles: Any = None,
+    title: str | None = None,
+    live: bool = False,
+    viewer: Any = None,
 ) -> Scene:
     """Show a robot in 3-D: at home, at a configuration, or with a result.
 
@@ -326,7 +374,10 @@ def view(
         what: One q (n,) [rad or m] or several, a Result (animated if it has a history) or another result; by default home.
         target: Pose or position [m] in the base frame to mark; for a Tree by tip, or in the order of its tips.
         cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
+        obstacles: CollisionModel whose obstacles and held shapes are drawn; by default that of the result.
         title: Title of the page, by default the robot's name.
+        live: Whether the cells of a notebook that show the scene follow `Scene.update` and all other changes, over the kernel's
+            own channel (extra 'notebook'), and targets can be dragged (`Scene.on_drag`); without a channel the scene stays still.
         viewer: A meshcat.Visualizer, or Pinocchio's MeshcatVisualizer, in which the scene is drawn as well.
 
     Raises:
@@ -334,67 +385,10 @@ def view(
         MissingExtra: meshcat or trimesh is not installed.
     """
     scene = Scene(robot, title)
-    run, motion = hasattr(what, "target_xyz"), motion_of(what)
-    what = next(one for one in (motion, what, robot.home) if one is not None)
-    rows = np.atleast_2d(what.q) if hasattr(what, "q") else _rows(robot, what)
-    if not len(rows):
-        raise InvalidOption("there is nothing to show: the list of configurations is empty")
-    many = len(rows) > 1 and not run and motion is None
-    scene.show(rows[0], label="1 (solid)" if many else "")
-    back = np.linalg.inv(scene.body.T_world_base)
-    tips = scene.body.tips(rows[0])
-    size = 0.09 * scene._extent()
-    for k, T in enumerate(tips):
-        scene.frame(back @ T, numbered("tip", k), size)
-        if len(tips) > 1:
-            scene.name(numbered("tip", k), robot.tips[k], below=True)
-    if run:
-        scene.follow(what)
-        scene.say(f"{what.method} at {1 / what.dt:.4g} Hz: {what.message or what.status.value}")
-    elif motion is not None:
-        animate(scene, motion)
-    elif many:
-        scene.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
-        more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""
-        scene.say(f"{len(rows)} configurations{more}")
-    elif hasattr(what, "history"):
-        if what.history is not None:
-            scene.converge(what)
-        scene.say(f"{what.solver}: {what.status.name}", what.message)
-    if target is not None:
-        size = 0.14 * scene._extent()
-        for k, (tip, T) in enumerate(_each(robot, target).items()):
-            scene.frame(T, numbered("target", k), size, label="" if k else "targets" if len(tips) > 1 else "target")
-            if len(tips) > 1:
-                scene.name(numbered("target", k), f"target of {tip}")
-    if cloud is not None:
-        scene.cloud(*cloud) if isinstance(cloud, tuple) else scene.cloud(cloud)
+    scene.update(what, target=target, cloud=cloud, obstacles=obstacles)
     scene.look()
+    if switch(live, "live"):
+        scene.connect()
     if viewer is not None:
         Guest(scene.window, viewer, [part.name for part in scene.body.parts])
     return scene
-
-
-def numbered(word: str, k: int) -> str:
-    """Return the scene path for tip k, which is the bare word for the first tip."""
-    return f"{word}{k + 1 if k else ''}"
-
-
-def _each(robot: Joints, target: Any) -> dict[str, Any]:
-    """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
-    if isinstance(target, Mapping):
-        robot.check_tips(target)
-        return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
-    if not robot.by_tip:
-        return {robot.tips[0]: target}
-    if len(target) != len(robot.tips):
-        raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
-    return dict(zip(robot.tips, target, strict=True))
-
-
-def _rows(robot: Joints, what: Any) -> np.ndarray:
-    """Return configurations (N, n) from q, several q, or several results."""
-    if isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what):
-        return np.array([robot.check_q(getattr(item, "q", item)) for item in what]).reshape(-1, robot.n)
-    rows = what if np.ndim(what) == 2 else [what]
-    return np.array([robot.check_q(row) for row in rows]).reshape(-1, robot.n)

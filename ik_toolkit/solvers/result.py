@@ -1,18 +1,17 @@
 """The result of a solve."""
 
-import html
 from typing import Any
 
 import numpy as np
 
+from ..copying import ReadOnly
 from ..errors import NotSolved
 from ..kernel.counted_error import FREE
 from ..kernel.records import ANSWER, AT
-from ..readonly import ReadOnly
 from ..robot.configuration import joint_values
 from ..robot.ros import header
 from ..style import BAD, GOOD
-from ..text import length
+from ..text import TextTable, length
 from .explain.explanation import Explanation
 from .message import sentence
 from .outcome import SPOKEN, SolveRecord
@@ -45,7 +44,7 @@ class Result(ReadOnly):
         collision: Names of two parts that touch at q if collisions are avoided and no other answer was found, otherwise
             None.
         clearance: Distance [m] of the nearest two parts, if collisions are avoided.
-        history: Arrays q, position_error, orientation_error and attempt with a row for each evaluation, or None.
+        history: Arrays q, position_error, orientation_error and attempt with a row for each start and iteration, or None.
     """
 
     __slots__ = ("_of",)
@@ -217,7 +216,7 @@ class Result(ReadOnly):
 
     @property
     def history(self) -> dict[str, np.ndarray] | None:
-        """Errors and q of every evaluation, if `history=True` was asked for."""
+        """Errors and q of every iteration, if `history=True` was asked for."""
         return self._of.history
 
     @property
@@ -295,12 +294,9 @@ class Result(ReadOnly):
 
     def _repr_html_(self) -> str:
         """Return a table for notebooks."""
-        colour = GOOD if self.success else BAD
-        cells = "".join(
-            f"<tr><td>{html.escape(j)}</td><td>{x:.6f}</td></tr>"
-            for j, x in zip(self.robot.joint_names, self.q, strict=True)
-        )
-        return f"<b style='color:{colour}'>{self.status.name}</b> {html.escape(self.message)}<table>{cells}</table>"
+        rows = zip(self.robot.joint_names, [f"{x:.6f}" for x in self.q], strict=True)
+        color = GOOD if self.success else BAD
+        return TextTable(self.status.name, self.message, (), rows, color=color, most=100).html()
 
 
 # `keep` passes the guard of the read-only object, a quarter of a microsecond faster than object.__setattr__.

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from ..readonly import ReadOnly
+from ..copying import ReadOnly
 from ..robot.robot import Robot
+from ..text import TextTable, length
 from .closed_form.geometry import Family
 
 __all__ = ["Family", "Solutions", "SolutionsBatch"]
@@ -94,6 +95,20 @@ class Solutions(ReadOnly):
             "found_by": list(self.found_by),
             "families": [family._asdict() for family in self.families],
         }
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks, a solution a row."""
+        several = len({*self.found_by}) > 1
+        rows = [
+            (k, *(f"{x:.4f}" for x in q), gap, length(error), *([by] if several else []))
+            for k, (q, gap, error, by) in enumerate(
+                zip(self.q, self.distance, self.position_error, self.found_by, strict=True)
+            )
+        ]
+        head = ("", *self.robot.joint_names, "distance", "position error", *(["found by"] if several else []))
+        which = f"{len(self)} solution{'s' * (len(self) != 1)}" + (", which are all" if self.complete else "")
+        how = "ik.view(robot, list(solutions)) shows them, ik.plot(solutions) draws them as lines."
+        return TextTable(which, self.message, head, rows, how).html()
 
     def __repr__(self) -> str:
         """Describe the solutions in one line."""

@@ -11,11 +11,11 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 
 from ..compile.jit import compile_time
+from ..copying import ReadOnly
 from ..errors import InvalidOption
 from ..kernel.checks import BAD_TARGET, CONVERGED
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
-from ..readonly import ReadOnly
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree

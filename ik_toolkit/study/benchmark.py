@@ -16,8 +16,9 @@ from ..solvers.batch.parts import check_executor
 from ..solvers.registry import find_row, list_rows
 from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status, count_statuses
+from ..text import TextTable, duration
 from ..validate import one_of, solver_list
-from .statistics import wilson
+from .targets import wilson
 
 BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
 NEAR = 0.1  # largest difference, in each joint [rad or m], between start 'near' and a solution
@@ -77,7 +78,7 @@ class BenchmarkRow:
         return plain if self.once is None else {**plain, "once": self.once.to_dict()}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Benchmark:
     """What a benchmark found for all robots and solvers.
 
@@ -106,6 +107,35 @@ class Benchmark:
         for row in self.rows:
             found.setdefault(label(row.robot, row.tips, len(tips[row.robot]) > 1), []).append(row)
         return found
+
+    def table(self) -> TextTable:
+        """Return what was found as a table, a row for each robot and solver."""
+        rows = []
+        for robot, found in self.by_robot().items():
+            for row in found:
+                once = "" if row.once is None else f"{100 * row.once.solved / row.once.targets:.1f} %"
+                share = f"{100 * row.solved / row.targets:.1f} % ({100 * row.low:.1f}-{100 * row.high:.1f})"
+                times = duration(row.median), duration(row.p99)
+                rows.append((robot, row.solver, row.task, once, share, *times, row.iterations, row.fk_evaluations))
+        head = ("robot", "solver", "task", "solved at once", "with restarts (95 %)", "median time", "99 % within")
+        left_out = ", ".join(f"{solver} ({robot})" for robot, solver in self.skipped)
+        return TextTable(
+            f"{self.targets} targets",
+            f"for each robot, start: {self.start}, seed: {self.seed}, {', '.join(f'{k}: {v}' for k, v in self.options.items())}",
+            (*head, "iterations", "FK evaluations"),
+            rows,
+            f"not applicable: {left_out}" if left_out else "",
+            "ik.plot(benchmark) draws it.",
+            most=60,
+        )
+
+    def _repr_html_(self) -> str:
+        """Return the table for notebooks."""
+        return self.table().html()
+
+    def __repr__(self) -> str:
+        """Return the table for terminals."""
+        return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
         """Return all results as plain numbers, strings and lists, ready for JSON."""

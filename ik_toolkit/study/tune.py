@@ -23,8 +23,7 @@ from ..solvers.solve import require_robot
 from ..solvers.tuning_space import Space
 from ..validate import number, one_of
 from .engines import Evolution, Swarm, make_space
-from .statistics import wilson
-from .targets import sample_targets
+from .targets import sample_targets, wilson
 
 METHODS = ("cma", "pso")
 JUDGED_SOON = 1  # number of held-out target sets for the final comparison after Ctrl-C, so that it ends soon

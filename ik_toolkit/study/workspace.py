@@ -20,9 +20,9 @@ from ..solvers.batch.solve_batch import solve_parts
 from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import count_statuses
+from ..text import TextTable, duration, length
 from ..validate import solver_list
-from .statistics import wilson
-from .targets import one_tip, sample_targets, stream_targets
+from .targets import one_tip, sample_targets, stream_targets, wilson
 
 GRID = 24  # number of cells along the longest side of the success map
 ENVELOPE = 100_000  # number of random configurations whose tip positions give the envelope
@@ -61,7 +61,7 @@ class SolverCounts:
         }
 
 
-@dataclass
+@dataclass(repr=False)
 class Workspace:
     """What a workspace study found: the reach of the tip, and where solvers succeed."""
 
@@ -76,6 +76,27 @@ class Workspace:
     failures: dict[str, np.ndarray]  # x, y, z and position error [m] of the first failures (M, 4), by solver
     points: np.ndarray  # (N, 3) positions of the first targets [m], for plots
     solved: dict[str, np.ndarray]  # whether each of these targets was solved (N,), by solver
+
+    def table(self) -> TextTable:
+        """Return what was found as a table, a row for each solver."""
+        rows = []
+        for name, one in self.outcomes.items():
+            low, high = wilson(one.solved, one.targets)
+            share = f"{100 * one.share:.2f} % ({100 * low:.2f}-{100 * high:.2f})"
+            steps, took = one.iterations / max(one.solved, 1), duration(one.elapsed / max(one.targets, 1))
+            left = length(one.worst) if one.solved < one.targets else None
+            rows.append((name, one.targets, share, steps, took, left))
+        head = ("solver", "targets", "solved (95 %)", "mean iterations", "time of a target", "largest error left")
+        reach = f"reaches {length(self.radius[0])} to {length(self.radius[1])} from the base's origin with {self.tip}"
+        return TextTable(self.robot, reach, head, rows, "ik.plot(workspace, robot) draws where targets are missed.")
+
+    def _repr_html_(self) -> str:
+        """Return the table for notebooks."""
+        return self.table().html()
+
+    def __repr__(self) -> str:
+        """Return the table for terminals."""
+        return str(self.table())
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, strings and lists, without the map and the points."""

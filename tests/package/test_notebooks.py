@@ -25,9 +25,18 @@ def test_committed_small_and_executed(path):
     assert not [output for output in outputs if output["output_type"] == "error"]
     shown = [output["data"] for output in outputs if "data" in output]
     assert any("image/png" in data for data in shown), "no picture that survives on a code-hosting page"
-    assert not [data for data in shown if "<iframe" in "".join(data.get("text/html", ""))]
-    scenes = [cell for cell in code if "ik.view(" in "".join(cell["source"])]
+    assert not [data for data in shown if "<script" in "".join(data.get("text/html", ""))]
+    sources = ["".join(cell["source"]) for cell in code]
+    scenes = [cell for cell, text in zip(code, sources, strict=True) if "ik.view(" in text or "ik.interact(" in text]
     assert scenes, "no 3-D scene"
+    moved = (
+        "ik.interact(",
+        ".page()",
+        "live=True",
+        "ik.view(robot, runs",
+        "ik.view(robot, trajectory",
+    )  # sliders of motions
+    assert any(word in text for text in sources for word in moved), "nothing to drag or slide"
     drawn = [cell for cell in scenes if any("image/png" in output.get("data", {}) for output in cell["outputs"])]
     assert len(drawn) == len(scenes), "a scene without a picture"
     texts = ["".join(data.get("text/plain", "")) for data in shown if not {"image/png", "text/html"} & data.keys()]

@@ -46,7 +46,7 @@ def test_exported_scene_opens_with_the_network_off(browser, tmp_path):
         orange = (end[:, :, 0] > end[:, :, 2] + 0.25).mean()  # the robot's own colour
         assert orange > 0.005 and end.std() > 0.02
         page.evaluate("seek(0)")
-        assert page.locator("#now").inner_text().startswith("evaluation 0: ")
+        assert page.locator("#now").inner_text().startswith("iteration 0: ")
         page.wait_for_timeout(500)
         assert np.abs(picture(page) - end).mean() > 1e-3  # the slider moves the robot
         page.locator("#play").click()

@@ -1,13 +1,11 @@
 """Names come from untrusted files: every page and chart treats them as text only."""
 
 import contextlib
-import html
-import html.parser
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from hostile import EVIL, arm
+from hostile import EVIL, Reader, arm
 
 import ik_toolkit as ik
 from ik_toolkit.robot.joints import Joints
@@ -21,23 +19,6 @@ def robot():
     made = ik.Robot.load(arm())
     assert set(made.joint_names) == set(EVIL)
     return made
-
-
-class Reader(html.parser.HTMLParser):
-    """Tags, attributes and texts of a page, as a browser takes them."""
-
-    def __init__(self, page):
-        super().__init__(convert_charrefs=True)
-        self.tags, self.handlers, self.text = [], [], ""
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.handlers += [(name, value) for name, value in attrs if name.startswith("on")]
-
-    def handle_data(self, data):
-        self.text += data
 
 
 def check(page, *, tags=(), handlers=0, says=()):
@@ -65,9 +46,33 @@ def test_cells_of_a_notebook(robot):
 def test_every_class_with_html_of_its_own_is_looked_at_here():
     pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
     from ik_toolkit.show.scene import Scene
+    from ik_toolkit.solvers.batch.result import BatchResult
+    from ik_toolkit.solvers.solutions import Solutions
+    from ik_toolkit.study.benchmark import Benchmark
+    from ik_toolkit.study.workspace import Workspace
 
-    public = {c for c in vars(ik).values() if isinstance(c, type)} | {Joints, Result, Scene}
-    assert {c for c in public if "_repr_html_" in vars(c)} == {Joints, Result, Scene}
+    results = {BatchResult, Solutions, Benchmark, Workspace, ik.PathResult, ik.Trajectory}
+    public = {c for c in vars(ik).values() if isinstance(c, type)} | {Joints, Result, Scene} | results
+    assert {c for c in public if "_repr_html_" in vars(c)} == {Joints, Result} | results
+
+
+def test_tables_of_results(robot):
+    """Those of robots with names that are no text of ours; Solutions and Trajectory name joints, the others the robot."""
+    robot.name = EVIL[0]
+    poses = robot.chain.forward(robot.random_q(np.random.default_rng(0), 3))[0]
+    line = np.tile(robot.fk(robot.home).homogeneous, (5, 1, 1))
+    line[:, 0, 3] += np.linspace(0.0, 0.01, 5)
+    path = ik.solve_path(robot, line)
+    made = {
+        ik.solve_batch(robot, poses): EVIL[:1],
+        ik.solve_all(robot, poses[0], starts=8): EVIL,
+        path: (),
+        path.retime(1.0, acceleration=1.0): EVIL,
+    }
+    for result, says in made.items():
+        check(result._repr_html_(), tags=["b"], says=says)
+    for study in (ik.benchmark(robot, "lm", targets=3), ik.workspace(robot, targets=20)):
+        check(study._repr_html_(), tags=["b"], says=EVIL[:1])
 
 
 def test_scenes(robot, tmp_path):
@@ -80,8 +85,7 @@ def test_scenes(robot, tmp_path):
     seen = Reader(page)
     assert seen.tags == plain.tags and seen.handlers == plain.handlers == []
     assert page.count('still("') == 1 and robot.name in seen.text
-    (cell,) = Reader(scene._repr_html_()).tags
-    assert cell == "iframe"
+    assert Reader(scene._repr_mimebundle_()["text/html"]).tags == ["div", "img", "script"]
 
 
 def test_the_panel(robot, tmp_path):

@@ -183,7 +183,7 @@ def test_plot_takes_what_the_calls_return(tmp_path):
         [axis.get_title(loc="left") for axis in ik.plot(*what).axes]
         for what in (({"lm": result},), ({"cv": run},), (path,), (result.q, robot))
     ]
-    assert titles[0] == [f"lm: {len(result.history['q']) - 1} steps"]
+    assert titles[0] == [f"lm: {len(result.history['q']) - 1} iterations"]
     assert titles[1] == ["", ""] and len(titles[2]) == 2
     assert titles[3] == ["from the side", "from above"]
     figure = ik.plot({"home": robot.home, "found": result.q}, robot, target=target, file=tmp_path / "arm.svg")

@@ -13,8 +13,7 @@ from ik_toolkit.cli import main
 from ik_toolkit.errors import FrameNotFound, InvalidOption, RobotNotFound, UnknownSolver
 from ik_toolkit.study import benchmark as study
 from ik_toolkit.study import singularity
-from ik_toolkit.study.statistics import wilson
-from ik_toolkit.study.targets import sample_targets
+from ik_toolkit.study.targets import sample_targets, wilson
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 import pinocchio as pin
 
+from ...copying import ReadOnly
 from ...errors import InvalidOption, near_match
-from ...readonly import ReadOnly
 from ..pose import as_matrix
 from .shape import Shape, is_shape
 

@@ -1,5 +1,5 @@
 // A small WebGL 2 renderer: lit meshes, translucent copies, a floor with grid and shadow, and handles on top.
-import { cross, plus, times, unit } from "./robot.js";
+import { cross, plus, point, times, unit } from "./robot.js";
 
 const LIT = 0, HANDLE = 0.4, FLAT = 1, GRID = 2; // how a shape is shaded: see fragment.glsl
 const PALE = 0.25, SAME = 3e-3; // opacity of a ghost; [sizes of the robot, rad] parts nearer than this are seen as one
@@ -10,6 +10,12 @@ const matrix = (T) => new Float32Array([T[0], T[4], T[8], 0, T[1], T[5], T[9], 0
 export function standing(from, to, thick) {
   const z = plus(to, from, -1), x = unit(cross(z, Math.abs(unit(z)[2]) > 0.9 ? [1, 0, 0] : [0, 0, 1])), y = cross(unit(z), x);
   return [0, 1, 2].flatMap((r) => [thick * x[r], thick * y[r], z[r], from[r]]);
+}
+
+// Placement of a part, `frames` the placements of the nodes: of a bar from its own place to its end's.
+export function seat({ node, T, end, thick }, frames) {
+  const own = node < 0 ? T : times(frames[node], T);
+  return end ? standing(point(own), point(seat(end, frames)), thick) : own;
 }
 
 export class Renderer {
@@ -66,9 +72,10 @@ export class Renderer {
   // The robot's parts, `frames` the nodes' placements in the world; with a colour, all in it. Not those that one of `others` has there.
   robot(frames, kind, color, alpha, others = []) {
     const same = (A, B) => plus(A, B, -1).every((x, i) => Math.abs(x) < (i % 4 === 3 ? SAME * this.size : SAME));
-    for (const { node, T, shapes } of this.parts) {
-      if (others.some((other) => node < 0 || same(other[node], frames[node]))) continue;
-      for (const shape of shapes) this.one(shape, node < 0 ? T : times(frames[node], T), kind, color, alpha);
+    for (const part of this.parts) {
+      const nodes = [part, part.end ?? part].map(({ node }) => node);
+      if (others.some((other) => nodes.every((node) => node < 0 || same(other[node], frames[node])))) continue;
+      for (const shape of part.shapes) this.one(shape, seat(part, frames), kind, color, alpha);
     }
   }
 

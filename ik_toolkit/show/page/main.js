@@ -1,7 +1,7 @@
 // The page: its state, the panel beside the picture, and what happens when something is moved.
 import { Robot, inverse, length, moved, plus, point, times } from "./robot.js";
 import { SOLVERS, attempt, glide, look, loose, randoms, solve } from "./solve.js";
-import { Renderer, standing } from "./draw.js";
+import { Renderer, seat, standing } from "./draw.js";
 import { Camera, dragged, handles, under } from "./hand.js";
 
 const FLIGHT = 350, PACE = 60, SEEN = 100, RACE = 12; // [ms] to another posture, [ms] per iteration and iterations shown, attempts
@@ -167,6 +167,22 @@ $("other").onclick = () => reach({ seed: ++seed, other: (there) => apart(there, 
 $("race").onclick = run;
 $("null").oninput = () => document.body.dataset.still && play(slide);
 $("null").onchange = $("null").onpointerup = () => { $("null").value = 0; };
+
+// In a frame of a notebook's cell, whose script (cell/cell.js of the package) closes it off-screen and opens it again as it was.
+function inCell(tell) {
+  addEventListener("message", ({ source, data: { open, close } }) => {
+    if (source !== parent) return;
+    const { state } = open ?? {};
+    if (state) play(() => show(state.q) && (state.targets.forEach((was, tip) => Object.assign(targets[tip], was)), show(state.q, state.result)));
+    if (open) tell({ ready: 1 });
+    if (!close) return;
+    tell({ state: { q, result, targets } });
+    tell({ still: canvas.toDataURL("image/jpeg", 0.9) });
+    renderer.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  });
+  tell({ hello: 1 });
+}
+
 try {
   const bytes = Uint8Array.from(atob($("shapes").textContent), (c) => c.charCodeAt(0));
   const blob = await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
@@ -176,8 +192,9 @@ try {
   matchMedia("(prefers-color-scheme: dark)").onchange = paint;
   const pixels = (p) => camera.screen(moved(shown.base, p));
   const state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
-  window.arm = { robot, renderer, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
+  window.arm = { robot, renderer, seat, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
   play(() => show(q));
+  if (parent !== window) inCell((ik) => parent.postMessage({ ik }, "*"));
 } catch (error) {
   Object.assign($("status"), { className: "bad", textContent: error.message });
 }

@@ -1,4 +1,4 @@
-"""The panel's Solve tab: typed or dragged targets, the list of solutions with a ghost of one, and the error per evaluation."""
+"""The panel's Solve tab: typed or dragged targets, the list of solutions with a ghost of one, and the error per iteration."""
 
 import html
 from collections.abc import Callable
@@ -181,14 +181,14 @@ class SolutionsTab:
 
 
 CURVES: Any = (  # columns of the chart: abscissa, then errors
-    {"label": "evaluation"},
+    {"label": "iteration"},
     {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
     {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
 )
 
 
 class Chart:
-    """A chart of a solve's errors over its evaluations, in the page of a viser client."""
+    """A chart of a solve's errors over its iterations, in the page of a viser client."""
 
     def __init__(self, client: Any) -> None:
         """Build the chart, empty and hidden."""

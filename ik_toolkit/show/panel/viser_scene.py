@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import InvalidTarget
-from ..body import Body, need_trimesh
+from ..body import Body, BodyPart, need_trimesh
 
 RED = (204, 51, 38)  # colour of the line to a target that is not reached
 GHOST = (0, 114, 178)
@@ -134,7 +134,7 @@ class Stage:
         self.away = False  # whether the camera has moved away to see a target
         self.client, self.body = client, body
         self.robot: Any = body.robot
-        scene, robot = client.scene, self.robot
+        scene = client.scene
         low, high = body.bounds(q)
         self.size = float(np.linalg.norm(high - low))
         scene.set_up_direction("+z")
@@ -150,16 +150,7 @@ class Stage:
             section_color=clear,
             position=(0.0, 0.0, body.floor),
         )
-        self.parts = []
-        for part in body.parts:
-            path = self.path(f"robot/{part.name}")
-            self.parts.append(scene.add_frame(path, show_axes=False))
-            for k, shape in enumerate(part.shapes):
-                rgb = tuple(round(255 * c) for c in shape.color)
-                opacity = None if shape.opacity >= 1.0 else shape.opacity
-                scene.add_mesh_simple(
-                    f"{path}/{k}", shape.vertices, shape.faces, color=rgb, opacity=opacity, side="double"
-                )
+        self.parts = [self._drawn("robot", part, side="double") for part in body.parts]
         length = 0.1 * self.size
         self.tips = [
             scene.add_frame(self.path(f"tip/{k}"), axes_length=length, axes_radius=0.03 * length)
@@ -169,7 +160,7 @@ class Stage:
             scene.add_frame(
                 self.path(f"joint/{k}"), axes_length=0.8 * length, axes_radius=0.02 * length, visible=frames
             )
-            for k in range(robot.n)
+            for k in range(len(body.joints))
         ]
         self.handles = [
             Handle(self, k, tip if len(targets) > 1 else "", T, dragged) for k, (tip, T) in enumerate(targets.items())
@@ -186,16 +177,27 @@ class Stage:
         """Return a name for an object in the page, different from all names of earlier stages."""
         return f"/{self.number}/{name}"
 
+    def _drawn(self, copy: str, part: BodyPart, **look: Any) -> Any:
+        """Draw a part of the robot; return the handle that places it, of a bar the one that is also stretched."""
+        scene, path = self.client.scene, self.path(f"{copy}/{part.name}")
+        handle = None if part.end else scene.add_frame(path, show_axes=False)
+        for k, shape in enumerate(part.shapes):
+            opacity = None if shape.opacity >= 1.0 else shape.opacity
+            own: dict[str, Any] = {"color": tuple(round(255 * c) for c in shape.color), "opacity": opacity}
+            mesh = scene.add_mesh_simple(f"{path}/{k}" if handle else path, shape.vertices, shape.faces, **own | look)
+            handle = handle or mesh
+        return handle
+
     def show(self, q: np.ndarray) -> None:
         """Place everything except the target for joint values q (n,)."""
-        body, model = self.body, self.robot.model
+        body = self.body
         self.poses = body.placements(q)
         for handle, M in zip(self.parts, self.poses, strict=True):
             _place(handle, M)
         for handle, T in zip(self.tips, body.tips(q), strict=True):
             _place(handle, T)
-        for handle, joint in zip(self.axes, self.robot.joint_names, strict=True):
-            _place(handle, body.data.oMi[model.getJointId(joint)].homogeneous)
+        for handle, joint in zip(self.axes, body.joints, strict=True):
+            _place(handle, body.frames[joint])
         self.ghost(self.ghosted)
 
     def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
@@ -213,20 +215,9 @@ class Stage:
             for handle in self.shade:
                 handle.visible = False
             return
-        scene = self.client.scene
         if not self.shade:
-            for part in self.body.parts:
-                path = self.path(f"ghost/{part.name}")
-                self.shade.append(scene.add_frame(path, show_axes=False))
-                for k, shape in enumerate(part.shapes):
-                    scene.add_mesh_simple(
-                        f"{path}/{k}",
-                        shape.vertices,
-                        shape.faces,
-                        color=GHOST,
-                        opacity=0.35,
-                        cast_shadow=False,
-                    )
+            look = {"color": GHOST, "opacity": 0.35, "cast_shadow": False}
+            self.shade = [self._drawn("ghost", part, **look) for part in self.body.parts]
         with self.client.atomic():
             poses = self.body.placements(q)
             for handle, M, alone in zip(self.shade, poses, self.body.apart(poses, self.poses), strict=True):
@@ -371,5 +362,8 @@ def camera_for(box: np.ndarray, view: np.ndarray, aspect: float, free: float) ->
 
 
 def _place(handle: Any, T: np.ndarray) -> None:
-    x, y, z, w = pin.Quaternion(T[:3, :3]).coeffs()
+    sizes = np.linalg.norm(T[:3, :3], axis=0)
+    if np.abs(sizes - 1.0).max() > 1e-9:  # a bar
+        handle.scale = tuple(sizes.tolist())
+    x, y, z, w = pin.Quaternion(T[:3, :3] / sizes).coeffs()
     handle.wxyz, handle.position = (float(w), float(x), float(y), float(z)), tuple(T[:3, 3].tolist())

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from ...copying import ReadOnly
 from ...errors import IKError, Portable
 from ...kernel.records import ANSWER, AT, MISS
-from ...readonly import ReadOnly
+from ...text import TextTable, length
 from ..collision_free import collision_model
 from ..outcome import SPOKEN, SolveRecord
 from ..plan import Plan
@@ -133,6 +134,18 @@ class BatchResult(ReadOnly):
             ):
                 arrays |= {f"{tip}.{name}": array for tip, array in errors.items()}
         return {name: array for name, array in arrays.items() if array is not None}
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks: how many targets ended with each status, and what the solved ones took."""
+        rows, N = [], max(len(self), 1)
+        for name, count in self.counts().items():
+            these = self.table[self.status == Status[name]]
+            steps, left = np.median(these[:, AT.iterations]), these[:, AT.position].max()
+            rows.append((name, count, f"{100 * count / N:.1f} %", steps, length(left)))
+        head = ("status", "targets", "share", "median iterations", "largest position error")
+        words = f"of {len(self)} targets for '{self.plan.robot.name}' solved by {self.solver}"
+        how = "ik.plot(batch) draws how many are solved within how many iterations; batch[k] is the result of target k."
+        return TextTable(f"{int(self.success.sum())}", words, head, rows, how).html()
 
     def __repr__(self) -> str:
         """Describe the batch in one line."""

@@ -1,0 +1,107 @@
+"""A robot whose target is dragged in a notebook while solvers follow it, with the curves of their errors."""
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..robot.robot import Robot
+from ..robot.tree import Tree
+from ..solvers.result import Result
+from ..solvers.solve import Solver
+from ..text import duration, length
+from .animation import GHOSTS, SLATE, each_target
+from .plots import iterates
+from .scene import Scene, view
+from .scene_state import css
+
+
+class Interaction:
+    """Solvers that follow the target of a live scene, each from where it is; `results` are the last ones, by label."""
+
+    def __init__(self, scene: Scene, solvers: dict[str, Solver], target: Any, q0: np.ndarray) -> None:
+        """Solve once for the first target, and then whenever the target is dragged."""
+        self.scene, self.solvers, self.q0 = scene, solvers, q0
+        self.results: dict[str, Result] = {}
+        for one in solvers.values():
+            one(target, q0)  # compiles, which is no part of the time that is shown
+        self.follow(target)
+        scene.on_drag(self.follow)
+        scene.look()
+        eye, to, *rest = scene.window.about["camera"]
+        away = [
+            b + 1.35 * (a - b) for a, b in zip(eye, to, strict=True)
+        ]  # further than that, so that there is room to drag
+        scene.window.say(camera=[away, to, *rest])
+
+    def follow(self, target: Any) -> None:
+        """Solve for a target, and show the answers: the first solver's as the robot, the others' as translucent copies."""
+        for label, solver in self.solvers.items():
+            last = self.results.get(label)
+            self.results[label] = solver(target, self.q0 if last is None else last.q)
+        (_, first), *others = self.results.items()
+        with self.scene.window.lock:
+            self.scene.update(first.q, target)
+            for (label, result), color in zip(others, GHOSTS, strict=False):
+                self.scene.show(result.q, f"with_{label}", color, 0.35, label)
+            self.scene.say(*([f"the robot goes with {next(iter(self.results))}"] if others else []))
+            curves = zip(self.results.items(), (SLATE, *GHOSTS), strict=False)
+            self.scene.window.say(curves=[_curve(label, result, css(color)) for (label, result), color in curves])
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        """Return the outputs of a cell."""
+        return self.scene._repr_mimebundle_(include, exclude)
+
+
+def interact(
+    robot: Robot | Tree, solver: Any = "auto", *, target: Any = None, q0: Any = None, **options: Any
+) -> Interaction:
+    """Show a robot with a target to drag in a cell of a notebook: one or several solvers follow it, and curves show their errors.
+
+    Drag the ball in the plane of the picture, the end of an arrow along it, and with the shift key the end of an arrow to turn
+    the target. Each solver starts where its last answer was. The first moves the robot, the others translucent copies. Without a
+    channel to a kernel (a file, a saved notebook) the first answers are shown.
+
+    Args:
+        robot: The Robot or Tree.
+        solver: Name, class or instance of a solver, or a list of them.
+        target: The first target, as for `solve`; its form says whether orientation counts. By default a pose, and a position for
+            an arm of fewer than six joints.
+        q0: Configuration (n,) [rad or m] in which all solvers start; by default home.
+        **options: Options of the solvers, as for `solve`.
+
+    Returns:
+        What a cell displays; `.results` are the last results by solver, `.scene` is the Scene.
+
+    Raises:
+        UnknownSolver, InvalidOption, InvalidTarget, InvalidConfiguration: An argument is wrong.
+        MissingExtra: meshcat or trimesh is not installed.
+    """
+    asked = list(solver) if isinstance(solver, list | tuple) else [solver]
+    if not 0 < len(asked) <= len(GHOSTS):
+        raise InvalidOption(f"interact takes one solver, or a list of up to {len(GHOSTS)}")
+    q = robot.home if q0 is None else robot.check_q(q0)
+    solvers: dict[str, Solver] = {}
+    for one in asked:
+        bound = Solver(robot, one, history=True, **options)
+        solvers[bound.name if bound.name not in solvers else f"{bound.name} {len(solvers) + 1}"] = bound
+    if target is None:
+        poses = [T.homogeneous for T in robot.tip_poses(robot.random_q(np.random.default_rng(2)))]
+        each = [T if robot.n >= 6 * len(robot.tips) else T[:3, 3] for T in poses]
+        target = robot.for_tips(dict(zip(robot.tips, each, strict=True)))
+    each_target(robot, target)
+    scene = view(robot, q, target=target, title=f"{robot.name}: drag the target", live=True)
+    return Interaction(scene, solvers, target, q)
+
+
+def _curve(label: str, result: Result, color: str) -> tuple[str, str, list[tuple[int, float]], str]:
+    """Return label, colour, position errors [m] over the iterations of the attempt that found the result, and words."""
+    errors = iterates(result)[1] if result.history else np.array([result.position_error])
+    rows = np.unique(np.linspace(0, len(errors) - 1, min(len(errors), 200)).astype(int))
+    found = (
+        "converged"
+        if result.success
+        else f"{result.status.name.lower().replace('_', ' ')}, {length(result.position_error)} left"
+    )
+    words = f"{found}, {result.iterations} iterations, {duration(result.elapsed, 2)}"
+    return label, color, [(k, round(x, 10)) for k, x in zip(rows.tolist(), errors[rows].tolist(), strict=True)], words

@@ -1,0 +1,252 @@
+"""A still picture of a scene without a browser: triangles are filled in numpy, words and charts are set by matplotlib.
+
+It stands in a notebook where the scene itself cannot run: before it is opened, in a preview, and in a notebook that is not trusted.
+"""
+
+import io
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..style import GREY, MUTED
+from .body import DrawnShape
+from .live_page import normals
+from .meshcat_server import ROOT, SHADE, Window
+from .plots import drawing, literal_text
+
+
+class _Layer(NamedTuple):
+    """What is seen through each pixel of a picture: nearness (H, W) [1/m], 0 where there is nothing, and colours (H, W, 3)."""
+
+    near: np.ndarray
+    color: np.ndarray
+
+
+def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
+    """Draw a Window whose camera is aimed as a PNG of a size [pixels]. Raises MissingExtra without matplotlib."""
+    import PIL.Image  # comes with matplotlib
+
+    with drawing() as plt:
+        width, height = size
+        sky = (0.953, 0.961, 0.973)
+        figure = plt.figure(figsize=(width / 100, height / 100), dpi=100, facecolor=sky)
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.set(xlim=(0, width), ylim=(height, 0))
+        axes.axis("off")
+        beside = 0.3 * width if window.about.get("curves") else 0.0  # taken by the chart
+        camera = _Camera(window.about["camera"], width - beside, height)
+        for line in _grid(window.about["camera"]):
+            seen = camera.project(line)
+            if (seen[:, 2] > 0).all():
+                axes.plot(seen[:, 0], seen[:, 1], color="#b9c2cc", lw=0.6, zorder=0, clip_on=True)
+        axes.imshow(_filled(window, camera, width, height), extent=(0, width, height, 0), interpolation="antialiased")
+        for path, (points, colors, big) in clouds_of(window).items():
+            T = window.pose(path)
+            seen = camera.project(points @ T[:3, :3].T + T[:3, 3])
+            at = (seen[:, 2] > 0) & (seen[:, :2] > 0).all(axis=1) & (seen[:, :2] < size).all(axis=1)
+            axes.scatter(seen[at, 0], seen[at, 1], c=colors[at], s=(0.7 * big * camera.scale * seen[at, 2]) ** 2, lw=0)
+        for path, text, down in window.about["names"]:
+            x, y, near = camera.project(window.pose(path)[None, :3, 3])[0]
+            if near > 0:
+                axes.text(x + 8, y + down, text, fontsize=8, va="top", parse_math=False)
+        _words(figure, axes, window.about, height)
+        _chart(figure, window.about.get("curves"))
+        packed = io.BytesIO()
+        figure.savefig(packed, format="png", dpi=100, facecolor=sky)
+    whole = PIL.Image.open(packed).convert("RGB")
+    small = io.BytesIO()
+    whole.quantize(256, PIL.Image.Quantize.FASTOCTREE, dither=PIL.Image.Dither.NONE).save(small, "png", optimize=True)
+    return small.getvalue()
+
+
+def shapes_of(window: Window) -> dict[str, DrawnShape]:
+    """Return what is drawn in a Window as triangles by path, copies included, with the viewer's colours made ours again."""
+    import umsgpack  # comes with meshcat
+
+    found = {}
+    for path, (data, material, _) in _read(window.objects):
+        if "index" in data:
+            vertices, faces = _array(data["attributes"]["position"], "<f4"), _array(data["index"], "<u4")
+            found[path] = DrawnShape(vertices, faces, _color(material["color"], SHADE), material["opacity"])
+    for path, packed in window.copies.items():
+        told = umsgpack.unpackb(packed)
+        source = found.get(told["source"].removeprefix(ROOT))
+        if source is not None:
+            found[path] = DrawnShape(source.vertices, source.faces, _color(told["color"]), told["opacity"])
+    return found
+
+
+def clouds_of(window: Window) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
+    """Return the clouds of a Window by path: points (N, 3) [m], colours (N, 3) and size [m]."""
+    found = {}
+    for path, (data, material, kind) in _read(window.objects):
+        if kind == "Points":
+            points, colors = (_array(data["attributes"][key], "<f4") for key in ("position", "color"))
+            found[path] = points, colors, material["size"]
+    return found
+
+
+def _read(objects: dict[str, bytes]) -> Iterator[tuple[str, tuple[Any, Any, str]]]:
+    import umsgpack
+
+    for path, packed in objects.items():
+        told = umsgpack.unpackb(packed)["object"]
+        yield path, (told["geometries"][0]["data"], told["materials"][0], told["object"]["type"])
+
+
+def _array(told: Any, kind: str) -> np.ndarray:
+    return np.frombuffer(told["array"].data, dtype=kind).reshape(-1, 3)
+
+
+def _color(number: int, shade: float = 1.0) -> tuple[float, float, float]:
+    r, g, b = (min(1.0, (number >> shift & 255) / 255 / shade) for shift in (16, 8, 0))
+    return r, g, b
+
+
+class _Camera:
+    """The viewer's camera: `turned` brings world axes into camera axes, `project` points [m] into pixels."""
+
+    def __init__(self, aim: Any, width: float, height: float) -> None:
+        """Aim the camera as `Window.about["camera"]` says."""
+        eye, to = np.array(aim[0], dtype=float), np.array(aim[1], dtype=float)
+        back = (eye - to) / max(float(np.linalg.norm(eye - to)), 1e-12)
+        right = np.cross((0.0, 0.0, 1.0) if abs(back[2]) < 0.9999 else (0.0, 1.0, 0.0), back)
+        right /= np.linalg.norm(right)
+        self.eye, self.turned = eye, np.array([right, np.cross(back, right), back])
+        # The viewer's picture is 75 degrees high.
+        self.scale, self.middle = 0.5 * height / np.tan(np.radians(37.5)), (0.5 * width, 0.5 * height)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Return pixels and nearness (N, 3) [px, px, 1/m] of points (N, 3) [m] in the world; nearness is 0 behind the eye."""
+        x, y, z = self.turned @ (np.asarray(points, dtype=float) - self.eye).T
+        near = np.where(-z > 1e-9, 1.0 / np.maximum(-z, 1e-9), 0.0)
+        return np.stack([self.middle[0] + self.scale * x * near, self.middle[1] - self.scale * y * near, near], axis=1)
+
+
+def _filled(window: Window, camera: _Camera, width: int, height: int) -> np.ndarray:
+    """Return the triangles of a scene as pixels (H, W, 4); copies and other translucent things are laid over the rest."""
+    groups: dict[str, list[tuple[DrawnShape, np.ndarray]]] = {"": []}
+    for path, shape in shapes_of(window).items():
+        group = "" if shape.opacity >= 1.0 else path.partition("/")[0]
+        groups.setdefault(group, []).append((shape, window.pose(path)))
+    near, color = _layer(groups.pop(""), camera, width, height)
+    cover = (near > 0)[..., None].astype(float)
+    for group in groups.values():
+        layer = _layer(group, camera, width, height)
+        before = layer.near > 1.002 * near  # what coincides with something solid does not flicker on it
+        share = np.where(before, group[0][0].opacity, 0.0)[..., None]
+        color, cover = share * layer.color + (1.0 - share) * color, share + (1.0 - share) * cover
+    return np.dstack([color / np.maximum(cover, 1e-9), cover])
+
+
+def _layer(shapes: list[tuple[DrawnShape, np.ndarray]], camera: _Camera, width: int, height: int) -> _Layer:
+    """Fill the triangles of shapes at their poses (4, 4), the nearest of each pixel."""
+    sharp = 2  # pixels are drawn so many times finer than they are shown, for smooth edges
+    light_from = np.array((-0.35, 0.55, 0.76))  # in camera axes: right, up, towards the eye
+    W, H = sharp * width, sharp * height
+    near, owner = np.zeros(H * W), np.full(H * W, -1)
+    corners, tints = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3))]
+    for shape, T in shapes:
+        seen = camera.project(shape.vertices @ T[:3, :3].T + T[:3, 3]) * (sharp, sharp, 1.0)
+        turn = camera.turned @ T[:3, :3]
+        normal = normals(shape) @ turn.T
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        light = 0.52 + 0.48 * np.abs(0.5 + 0.5 * (normal @ light_from)) ** 1.5
+        corners.append(seen[shape.faces])
+        tints.append((light[:, None] * np.array(shape.color))[shape.faces])
+    P, tint = np.concatenate(corners), np.concatenate(tints)
+    keep = (P[:, :, 2] > 0).all(axis=1)
+    P, tint = P[keep], tint[keep]
+    planes = _planes(P)
+    for faces, pixel in _candidates(P, W, H):
+        for k in range(3):  # the share of each corner must be positive: what one excludes is not looked at by the next
+            at = _plane(planes[k], faces, pixel, W) >= 0.0
+            faces, pixel = faces[at], pixel[at]
+        depth = _plane(planes[3], faces, pixel, W)
+        at = depth > near[pixel]
+        faces, pixel, depth = faces[at], pixel[at], depth[at]
+        order = np.argsort(depth, kind="stable")  # of the candidates of a pixel the nearest is written last
+        near[pixel[order]], owner[pixel[order]] = depth[order], faces[order]
+    pixel = np.flatnonzero(owner >= 0)
+    color, faces = np.zeros((H * W, 3), dtype=np.float32), owner[pixel]
+    for k in range(3):
+        color[pixel] += _plane(planes[k], faces, pixel, W)[:, None] * tint[faces, k]
+    return _Layer(near.reshape(H, W), np.clip(color, 0.0, 1.0).reshape(H, W, 3))
+
+
+def _planes(P: np.ndarray) -> np.ndarray:
+    """Return a + b x + c y (4, N, 3), in pixels, for triangles P (N, 3, 3): the shares of the three corners, and nearness."""
+    x, y = P[:, :, 0], P[:, :, 1]
+    area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (y[:, 1] - y[:, 0]) * (x[:, 2] - x[:, 0])
+    area = np.where(np.abs(area) < 1e-9, np.nan, area)  # a triangle seen from its edge covers no pixel
+    shares = []
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        a = x[:, i] * y[:, j] - x[:, j] * y[:, i]
+        shares.append(np.stack([a, y[:, i] - y[:, j], x[:, j] - x[:, i]], axis=1) / area[:, None])
+    return np.array([*shares, sum(P[:, k, 2, None] * shares[k] for k in range(3))])
+
+
+def _plane(plane: np.ndarray, faces: np.ndarray, pixel: np.ndarray, W: int) -> np.ndarray:
+    """Return the value of a plane (N, 3) of each of some triangles in the middle of a pixel."""
+    a, b, c = plane[faces].T
+    return a + b * (pixel % W + 0.5) + c * (pixel // W + 0.5)
+
+
+def _candidates(P: np.ndarray, W: int, H: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield triangles and pixels, flat and paired, of the boxes around triangles P (N, 3, 3) in pixels."""
+    low = np.clip(np.ceil(P[:, :, :2].min(axis=1) - 0.5), 0, (W, H)).astype(int)
+    high = np.clip(np.floor(P[:, :, :2].max(axis=1) - 0.5) + 1, 0, (W, H)).astype(int)
+    wide, tall = np.maximum(high - low, 0).T
+    count = wide * tall
+    some = np.flatnonzero(count)
+    first = np.searchsorted(
+        np.cumsum(count[some]), np.arange(0, count.sum(), 2_000_000)
+    )  # at a time, which bounds the memory
+    for chunk in np.split(some, np.unique(first)[1:]) if len(some) else ():
+        faces = np.repeat(chunk, count[chunk])
+        k = np.arange(len(faces)) - np.repeat(np.cumsum(count[chunk]) - count[chunk], count[chunk])
+        yield faces, (low[faces, 1] + k // wide[faces]) * W + low[faces, 0] + k % wide[faces]
+
+
+def _grid(aim: Any) -> list[np.ndarray]:
+    """Return the lines (2, 3) [m] of the viewer's floor, ten cells to each side."""
+    _, _, cell, floor = aim
+    cell *= 0.5
+    ends = [np.array([(k * cell, -10 * cell, floor), (k * cell, 10 * cell, floor)]) for k in range(-10, 11)]
+    return [*ends, *(line[:, [1, 0, 2]] for line in ends)]
+
+
+def _words(figure: Any, axes: Any, about: dict[str, Any], height: int) -> None:
+    """Write title, lines and legend into the upper left corner, as the page does."""
+    from matplotlib.patches import Rectangle
+
+    y = 22
+    axes.text(16, y, about["title"], fontsize=11, fontweight="bold", va="center", parse_math=False)
+    for line in about["lines"]:
+        y += 17
+        text = line if len(line) <= 74 else f"{line[:72]}..."
+        axes.text(16, y, text, fontsize=8.5, color=MUTED, va="center", parse_math=False)
+    x, y = 16, y + 18
+    for color, text in about["legend"]:
+        axes.add_patch(Rectangle((x, y - 5), 10, 10, color=color if color[0] == "#" else GREY, lw=0))
+        axes.text(x + 15, y, text, fontsize=8, va="center", parse_math=False)
+        x += 34 + int(5.6 * len(text))
+
+
+def _chart(figure: Any, curves: Any) -> None:
+    """Draw the errors of `Window.about["curves"]` into the lower right corner.
+
+    Each curve has a name, a colour, pairs of iteration and error [m], and words, which the page alone shows.
+    """
+    if not curves:
+        return
+    axes = figure.add_axes((0.7, 0.55, 0.28, 0.36))
+    for name, color, errors, _ in curves:
+        k, error = np.array(errors).T
+        axes.semilogy(k, np.maximum(error, 1e-9), color=color, lw=1.4, label=literal_text(name))
+    axes.set_xlabel("iteration", fontsize=7)
+    axes.set_title("error [m]", fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.legend(fontsize=7, loc="upper right")

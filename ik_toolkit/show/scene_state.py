@@ -1,0 +1,297 @@
+"""What a scene has drawn, by name: robots and their copies, the box and the legend of everything, and what belongs to a result."""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..copying import Unique
+from ..errors import InvalidOption, floats, near_match
+from ..robot.joints import Joints
+from ..validate import number
+from .body import Body, grid_cell
+from .meshcat_server import Window
+
+FAR = 3.0  # [scene sizes] what is farther away or larger does not shrink the picture
+
+
+Color = tuple[float, float, float]  # red, green and blue in 0..1
+
+
+def css(color: Sequence[float]) -> str:
+    """Return a CSS colour for (r, g, b) in 0..1."""
+    return "#" + "".join(f"{round(255 * c):02x}" for c in color)
+
+
+def read_color(color: Any) -> Color | None:
+    """Return a colour (r, g, b), or None for none. Raises InvalidOption unless it is three numbers from 0 to 1."""
+    if color is None:
+        return None
+    what = "a colour must be red, green and blue from 0 to 1, such as (0.8, 0.2, 0.1)"
+    rgb = floats(color, what, InvalidOption)
+    if rgb.shape != (3,) or not ((rgb >= 0.0) & (rgb <= 1.0)).all():
+        bytes_ = rgb.shape == (3,) and ((rgb >= 0.0) & (rgb <= 255.0)).all()
+        meant = f"; for 0 to 255 write {tuple((rgb / 255.0).round(3).tolist())}" if bytes_ else ""
+        raise InvalidOption(f"{what}, not {rgb.tolist()}{meant}")
+    r, g, b = rgb.tolist()
+    return r, g, b
+
+
+def read_opacity(opacity: Any) -> float | None:
+    """Return an opacity, or None for none. Raises InvalidOption unless it is a number from 0 to 1."""
+    if opacity is not None and not 0.0 <= number(opacity, "opacity") <= 1.0:
+        raise InvalidOption(f"opacity must be from 0 (invisible) to 1 (solid), not {opacity!r:.60}")
+    return None if opacity is None else float(opacity)
+
+
+def read_text(text: Any, what: str) -> str:
+    """Return text. Raises InvalidOption for anything else, and for an empty name."""
+    if not isinstance(text, str) or (what == "name" and not text.strip("/")):
+        raise InvalidOption(f"{what} must be text, not {text!r:.60}")
+    return text
+
+
+class SceneState(Unique):
+    """The things of a scene by name, and the page's text and camera."""
+
+    def __init__(self, robot: Joints, title: str | None = None) -> None:
+        """Start with nothing drawn of a Robot or a Tree."""
+        self.robot = robot
+        self.body = Body(robot)
+        self.window = Window()
+        # Robots with triangles of their own, and the pose (4, 4) of their world in this one; others are copies of the first.
+        self._bodies = {"robot": (self.body, np.eye(4))}
+        # Poses (F, P, 4, 4) of the parts of each robot: as it is seen first, then those of an animation.
+        self._placed: dict[str, np.ndarray] = {}
+        self._looks: dict[str, tuple[Color | None, float]] = {}  # colour and opacity of each robot
+        self._parts: dict[str, np.ndarray] = {}  # which parts (P,) of each robot are drawn
+        self._boxes: dict[str, np.ndarray] = {}  # corners (2, 3) [m] of everything, world axes
+        self._legend: dict[str, list[tuple[str, str]]] = {}
+        self._names: list[tuple[str, str, int]] = []
+        self._grid: list[tuple[str, str]] = []
+        self._shown: set[str] = set()  # what was drawn with the result shown, and goes with it
+        self._marks: dict[str, tuple[Any, ...]] = {}  # what the drawing of a frame depends on, its size last
+        self._around: Any = None  # the CollisionModel whose obstacles belong to the result, and its version
+        self._inline = False  # whether a cell of a notebook shows the scene as it was then
+        self._captioned = False  # whether the lines under the title are those of a result
+        self.window.say(title=read_text(robot.name if title is None else title, "title"))
+        self.say()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of everything drawn."""
+        return tuple(self._boxes)
+
+    def remove(self, name: str) -> None:
+        """Remove something by its name, or everything whose name begins with it and "/".
+
+        Raises InvalidOption if there is nothing of this name.
+        """
+        name = read_text(name, "name")
+        found = [one for one in self._boxes if one == name or one.startswith(f"{name}/")]
+        if not found:
+            raise InvalidOption(f"nothing named '{name:.60}' is drawn.{near_match(name, self._boxes)}")
+        if self.window.about["animation"] is not None and name in self._placed:
+            self._stop()
+        for one in found:
+            self._drop(one)
+
+    def _known(self, name: Any) -> None:
+        """Raise InvalidOption unless a frame or a shape of this name is drawn."""
+        if name in self._placed:
+            raise InvalidOption(f"'{name}' is a robot: show(q, {name!r}) moves it")
+        if not isinstance(name, str) or name not in self.window.transforms:
+            movable = [one for one in self._boxes if one in self.window.transforms]
+            raise InvalidOption(f"no frame or shape named '{name!s:.60}' is drawn.{near_match(name, movable)}")
+
+    def _clear(self, name: Any) -> None:
+        """Make way for something that is drawn under a name. Raises InvalidOption for the scene's own robot."""
+        if read_text(name, "name") == "robot":
+            raise InvalidOption("'robot' is the name of the scene's robot: give another name")
+        self._drop(name)
+
+    def _drop(self, name: str) -> None:
+        self.window.delete(name)
+        moved = name in self._placed
+        for kept in (self._placed, self._looks, self._parts, self._boxes, self._legend, self._marks):
+            kept.pop(name, None)
+        if name == "robot":  # its copies had its triangles
+            for one in self._placed.keys() - self._bodies.keys():
+                self._put(one, self._placed[one], self._looks.pop(one))
+        elif moved:
+            self._bodies.pop(name, None)
+            self._refresh()
+        self._names = [one for one in self._names if one[0] != name]
+        self.window.say(names=self._names)
+        self._tell()
+
+    # ------------------------------------------------------------------------------------------------------- robots
+    def _body(self, name: str) -> tuple[Body, np.ndarray]:
+        """Return what a robot of a name looks like, and the pose (4, 4) of its world in this one."""
+        return self._bodies.get(name, self._bodies["robot"])
+
+    def _poses(self, name: str, Q: np.ndarray) -> np.ndarray:
+        """Return the poses (N, P, 4, 4) [m] of the parts of a robot at Q (N, n), and widen its box."""
+        body, T = self._body(name)
+        ends = np.array([body.bounds(q, world=T) for q in Q[:: max(1, len(Q) // 12)]])
+        self._boxes[name] = np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+        return np.array([T @ body.placements(q) for q in Q])
+
+    def _put(self, name: str, poses: np.ndarray, look: tuple[Any, Any]) -> None:
+        """Draw a robot at the first of some poses (F, P, 4, 4), in a colour and opacity, or those it has (None)."""
+        if self._inline and not self.window.feeds:
+            self._inline = False
+            told = "the scene in the cell does not move: view(..., live=True) makes one that does, or end a cell with it again"
+            logging.getLogger("ik_toolkit").warning(told)
+        before = self._looks.get(name)
+        color, opacity = before or (None, 1.0)
+        now = color if look[0] is None else look[0], opacity if look[1] is None else look[1]
+        if now != before:
+            self.window.delete(name)
+            self._parts.pop(name, None)
+        self._looks[name], self._placed[name] = now, poses
+        self._refresh()
+        for part, T in zip(self._body(name)[0].parts, poses[0], strict=True):
+            self.window.place(f"{name}/{part.name}", T)
+
+    def _refresh(self) -> None:
+        """Draw the parts of each copy that no robot before it has in the same places, now and in the whole animation."""
+        earlier: list[np.ndarray] = []
+        for name in sorted(self._placed, key=lambda name: name != "robot"):
+            body, _ = self._body(name)
+            wanted, poses = np.ones(len(body.parts), dtype=bool), self._placed[name]
+            if body is self.body:
+                for other in earlier if name != "robot" else ():
+                    wanted &= body.apart(poses, other)
+                earlier.append(poses)
+            drawn = self._parts.get(name, np.zeros(len(wanted), dtype=bool))
+            color, opacity = self._looks[name]
+            for p in np.flatnonzero(wanted != drawn):
+                for k, shape in enumerate(body.parts[p].shapes):
+                    path, source = (f"{who}/{body.parts[p].name}/{k}" for who in (name, "robot"))
+                    if drawn[p]:
+                        self.window.delete(path)
+                    elif color is not None and name not in self._bodies and source in self.window.objects:
+                        self.window.copy(path, source, color, opacity)
+                    else:
+                        self.window.shape(
+                            path, replace(shape, color=color or shape.color, opacity=opacity * shape.opacity)
+                        )
+            self._parts[name] = wanted
+
+    def _stop(self) -> None:
+        """End the animation: robots stay where they are seen first."""
+        if self.window.about["animation"] is not None:
+            self.window.say(animation=None)
+        for name, poses in self._placed.items():
+            self._placed[name] = poses[:1]
+
+    # ---------------------------------------------------------------------------------------------- results and text
+    @contextmanager
+    def _with_result(self) -> Iterator[None]:
+        """Note the names of what is drawn inside."""
+        before = {*self._boxes}
+        yield
+        self._shown |= {*self._boxes} - before
+
+    def _forget(self, those: set[str]) -> None:
+        """Remove what belonged to a result, with its caption and animation."""
+        self._stop()
+        self._legend.pop("robot", None)
+        self._tell()
+        for name in sorted(those & self._boxes.keys()):
+            self._drop(name)
+        self._shown -= those
+        if self._captioned:
+            self.say()
+
+    def say(self, *lines: str) -> None:
+        """Write lines under the title. Raises InvalidOption for anything but text."""
+        notice = [self.body.notice] if self.body.notice else []
+        self.window.say(lines=[*notice, *(read_text(line, "a line") for line in lines)])
+        self._captioned = False
+
+    def _say(self, name: str, *entries: tuple[str, str]) -> None:
+        """Set the colours and labels of something in the legend, which go when it is removed."""
+        self._legend[name] = [*entries]
+        self._tell()
+
+    def _tell(self) -> None:
+        told = dict.fromkeys([*(entry for entries in self._legend.values() for entry in entries), *self._grid])
+        if [*told] != self.window.about["legend"]:
+            self.window.say(legend=[*told])
+
+    def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
+        """Aim the camera from `eye` at `target` [m], world axes; without arguments it sees everything drawn so far.
+
+        Raises InvalidOption if they are not finite numbers (3,), or the same point.
+        """
+        boxes = [*self._boxes.values()] or [self.body.bounds(self.robot.home)]
+        box = np.array([np.min([c[0] for c in boxes], axis=0), np.max([c[1] for c in boxes], axis=0)])
+        centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
+        to = centre if target is None else self._points(target, "target must be a point (3,) [m]", False)[0]
+        away = 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
+        at = to + away if eye is None else self._points(eye, "eye must be a point (3,) [m]", False)[0]
+        if np.linalg.norm(at - to) <= 1e-9 * (1.0 + radius):
+            raise InvalidOption(f"the camera cannot look from {at.tolist()} at the same point")
+        cell = grid_cell(max(radius, 1e-3))
+        self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, self.body.floor])
+        self._grid = [("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")]
+        self._tell()
+
+    # ---------------------------------------------------------------------------------------------- sizes and places
+    def drawn(self) -> dict[str, np.ndarray]:
+        """Return the world pose (4, 4) of everything drawn, by path ('robot/PART', 'target', ...); trails have identity."""
+        found = {path: self.window.pose(path) for path in self.window.transforms}
+        for path in self._boxes.keys() & self.window.objects.keys() - found.keys():
+            found[path] = np.eye(4)
+        return found
+
+    def _extent(self) -> float:
+        boxes = [*self._boxes.values()] or [self.body.bounds(self.robot.home)]
+        low, high = np.min([c[0] for c in boxes], axis=0), np.max([c[1] for c in boxes], axis=0)
+        return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
+
+    def _see(self, name: str, points: np.ndarray) -> bool:
+        """Note the box of points (N, 3) [m], world axes; it counts if it is neither far away nor much larger than the rest."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        near, size = [*self._boxes.values()], self._extent()
+        centre = np.mean(near, axis=(0, 1)) if near else 0.5 * (low + high)
+        seen = max(np.linalg.norm(0.5 * (low + high) - centre), np.linalg.norm(high - low)) <= FAR * size
+        self._boxes[name] = np.array([low, high]) if seen else np.array([centre, centre])
+        return bool(seen)
+
+    def _points(self, points: Any, what: str, several: bool = True) -> np.ndarray:
+        """Return finite points (N, 3) [m]. Raises InvalidOption."""
+        P = np.atleast_2d(floats(points, what, InvalidOption))
+        if P.ndim != 2 or P.shape[1] != 3 or not len(P) or not np.isfinite(P).all() or (len(P) > 1 and not several):
+            raise InvalidOption(
+                f"{what}, not shape {P.shape}" if np.isfinite(P).all() else f"{what}, not {P.tolist()!s:.80}"
+            )
+        return P
+
+    def _world(self, points: Any) -> np.ndarray:
+        """Return points (N, 3) [m] of the base in world axes. Raises InvalidOption."""
+        base = self.body.T_world_base
+        return self._points(points, "points must be finite numbers (N, 3)") @ base[:3, :3].T + base[:3, 3]
+
+    def _cloud(self, points: Any, success: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (N, 3) [m] in world axes, and which of them succeeded (N,). Raises InvalidOption."""
+        P = self._world(points)
+        good = (
+            np.ones(len(P), dtype=bool)
+            if success is None
+            else floats(success, "success must be bools", InvalidOption, "biu")
+        )
+        if good.shape != (len(P),):
+            raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
+        return P, good.astype(bool)
+
+    def _tips(self, q: np.ndarray) -> np.ndarray:
+        """Return the positions (tips, 3) [m] of the tips in base axes."""
+        world = self.body.tips(q)[:, :3, 3]
+        base = self.body.T_world_base
+        return (world - base[:3, 3]) @ base[:3, :3]

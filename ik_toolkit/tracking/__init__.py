@@ -1,1 +1,0 @@
-"""Following a moving target: references, methods, stability, limits, runs."""
