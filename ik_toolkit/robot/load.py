@@ -84,7 +84,7 @@ def read_source(
     entry = find(source)
     text, file, folders, notes, states, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
     notes = (*notes, *require_loadable(text, lines=not written))
-    model = model_of(text, entry.name)
+    model = built_model(text, entry.name)
     name = entry.name if file else model.name
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
@@ -92,7 +92,7 @@ def read_source(
     return entry, made | {"notes": notes, "states": states, "constraints": constraints}
 
 
-def model_of(text: str, name: str = "the URDF") -> pin.Model:
+def built_model(text: str, name: str = "the URDF") -> pin.Model:
     """Return Pinocchio's model of a URDF text. Raises ModelError."""
     try:
         return build_model(text)
