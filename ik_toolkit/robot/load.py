@@ -108,11 +108,13 @@ def read_both(
     return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
 
 
-def pinocchio_models(model: Any, collision: Any, visual: Any) -> tuple[pin.Model, Any, Any]:
+def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:
     """Return model, collision and visual shapes (or None) of what a caller may have: these, all three in one, or a RobotWrapper.
 
-    Raises ModelError.
+    Without any the model is that of a URDF text, if there is one. Raises ModelError.
     """
+    if model is None and urdf is not None:
+        model = built_model(urdf)
     if isinstance(model, pin.RobotWrapper):
         model, *own = model.model, model.collision_model, model.visual_model
     elif isinstance(model, tuple) and len(model) == 3:
@@ -138,7 +140,7 @@ def require_text_or_file(source: str | Path) -> None:
         raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
 
 
-def urdf_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | None, Path | None]:
+def text_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | None, Path | None]:
     """Return the text and the file of a URDF, which is given as text or as a path. Raises RobotNotFound, ModelError."""
     if urdf is None or is_text(urdf):
         return urdf, path  # type: ignore[return-value]

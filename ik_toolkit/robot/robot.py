@@ -25,15 +25,7 @@ from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import (
-    built_model,
-    default_base,
-    folders_of,
-    pinocchio_models,
-    read_both,
-    require_text_or_file,
-    urdf_and_file,
-)
+from .load import default_base, folders_of, given_models, read_both, require_text_or_file, text_and_file
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
@@ -84,9 +76,8 @@ class Robot(Joints):
         coordinates too. Raises FrameNotFound, JointNotFound, RobotNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
-        urdf, path = urdf_and_file(urdf, path)
-        model = built_model(urdf) if model is None and urdf is not None else model
-        model, self.collision_model, self.visual_model = pinocchio_models(model, collision_model, visual_model)
+        urdf, path = text_and_file(urdf, path)
+        model, self.collision_model, self.visual_model = given_models(model, collision_model, visual_model, urdf)
         if on_base is not None and base is not None:
             raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits
