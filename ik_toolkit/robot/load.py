@@ -113,14 +113,13 @@ def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> t
 
     Without any the model is that of a URDF text, if there is one. Raises ModelError.
     """
-    if model is None and urdf is not None:
-        model = built_model(urdf)
+    own: list[Any] = [None, None]
     if isinstance(model, pin.RobotWrapper):
         model, *own = model.model, model.collision_model, model.visual_model
     elif isinstance(model, tuple) and len(model) == 3:
         model, *own = model
-    else:
-        own = [None, None]
+    elif model is None and urdf is not None:
+        model = built_model(urdf)
     if not isinstance(model, pin.Model):
         raise ModelError(
             f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
