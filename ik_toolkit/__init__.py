@@ -35,7 +35,7 @@ _NAMES = {
     "StateSpace": "solvers.rules.state_space",
     "Planar2R": "solvers.closed_form.planar_2r",
     "Inspection": "solvers.closed_form.inspection",
-    "solve_all": "solvers.solve_all",
+    "solve_all": "solvers.solve",
     "prepare": "solvers.prepare",
     "benchmark": "study.benchmark",
     "track": "servo.run",

@@ -45,7 +45,7 @@ from .solvers.rules.pid import PID as PID
 from .solvers.rules.state_space import StateSpace as StateSpace
 from .solvers.solve import Solver as Solver
 from .solvers.solve import solve as solve
-from .solvers.solve_all import solve_all as solve_all
+from .solvers.solve import solve_all as solve_all
 from .solvers.status import Status as Status
 from .study.benchmark import benchmark as benchmark
 from .study.tune import tune as tune

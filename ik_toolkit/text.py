@@ -1,12 +1,34 @@
 """Numbers and values as people type and read them: parsing, forms for sentences and tables, conversion of results to JSON."""
 
+import functools
 import html
 import json
 import math
+import re
+import shutil
+import sys
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from .errors import InvalidOption, InvalidTarget
+
+
+@functools.cache
+def program() -> str:
+    """Return how a shell calls the command line here: ik, or with the module's name where it would not find that."""
+    if shutil.which("ik"):
+        return "ik"
+    found = shutil.which("python")
+    ours = found is not None and Path(found).parent == Path(sys.executable).parent
+    return f"{'python' if ours else sys.executable} -m ik_toolkit"
+
+
+def in_shell(text: str) -> str:
+    """Return a text in which commands, such as `ik solve`, are named as a shell finds them here."""
+    commands = "robots|info|fk|solve|path|track|gains|reproduce|solvers|bench|tune|workspace|dh|check|convert|view|panel|doctor"
+    called = rf"\bik (?=--|(?:{commands}|COMMAND)\b)"
+    return text if program() == "ik" else re.sub(called, lambda _: f"{program()} ", text)
 
 
 def figure(value: float, digits: int = 3) -> str:

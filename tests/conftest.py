@@ -2,10 +2,14 @@
 
 import gc
 import os
+import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+# Where `ik` is installed a shell finds it, also if the tests are run by another shell.
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 os.environ.setdefault("IK_TOOLKIT_WAIT", "1")  # `ik` compiles and waits: no test depends on what is on disk
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)

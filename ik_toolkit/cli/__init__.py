@@ -16,7 +16,7 @@ from ..errors import IKError, MissingExtra
 from . import first_use
 from .command import add_commands
 from .output import LogNotices, notice
-from .streams import Output, open_standard_streams, stoppable
+from .streams import Output, open_standard_streams, stoppable, with_input
 from .usage import Group, UsageError
 
 MODULES = (
@@ -87,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         first_use.allow()
     try:
-        with redirect_stdout(Output(sys.stdout)), stoppable(came):
+        with redirect_stdout(Output(sys.stdout)), stoppable(came), with_input(arguments) as arguments:
             try:
                 code = _command().main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
                 sys.stdout.flush()

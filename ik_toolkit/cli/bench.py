@@ -6,7 +6,7 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import write_table, write_whole
 from .command import PLOTS, argument, command, option, options, same
-from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, solver_named
+from .options import JsonOutput, ObjectOutput, RobotOptions, TableOutput, robots_like, solver_named, solvers_like
 from .output import notice, partial, progress, show, table, write_json
 from .streams import uninterrupted
 
@@ -18,7 +18,9 @@ COLUMNS = ("one attempt\n%, 95 %", "\nus", "with restarts\n%, 95 %", "\nus", "\n
 class BenchOptions:
     """Options for robots, solvers and targets."""
 
-    robots: list[str] | None = argument("ROBOT", "Names or URDF files; default hydrolek_7w.", default=None)
+    robots: list[str] | None = argument(
+        "ROBOT", "Names or URDF files; default hydrolek_7w.", default=None, complete=robots_like
+    )
     solvers: list[str] | None = option(
         "NAME,NAME",
         "Solvers to compare, or FILE.py:CLASS for your own; may be repeated; default: all that apply.",
@@ -26,6 +28,7 @@ class BenchOptions:
         "--solvers",
         "--solver",
         panel="Solver",
+        complete=solvers_like,
     )
     targets: int = option("N", "Number of random reachable targets per robot.", "--targets", "-n", default=300)
     start: str = option("KIND", "none (each solver's own), home, random, or near (within 0.1 rad).", default="none")

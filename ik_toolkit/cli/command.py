@@ -32,15 +32,19 @@ def option(
     default: Any = None,
     panel: str | None = None,
     writes: Sequence[str] | None = None,
+    complete: Callable[..., Any] | None = None,
 ) -> Any:
     """Return a dataclass field for an option with a value, which is named after the field unless `names` are given.
 
     A metavar of several words or numbers, as X Y Z, makes it take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and
     `--q "0.1 -0.2"` mean the same. panel: the group in the help, by default the class's. writes: suffixes of the file
-    that the option names and `ik` writes; an empty list allows any.
+    that the option names and `ik` writes; an empty list allows any. complete: completes a word in the shell.
     """
     check = None if writes is None else writable(*writes)
-    return _field(default, typer.Option(*names, metavar=metavar, help=meaning, rich_help_panel=panel, callback=check))
+    made = typer.Option(
+        *names, metavar=metavar, help=meaning, rich_help_panel=panel, callback=check, autocompletion=complete
+    )
+    return _field(default, made)
 
 
 def flag(name: str, meaning: str, default: bool = False, panel: str | None = None, hidden: bool = False) -> Any:
@@ -48,9 +52,9 @@ def flag(name: str, meaning: str, default: bool = False, panel: str | None = Non
     return _field(default, typer.Option(name, help=meaning, rich_help_panel=panel, hidden=hidden))
 
 
-def argument(metavar: str, meaning: str, default: Any = REQUIRED) -> Any:
+def argument(metavar: str, meaning: str, default: Any = REQUIRED, complete: Callable[..., Any] | None = None) -> Any:
     """Return a dataclass field for a positional argument."""
-    return _field(default, typer.Argument(metavar=metavar, help=meaning))
+    return _field(default, typer.Argument(metavar=metavar, help=meaning, autocompletion=complete))
 
 
 def same(record: Any, name: str, default: Any = REQUIRED) -> Any:
@@ -160,6 +164,10 @@ class Command(typer.core.TyperCommand):
         """Read the arguments. Raises InvalidOption."""
         several = {name for one in self.params if set(" ,") & set(one.metavar or "") for name in one.opts}
         args = _joined(args, several)
+        if (
+            ctx.resilient_parsing
+        ):  # The shell asks for a completion; a last option without a value would hide the arguments.
+            return super().parse_args(ctx, args[:-1] if args and args[-1].startswith("-") else args)
         given = {word.partition("=")[0] for word in args}
         if "--group" in given and given.intersection(TIP):
             raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")

@@ -9,8 +9,9 @@ import typer
 
 from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption, ModelError
 from ..files import write_whole
+from ..text import in_shell
 from .command import argument, command, flag, option, options, same
-from .options import JsonOutput, RobotOptions, assignments
+from .options import JsonOutput, RobotOptions, assignments, robots_like
 from .output import notice, progress, show, table, write_json
 
 SHOWN = 3  # number of missing meshes that a message names
@@ -49,7 +50,7 @@ class ConvertOptions(FileOptions):
 class CheckOptions(FileOptions):
     """Options for the file and what is checked in it."""
 
-    urdf: str = argument("URDF", "Path of a URDF, xacro or MJCF file, or a robot's name.")
+    urdf: str = argument("URDF", "Path of a URDF, xacro or MJCF file, or a robot's name.", complete=robots_like)
     sampled: bool = flag(
         "--self-collision", "Find the pairs of links that always or never touch and need no collision test."
     )
@@ -142,7 +143,7 @@ def check(asked: CheckOptions) -> None:
         if findings:
             show(made)
         if any(finding.line for finding in findings) and expanded:
-            show("the lines are those of the URDF that ik convert writes")
+            show(in_shell("the lines are those of the URDF that ik convert writes"))
         warnings = len(findings) - len(errors)
         counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
         show(f"{entry.name}: {counts if findings else 'no problems found'}")

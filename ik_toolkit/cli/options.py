@@ -1,11 +1,14 @@
 """The options that several commands share: the robot, what counts of a target, collisions, tolerances, output."""
 
+import contextlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption
+import typer
+
+from ..errors import FrameNotFound, IKError, InvalidConfiguration, InvalidOption
 from ..text import numbers, vector
 from .command import TIP, argument, flag, option, options
 from .output import turns
@@ -15,6 +18,49 @@ OBSTACLES = {  # numbers that describe an obstacle, and how many of them are siz
     "sphere": ("x,y,z,radius", 1),
     "cylinder": ("x,y,z,radius,length[,roll,pitch,yaw]", 2),
 }
+
+
+# ---------------------------------------------------------------------------------------------- completion in the shell
+def robots_like(incomplete: str) -> list[tuple[str, str]]:
+    """Return the robots whose names begin like a word, with descriptions; without one the shell completes names of files."""
+    from ..robot.library import data_files, list_robots
+
+    known = {entry.name: entry.description for entry in list_robots()}
+    # The many robots of example-robot-data whose tips are guessed are offered where no other fits.
+    for names in (known, dict.fromkeys(data_files(), "example-robot-data")):
+        if found := [row for row in names.items() if row[0].startswith(incomplete)]:
+            return found
+    return []
+
+
+def links_like(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the links of the robot given whose names begin like a word."""
+    from ..robot.formats.urdf import parse, safe_read
+    from ..robot.library import find
+
+    with contextlib.suppress(IKError):
+        items = parse(safe_read(find(ctx.params.get("robot") or "").source))
+        return [item.name for item in items if item.tag == "link" and item.name.startswith(incomplete)]
+    return []
+
+
+def tips_like(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the tips that are known of the robot given, or else its links, whose names begin like a word."""
+    from ..robot.library import find
+
+    with contextlib.suppress(IKError):
+        if found := [tip for tip in find(ctx.params.get("robot") or "").tips if tip.startswith(incomplete)]:
+            return found
+    return links_like(ctx, incomplete)
+
+
+def solvers_like(incomplete: str) -> list[tuple[str, str]]:
+    """Return the solvers whose names begin like the last word of a list, with what they are."""
+    from ..solvers.registry import list_rows
+
+    before, comma, word = incomplete.rpartition(",")
+    rows = [("auto", "the one that fits robot and target"), *((row.name, row.summary) for row in list_rows())]
+    return [(before + comma + name, what) for name, what in rows if name.startswith(word)]
 
 
 # -------------------------------------------------------------------------------------------------------------- output
@@ -54,11 +100,15 @@ class SceneOutput(JsonOutput):
 class RobotOptions:
     """Options for the robot: which one, its tips, its base, and how its description is read."""
 
-    robot: str = argument("ROBOT", "Robot name (see ik robots), or path of a URDF, xacro or MJCF file.")
-    tip: list[str] | None = option(
-        "FRAME", "Tip: a frame, link or joint; repeat to solve for several tips together.", *TIP
+    robot: str = argument(
+        "ROBOT",
+        "Robot name (see ik robots), or path of a URDF, xacro or MJCF file; - reads one from stdin.",
+        complete=robots_like,
     )
-    base: str | None = option("FRAME", "Base frame of targets and poses; default: the root link.")
+    tip: list[str] | None = option(
+        "FRAME", "Tip: a frame, link or joint; repeat to solve for several tips together.", *TIP, complete=tips_like
+    )
+    base: str | None = option("FRAME", "Base frame of targets and poses; default: the root link.", complete=links_like)
     base_xyz: str | None = option(
         "X Y Z", "Where the robot's root stands in the world [m]; targets and poses are then given in the world."
     )
@@ -185,13 +235,21 @@ class WholeRobot(RobotOptions):
 class OneTip(WholeRobot):
     """Options for a robot with one tip."""
 
-    tip: str | None = option("FRAME", "Tip: a frame, link or joint; default: guessed from its name and reported.", *TIP)
+    tip: str | None = option(
+        "FRAME", "Tip: a frame, link or joint; default: guessed from its name and reported.", *TIP, complete=tips_like
+    )
 
 
 def slides(robot: Any, joint: str) -> bool:
-    """Return whether any joint of the model (on the path to the tip or not) is prismatic."""
+    """Return whether any joint of the model (on the path to the tip or not, also a mimic joint) is prismatic."""
     model = robot.model
-    return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")
+    # The first three rows of a joint's motion subspace are those of the translation.
+    return model.existJointName(joint) and bool(model.joints[model.getJointId(joint)].createData().S[:3].any())
+
+
+def kind_of(robot: Any, joint: str) -> str:
+    """Return the kind of any joint of the model, as far as units need it."""
+    return "prismatic" if slides(robot, joint) else "revolute"
 
 
 def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:

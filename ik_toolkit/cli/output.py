@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import clean
 from ..files import PARTIAL, write_whole
-from ..text import plain
+from ..text import in_shell, plain
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,7 +27,7 @@ WRAPPED = 12  # least width in columns of a name or a sentence
 def notice(text: str) -> None:
     """Print one line of prose on stderr, if it can be written."""
     try:
-        print(clean(text), file=sys.stderr, flush=True)
+        print(clean(in_shell(text)), file=sys.stderr, flush=True)
     except (OSError, ValueError, AttributeError):  # a closed stderr (Python sets None), a reader that left, a full disk
         pass
 

@@ -10,7 +10,7 @@ from ..errors import FrameNotFound, InvalidOption
 from ..files import write_table
 from ..text import plain
 from .command import command, flag, option, options
-from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, slides
+from .options import JsonOutput, OneTip, TableOutput, assignments, joint_vector, kind_of
 from .output import facts, fixed, heading, notice, number, show, table, turns, unit, write_json
 
 
@@ -132,11 +132,12 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
     show(facts(_srdf_facts(arms[0])))
     for arm in arms:
         reach = f"{arm.reach:.4g} m (longest distance of the tip from the first joint)"
-        kinds = {joint: "prismatic" if slides(arm, joint) else "revolute" for joint in arm.locked_joints}
+        kinds = {joint: kind_of(arm, joint) for joint in arm.locked_joints}
         locked = ", ".join(
             f"{joint} = {number(value, kinds[joint], deg)} {unit(kinds[joint], deg)}"
             for joint, value in arm.locked_joints.items()
         )
+        mimic = ", ".join(_tie(arm, joint, tie, deg) for joint, tie in arm.mimic_joints.items())
         show(
             "",
             facts(
@@ -146,6 +147,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
                     "reach": reach,
                     "mobility": str(arm.mobility).partition(", ")[2],
                     "locked": locked or None,
+                    "mimic joints": mimic or None,
                     "configurations": ", ".join(arm.named),
                     "closed form": closed_form(arm) or None,
                     "read as": "; ".join(arm.notes) or None,
@@ -155,6 +157,18 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
         show(_joint_table(arm, deg))
     if dh:
         show(heading(f"D-H table, {dh.convention}; q is the joint's value"), _dh_table(dh, deg))
+
+
+def _tie(robot: Any, joint: str, tie: Any, deg: bool) -> str:
+    """How a mimic joint follows its leader, in words."""
+    kinds = kind_of(robot, joint), kind_of(robot, tie.leader)
+    units = [unit(kind, deg) for kind in kinds]
+    ratio = tie.ratio * math.prod(
+        math.degrees(1.0) ** sign for sign, one in zip((1, -1), units, strict=True) if one == "deg"
+    )
+    sign, offset = "-" if tie.offset < 0.0 else "+", number(abs(tie.offset), kinds[0], deg)
+    per = "" if units[0] == units[1] else f"{units[0]}/{units[1]} "
+    return f"{joint} = {ratio:g} {per}{tie.leader}" + f" {sign} {offset} {units[0]}" * (tie.offset != 0.0)
 
 
 def _write_joints(file: Path | None, rows: list[dict[str, Any]]) -> None:
@@ -199,6 +213,9 @@ def describe(robot: Any) -> dict[str, Any]:
         "reach": robot.reach,
         "joints": [dict(zip(names, joint, strict=True)) for joint in joints],
         "locked": robot.locked_joints,
+        "mimic_joints": {
+            joint: {**tie._asdict(), "kind": kind_of(robot, joint)} for joint, tie in robot.mimic_joints.items()
+        },
         "named": robot.named,
         "closed_form": closed_form(robot) or None,
         "notes": robot.notes,
@@ -288,6 +305,7 @@ def fk(robot: FkOptions, out: JsonOutput) -> None:
     if outside:
         notice(f"outside the limits: {', '.join(outside)}")
     T = arm.fk(values)
+    at = arm.joint_values(values)
     rpy, quat = matrix_rpy(T.rotation), matrix_quat(T.rotation)
     payload = {
         "robot": arm.name,
@@ -295,6 +313,7 @@ def fk(robot: FkOptions, out: JsonOutput) -> None:
         "tip": arm.tip,
         "joint_names": arm.joint_names,
         "q": values,
+        "mimic_joints": {joint: at[joint] for joint in arm.mimic_joints},
         "xyz": T.translation,
         "rpy": rpy,
         "quat_xyzw": quat,
@@ -304,7 +323,7 @@ def fk(robot: FkOptions, out: JsonOutput) -> None:
     if out.as_json:
         return
     angles = [math.degrees(x) if deg else x for x in rpy]
-    at = [
+    shown = [
         f"{math.degrees(x) if deg and turns(kind) else float(x):.7g} {unit(kind, deg)}"
         for x, kind in zip(values, arm.joint_kinds, strict=True)
     ]
@@ -312,7 +331,7 @@ def fk(robot: FkOptions, out: JsonOutput) -> None:
         facts(
             {
                 "robot": f"{arm.name}, {arm.base} -> {arm.tip}",
-                "q" if robot.q is not None else "q (home)": ", ".join(at),
+                "q" if robot.q is not None else "q (home)": ", ".join(shown),
                 "position": f"({_numbers(T.translation, 7)}) m",
                 "roll, pitch, yaw": f"({_numbers(angles, 4 if deg else 6)}) {'deg' if deg else 'rad'}",
                 "quaternion xyzw": f"({_numbers(quat, 7)})",

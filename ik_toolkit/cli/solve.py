@@ -22,7 +22,9 @@ from .options import (
     assignments,
     given,
     joint_vector,
+    kind_of,
     solver_named,
+    solvers_like,
 )
 from .output import facts, fixed, notice, number, show, table, unit, write_json
 from .pictures import draw
@@ -37,7 +39,12 @@ class SolverOptions:
     """Options for the solver and how long it may take."""
 
     solver: str = option(
-        "NAME", "Solver; see ik solvers. auto chooses one for the robot and target.", "-s", "--solver", default="auto"
+        "NAME",
+        "Solver; see ik solvers. auto chooses one for the robot and target.",
+        "-s",
+        "--solver",
+        default="auto",
+        complete=solvers_like,
     )
     param: list[str] | None = option("NAME=VALUE", "Set a parameter of the solver; may be repeated.", "-p", "--param")
     preset: str | None = option("NAME", "Published or tuned parameters, by name.")
@@ -110,7 +117,7 @@ class ManyOptions:
 
     file: Path | None = option(
         "FILE",
-        "Many targets from a file, solved on all cores and written to -o; replaces --xyz. CSV with the header "
+        "Many targets from a file (- is stdin), solved on all cores and written to -o; replaces --xyz. CSV with the header "
         "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
         "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
         "--targets",
@@ -297,7 +304,7 @@ def _solve_all(
     arm: Any, target: Any, rule: Any, start: Any, options: dict[str, Any], out: SolveOutput, deg: bool
 ) -> None:
     """Print all solutions and draw them; exit code 1 when there is none."""
-    from ..solvers.solve_all import solve_all
+    from ..solvers.solve import solve_all
 
     found = solve_all(arm, target, rule, start, **options)
     write_json({**found.to_dict(), **_asked(arm, target, options)}, out.as_json, out.output)
@@ -336,12 +343,18 @@ def _solutions(found: Any, deg: bool) -> list[Any]:
 
 
 def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
+    from ..robot.configuration import joint_values
+
     robot = result.robot
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
+    at = joint_values(robot, result.q)
+    for name, tie in robot.mimic_joints.items():
+        kind = kind_of(robot, name)
+        joints.add_row(name, number(at[name], kind, deg), unit(kind, deg), "", "", f"follows {tie.leader}", style="dim")
     show(joints)
     if robot.by_tip:
         relative = options.get("relative_to") or {}

@@ -7,7 +7,7 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import write_table
 from .command import argument, command, options
-from .options import TableOutput, solver_named
+from .options import TableOutput, solver_named, solvers_like
 from .output import facts, heading, notice, show, table, write_json
 
 
@@ -15,7 +15,7 @@ from .output import facts, heading, notice, show, table, write_json
 class SolversOptions(TableOutput):
     """Options for which solvers are listed."""
 
-    name: str | None = argument("[NAME]", "Show this solver's parameters.", default=None)
+    name: str | None = argument("[NAME]", "Show this solver's parameters.", default=None, complete=solvers_like)
 
 
 @command

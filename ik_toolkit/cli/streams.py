@@ -1,14 +1,20 @@
-"""How a command handles standard streams and signals: closed streams, readers that leave, Ctrl-C and SIGTERM."""
+"""How a command handles standard streams and signals: `-`, closed streams, readers that leave, Ctrl-C and SIGTERM."""
 
 import os
+import re
+import shutil
 import signal
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Any
+
+from ..errors import InvalidOption
 
 RAISED_AGAIN = 0.05  # [s] after which a dropped Ctrl-C is raised again
 IMPORTING = 20.0  # [s] for which Ctrl-C waits at most for the end of an import
@@ -27,6 +33,34 @@ def open_standard_streams() -> None:
         except OSError:
             os.dup2(os.open(os.devnull, os.O_RDWR), number)
         setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))
+
+
+@contextmanager
+def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """Context: the arguments with a file in place of `-`, which has all of standard input until the block ends.
+
+    The file's name is that of the robot in it, and ends as its contents do: .urdf, .npz, .toml, .json or .csv. It is a file because
+    a command may run twice (see first_use.py), and counts the rows of its targets. Raises InvalidOption.
+    """
+    places = [k for k, word in enumerate(arguments) if re.fullmatch(r"(--[a-z-]+=)?-", word)]
+    if not places:
+        yield [*arguments]
+        return
+    if len(places) > 1:
+        raise InvalidOption("- stands for standard input, which can be read only once; name a file in the other place")
+    with tempfile.TemporaryDirectory(prefix="ik_stdin_") as folder:
+        made = Path(folder) / "stdin"
+        with made.open("wb") as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        with made.open("rb") as file:
+            start = file.read(10_000).lstrip(b"\xef\xbb\xbf \t\r\n")
+        named = re.search(rb"""<(?:robot|mujoco)\b[^>]*?\b(?:name|model)\s*=\s*["']([\w.-]+)["']""", start)
+        kinds = {rb"\A<": ".urdf", rb"\APK": ".npz", rb"(?m)^\w+ *= ": ".toml", rb"\A[{[]": ".json"}
+        kind = next((kind for mark, kind in kinds.items() if re.search(mark, start)), ".csv")
+        file = made.rename(made.with_name((named[1].decode() if named else "stdin") + kind))
+        changed = [*arguments]
+        changed[places[0]] = changed[places[0]][:-1] + str(file)
+        yield changed
 
 
 @contextmanager

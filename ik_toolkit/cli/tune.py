@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import InvalidOption
 from ..files import write_table
 from .command import PLOTS, argument, command, flag, option, options, same, writable
-from .options import TableOutput, WholeRobot
+from .options import TableOutput, WholeRobot, solvers_like
 from .output import facts, notice, partial, progress, show, write_json
 from .streams import uninterrupted
 from .workspace import WorkspaceOptions
@@ -26,7 +26,7 @@ class TunedRobot(WholeRobot):
 class TuneOptions:
     """Options for what is tuned, how, and what is written."""
 
-    solver: str = argument("SOLVER", "Solver with presets, a gain or a damping; see ik solvers.")
+    solver: str = argument("SOLVER", "Solver with presets, a gain or a damping; see ik solvers.", complete=solvers_like)
     method: str = option("cma|pso", "CMA-ES or a particle swarm.", "-m", "--method", default="cma")
     pose: bool = same(WorkspaceOptions, "pose")
     maps: int | None = option(

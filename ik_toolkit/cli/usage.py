@@ -7,6 +7,8 @@ from typing import Any
 
 import typer.core
 
+from ..text import in_shell
+
 # Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
 # Arguments of the library, and the names that their options have here.
@@ -45,7 +47,7 @@ def help_text(command: Any, ctx: Any) -> str:
         parts.append("\n".join([f"{name}:", *(_row(*row, column, width) for row in groups[name])]))
     if command.epilog:
         parts.append("Examples:\n" + textwrap.indent(command.epilog.strip(), "  "))
-    return "\n\n".join(parts) + "\n"
+    return in_shell("\n\n".join(parts) + "\n")
 
 
 def placeholder(argument: Any) -> str:

@@ -7,7 +7,7 @@ import typer
 
 from ..errors import InvalidOption
 from .command import command, flag, option, options, same
-from .options import RobotOptions, SceneOutput, WholeRobot, joint_vector
+from .options import RobotOptions, SceneOutput, WholeRobot, joint_vector, solvers_like
 from .output import notice
 from .pictures import incomplete, present, wait, written
 from .target import TargetOptions, in_base, relations
@@ -56,7 +56,15 @@ class ViewTarget(TargetOptions):
 class ViewSolve:
     """Options for how the target is solved."""
 
-    solver: str = option("NAME", "Solver for --xyz; see ik solvers.", "-s", "--solver", default="auto", panel="Solver")
+    solver: str = option(
+        "NAME",
+        "Solver for --xyz; see ik solvers.",
+        "-s",
+        "--solver",
+        default="auto",
+        panel="Solver",
+        complete=solvers_like,
+    )
     every: bool = flag("--all", "Show every solution found as a ghost.")
     q0: str | None = option("Q1 Q2 ...", "Where the solve starts; default: home.")
     follow: bool = flag("--follow", "Show a target to drag, which the robot follows (extra 'panel').")
@@ -148,7 +156,7 @@ def _alone(option: str, others: dict[str, Any]) -> None:
 def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options: dict[str, Any]) -> tuple[Any, bool]:
     """Result with history, or the list of solutions; and whether any was found."""
     from ..solvers.solve import solve as solve_one
-    from ..solvers.solve_all import solve_all
+    from ..solvers.solve import solve_all
 
     if every:
         found = solve_all(arm, target, solver, start, **options)

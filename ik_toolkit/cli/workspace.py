@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import InvalidOption
 from ..text import length
 from .command import PLOTS, command, flag, option, options
-from .options import ObjectOutput, WholeRobot, joint_vector
+from .options import ObjectOutput, WholeRobot, joint_vector, solvers_like
 from .output import facts, heading, notice, partial, progress, show, table, write_json
 
 LISTED = 10
@@ -19,7 +19,7 @@ class WorkspaceOptions:
     """Options for solvers, targets and what is written."""
 
     solver: list[str] | None = option(
-        "NAME", "May be repeated; default: the search of auto.", "-s", "--solver", panel="Solver"
+        "NAME", "May be repeated; default: the search of auto.", "-s", "--solver", panel="Solver", complete=solvers_like
     )
     preset: list[str] | None = option(
         "SOLVER=PRESET", "Also solve with a preset: its name, or a file; may be repeated.", panel="Solver"

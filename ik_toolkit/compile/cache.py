@@ -15,6 +15,7 @@ import os
 import pickle
 import pwd
 import stat
+import threading
 import types
 import uuid
 from collections.abc import Iterator
@@ -34,6 +35,7 @@ HEAD = b"ik_toolkit kernel 1\n"  # first bytes of a cache file; the body's SHA-2
 PREFIX, SUFFIX = "ik-", ".nbc"
 LOG = logging.getLogger("ik_toolkit.cache")
 COMPILING = logging.getLogger("ik_toolkit.compile")
+saying: dict[str, Any] = {"timer": None, "said": False}
 
 
 class MemoryCache(NullCache):
@@ -44,8 +46,8 @@ class MemoryCache(NullCache):
         self.what, self.why = what, why
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        """Log that the kernel is compiled, and return None, which makes numba compile it."""
-        COMPILING.info("compiling %s (%s)", self.what, f"in every process: {self.why}")
+        """Log that the kernel is compiled, and return None, upon which numba compiles it."""
+        compiling(self.what, f"in every process: {self.why}")
 
 
 class DiskCache(FunctionCache):
@@ -78,7 +80,7 @@ class DiskCache(FunctionCache):
         path = self.path(key)
         if why := open_to_others(path.parent):
             not_kept(str(path.parent), why)
-            COMPILING.info("compiling %s (%s)", self.what, f"in every process: {why}")
+            compiling(self.what, f"in every process: {why}")
             return None
         try:
             stored, payload = pickle.loads(content(path))  # noqa: S301  our own file, and whole
@@ -88,8 +90,7 @@ class DiskCache(FunctionCache):
             pass
         except Exception as error:  # Whatever is wrong with the file, the kernel can be compiled instead.
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
-        where = {"folder": Path(self._cache_path)}
-        COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, up to half a minute", extra=where)
+        compiling(self.what, "first use on this machine, up to half a minute", Path(self._cache_path))
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -104,7 +105,31 @@ class DiskCache(FunctionCache):
             not_kept(str(self._cache_path), error.strerror or str(error))
 
 
-@functools.cache  # Results are cached, so that the warning appears only once in a process for each folder and reason.
+def compiling(what: str, why: str, folder: Path | None = None) -> None:
+    """Log that a kernel is compiled, and say so once in a process if that lasts: without handlers, a warning goes to stderr."""
+    COMPILING.info("compiling %s (%s)", what, why, extra={"folder": folder})
+    made()
+    if not saying["said"]:
+        # After 1 s without a word a person wonders what happens.
+        saying["timer"] = timer = threading.Timer(1.0, _say, (what.partition(" ")[0], why))
+        timer.daemon = True
+        timer.start()
+
+
+def _say(what: str, why: str) -> None:
+    if not saying["said"]:
+        saying["said"] = True
+        COMPILING.warning("ik_toolkit is compiling %s (%s) ...", what, why)
+
+
+def made() -> None:
+    """Note that the kernel is compiled, so that nothing needs to be said."""
+    if saying["timer"] is not None:
+        saying["timer"].cancel()
+        saying["timer"] = None
+
+
+@functools.cache  # The cache of results makes the warning appear once in a process for each folder and reason.
 def not_kept(folder: str, why: str) -> None:
     """Warn that no kernels can be kept in a folder."""
     LOG.warning(

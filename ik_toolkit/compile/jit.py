@@ -6,14 +6,18 @@ import functools
 import gc
 import inspect
 import operator
+import threading
+from collections import deque
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 import numba
+import numpy.ma  # noqa: F401  numba imports it when it sees an array for the first time, which would count as time of a solve.
 from numba import njit, types
 from numba.extending import overload, overload_method, register_jitable
 
-from .cache import make_cache
+from .cache import made, make_cache
 
 # Releases of numba with which pipeline.py works; scripts/try_numba.py tries one.
 # pipeline.py uses private interfaces of numba, so other releases compile kernels in numba's own, slower way.
@@ -109,21 +113,40 @@ def cached(function: Callable, *parts: Any) -> Any:
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **KERNEL)(function)
     if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
         dispatcher._cache = make_cache(function, parts)
-        dispatcher._compile_for_args = without_collector(dispatcher._compile_for_args)
+        dispatcher._compile_for_args = noting_time(dispatcher._compile_for_args)
     return dispatcher
 
 
-def without_collector(compile_for: Callable) -> Callable:
-    """Wrap numba's compile function so that the garbage collector pauses meanwhile, which saves a tenth of the time."""
+# The last times [s, by perf_counter] at which kernels were compiled or loaded, with the thread that waited for them.
+waits: deque[tuple[int, float, float]] = deque(maxlen=64)
+
+
+def compile_time(since: float, everywhere: bool = False) -> float:
+    """Return how long [s] this thread, or any, has waited for kernels, compiled or loaded, since a time of `perf_counter`."""
+    if not waits or waits[-1][2] < since:
+        return 0.0
+    me, total, last = threading.get_ident(), 0.0, since
+    for begin, end in sorted((begin, end) for thread, begin, end in tuple(waits) if everywhere or thread == me):
+        if end > last:  # Threads wait together, for one of them.
+            total += end - max(begin, last)
+            last = end
+    return total
+
+
+def noting_time(compile_for: Callable) -> Callable:
+    """Wrap numba's compile function: note how long it takes, and pause the garbage collector, which saves a tenth of the time."""
 
     @functools.wraps(compile_for)
     def call(*arguments: Any, **keywords: Any) -> Any:
-        was_on = gc.isenabled()
+        was_on, began = gc.isenabled(), perf_counter()
         gc.disable()
         try:
             return compile_for(*arguments, **keywords)
         finally:
             if was_on:
                 gc.enable()
+                gc.collect(0)  # It would run at the next allocation, and count as time of the solve.
+            made()
+            waits.append((threading.get_ident(), began, perf_counter()))
 
     return call

@@ -61,7 +61,7 @@ class PathResult:
         reconfigurations, lower_bound: changes of branch, and their proven least number (None: not proven).
         unreachable: the poses that are not reached.
         max_step, path_tolerance, collision, seed: the options: (rad, m), (m, rad), a CollisionModel or None, a seed.
-        elapsed: time of the search [s].
+        elapsed: time of the search [s], without that of compiling.
         fraction: share of the path's length that one motion can follow from the start; 1 if FOLLOWED.
         tolerance_given: whether the caller gave path_tolerance.
     """

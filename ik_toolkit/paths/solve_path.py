@@ -12,6 +12,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from ..compile.jit import compile_time
 from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
 from ..motion.reference import Reference, exp
 from ..robot.constraints import first_open
@@ -264,7 +265,8 @@ def _result(
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
         at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=least,
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
-        elapsed=perf_counter() - began, fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
+        elapsed=perf_counter() - began - compile_time(began),
+        fraction=1.0 if status == PathStatus.FOLLOWED else fraction(search, motion),
     )  # fmt: skip
     result = replace(result, message=path_sentence(result, needed, allowed))
     o = problem.single.options

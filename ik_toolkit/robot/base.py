@@ -272,9 +272,11 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Move collision shapes that were placed on one model to the links of another model."""
+    """Move shapes that were placed on one model to the links of another, or of the same, model."""
     for shape in geometry.geometryObjects:
-        old = original.frames[shape.parentFrame]
+        # A shape that was made with a joint alone has no frame, and is placed like that joint.
+        of_joint = (k for k, frame in enumerate(original.frames) if frame.parentJoint == shape.parentJoint)
+        old = original.frames[shape.parentFrame if shape.parentFrame < original.nframes else next(of_joint)]
         k = model.getFrameId(old.name, old.type)
         new = model.frames[k]
         shape.placement = new.placement * old.placement.inverse() * shape.placement

@@ -1,11 +1,15 @@
 """Joint values in the forms in which people have them: numbers, the name of a configuration, values by joint."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
-from ..errors import ConfigurationNotFound, InvalidConfiguration, floats, near_match
+from ..errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, JointNotFound, floats, near_match
+from .base import unfold
+from .formats.mimic import Tie
 from .ros import read_joint_state
 
 
@@ -63,3 +67,59 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
             f"{name} must have {robot.n} values, one per joint ({', '.join(robot.joint_names)}); got shape {array.shape}"
         )
     return array, notice
+
+
+def leaders_of(model: pin.Model) -> Iterator[tuple[str, Tie]]:
+    """Yield the name of every mimic joint of a model, and how it follows its leader."""
+    for j, leader in zip(model.mimicking_joints, model.mimicked_joints, strict=True):
+        tie = model.joints[j].extract()
+        yield model.names[j], Tie(model.names[leader], tie.scaling, tie.offset)
+
+
+def simple_joints(model: pin.Model) -> Iterator[tuple[str, Any]]:
+    """Yield the joints of a model that have one coordinate of their own, by name."""
+    for name, joint in zip([*model.names][1:], [*model.joints][1:], strict=True):
+        if joint.nv == 1:
+            yield name, joint
+
+
+def joint_values(robot: Any, q: np.ndarray) -> dict[str, float]:
+    """Return the values [rad or m] of all joints of a robot's model at a checked q (n,) by name."""
+    at = dict(zip(robot.joint_names, q.tolist(), strict=True))
+    for name, joint in simple_joints(robot.model):
+        if name not in at:
+            x = robot.rest[joint.idx_q : joint.idx_q + joint.nq]
+            at[name] = float(x[0]) if joint.nq == 1 else math.atan2(x[1], x[0])
+    return at | {joint: tie.ratio * at[tie.leader] + tie.offset for joint, tie in leaders_of(robot.model)}
+
+
+def configuration_in(model: Any, robot: Any, q: np.ndarray, rest: Any) -> np.ndarray:
+    """Return the configuration (nq,) of any model that has a robot's joints, by their names; others keep `rest`, or are neutral.
+
+    Raises JointNotFound if it has no joint of that name for one of q, InvalidOption, InvalidConfiguration.
+    """
+    if not isinstance(model, pin.Model):
+        raise InvalidOption(f"model must be a pin.Model, not {type(model).__name__}")
+    made, given = unfold(model)
+    missing = [joint for joint in robot.joint_names if joint not in made.names]
+    if missing:
+        close = near_match(missing[0], [*made.names][1:])
+        raise JointNotFound(f"the model has no joint '{missing[0]}', which robot '{robot.name}' moves.{close}")
+    if rest is not None:
+        rest = floats(rest, "rest must be numbers", InvalidConfiguration)
+        if rest.shape != (model.nq,):
+            raise InvalidConfiguration(f"rest must have {model.nq} values for this model, not shape {rest.shape}")
+    # Joints with several coordinates are unfolded only if the robot moves them, so that others keep the very numbers of `rest`.
+    if given is None or not any(name in robot.joint_names for block in given.blocks for name in block.names):
+        made, given = model, None
+    full = pin.neutral(made) if rest is None else rest.copy() if given is None else given.back(made, rest)
+    values = joint_values(robot, q)
+    for name, joint in zip(made.names, made.joints, strict=True):
+        if (
+            name in values
+            and joint.nv == 1
+            and (rest is None or name in robot.joint_names or name in robot.mimic_joints)
+        ):
+            x = values[name]
+            full[joint.idx_q : joint.idx_q + joint.nq] = (math.cos(x), math.sin(x)) if joint.nq == 2 else x
+    return full if given is None else given.form(made, full)

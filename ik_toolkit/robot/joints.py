@@ -22,7 +22,8 @@ from ..errors import (
 from ..kernel.records import POINTS
 from ..text import TextTable
 from .base import Given
-from .configuration import Named, read_configuration, values_by_joint
+from .configuration import Named, configuration_in, joint_values, leaders_of, read_configuration, values_by_joint
+from .formats.mimic import Tie
 from .formats.srdf import Srdf
 from .mobility import mobility_of
 from .narrow import narrowed
@@ -51,6 +52,7 @@ class Joints(ReadOnly):
         arms: A Robot for each tip.
         places: For each arm, the indices in q of its joints.
         srdf: Contents of the SRDF.
+        collision_model, visual_model: The shapes given with a Pinocchio model, or None.
         notes: Sentences on parts of the description that were changed or left out.
         chain: The arrays of the compiled kernel.
         memo: Cache of things made for this robot, by key; copies and pickles start with an empty one.
@@ -71,6 +73,8 @@ class Joints(ReadOnly):
         "tips": "load it with tips=",
         "base": "load it with base=",
         "srdf": "load it with srdf=",
+        "visual_model": "give it to ik.Robot",
+        "collision_model": "give it to ik.Robot",
         "on_base": "load it with on_base=",
         "base_limits": "load it with base_limits=",
         "package_dirs": "load it with package_dirs=",
@@ -93,6 +97,8 @@ class Joints(ReadOnly):
     memo: dict[Any, Any]
     notes: tuple[str, ...]
     srdf: Srdf
+    collision_model: pin.GeometryModel | None = None
+    visual_model: pin.GeometryModel | None = None
     by_tip = False  # True if targets are given by tip, as for a tree, even with a single tip.
     _path: JointPath
     _given: Given | None
@@ -322,11 +328,23 @@ class Joints(ReadOnly):
             raise InvalidOption(f"rng must be a numpy.random.Generator (numpy.random.default_rng(0)), not {rng!r:.60}")
         return (low + span * rng.random(size)).clip(self.lower, self.upper)
 
-    def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
-        """Return the full configuration (nq,) of the model for q (n,) [rad or m]; joints off the path keep `rest`, or the robot's.
+    @property
+    def mimic_joints(self) -> dict[str, Tie]:
+        """Joints of the model that follow one of q, by name: leader, ratio, and offset [rad or m]."""
+        return {joint: tie for joint, tie in leaders_of(self.model) if tie.leader in self.joint_names}
 
-        If the given model has a free-flyer, ball or planar joint, the result is in that model's form, with quaternions.
+    def joint_values(self, q: Any) -> dict[str, float]:
+        """Return the values [rad or m] of all joints of the model at q (n,) by name: of q, mimic joints, and joints at rest."""
+        return joint_values(self, self.check_q(q))
+
+    def to_pinocchio(self, q: Any, rest: np.ndarray | None = None, *, model: pin.Model | None = None) -> np.ndarray:
+        """Return the full configuration (nq,) of the robot's model, or of another one with the same joints, for q (n,) [rad or m].
+
+        Joints off the path keep `rest`, or the robot's. A model given here or to `Robot` may have free-flyer, ball and planar
+        joints; one given here may have other joints (neutral), and mimic joints as free ones. Raises JointNotFound.
         """
+        if model is not None:
+            return configuration_in(model, self, self.check_q(q), rest)
         given = self._given
         full = self.rest.copy() if rest is None else self._full(rest, "rest")
         full = self._fill(full, self.check_q(q))
@@ -354,7 +372,11 @@ class Joints(ReadOnly):
             full[idx[circle] + 1] = np.sin(q[circle])
         return full
 
-    def from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
+    def from_pinocchio(*_: Any) -> Any:
+        """Raise an error that tells the new name."""
+        raise AttributeError("from_pinocchio is now q_from_pinocchio(q_full); ik.Robot(model) wraps a pin.Model")
+
+    def q_from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
         """Return q (n,) [rad or m] of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
         full = self._full(q_full, "a full configuration")
         idx, circle = self._path.idx_q, self._path.circle

@@ -5,11 +5,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..errors import InvalidOption, ModelError
+import pinocchio as pin
+
+from ..errors import InvalidOption, ModelError, RobotNotFound
 from .base import carried
 from .constraints import Constraint
 from .formats.mjcf import mjcf_to_urdf
-from .formats.urdf import HasMacros, IsMjcf, safe_read, source_text
+from .formats.urdf import HasMacros, IsMjcf, is_text, safe_read, source_text
 from .formats.urdf_check import require_loadable
 from .formats.urdf_model import build_model
 from .formats.xacro import expand, expanded, has_macros
@@ -82,15 +84,20 @@ def read_source(
     entry = find(source)
     text, file, folders, notes, states, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
     notes = (*notes, *require_loadable(text, lines=not written))
-    try:
-        model = build_model(text)
-    except Exception as error:
-        raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
+    model = built_model(text, entry.name)
     name = entry.name if file else model.name
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
     made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
     return entry, made | {"notes": notes, "states": states, "constraints": constraints}
+
+
+def built_model(text: str, name: str = "the URDF") -> pin.Model:
+    """Return Pinocchio's model of a URDF text. Raises ModelError."""
+    try:
+        return build_model(text)
+    except Exception as error:
+        raise ModelError(f"Pinocchio cannot read {name}: {str(error).strip().splitlines()[0]}") from None
 
 
 def read_both(
@@ -99,6 +106,47 @@ def read_both(
     """Read a source as `read_source` does, and return the SRDF too: as text if it is named as a xacro file."""
     entry, made = read_source(source, package_dirs, xacro_args, has_macros(srdf))
     return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
+
+
+def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:
+    """Return model, collision and visual shapes (or None) of what a caller may have: these, all three in one, or a RobotWrapper.
+
+    Without any the model is that of a URDF text, if there is one. Raises ModelError.
+    """
+    own: list[Any] = [None, None]
+    if isinstance(model, pin.RobotWrapper):
+        model, *own = model.model, model.collision_model, model.visual_model
+    elif isinstance(model, tuple) and len(model) == 3:
+        model, *own = model
+    elif model is None and urdf is not None:
+        model = built_model(urdf)
+    if not isinstance(model, pin.Model):
+        raise ModelError(
+            f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
+        )
+    collision, visual = (
+        given if given is not None else old for given, old in zip((collision, visual), own, strict=True)
+    )
+    for name, given in (("collision_model", collision), ("visual_model", visual)):
+        if not isinstance(given, pin.GeometryModel | None):
+            raise ModelError(f"{name} must be a pin.GeometryModel, not {type(given).__name__}")
+    return model, collision, visual
+
+
+def require_text_or_file(source: str | Path) -> None:
+    """Raise RobotNotFound unless a source is XML text or the path of a file."""
+    if not is_text(source) and not Path(source).expanduser().is_file():
+        raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
+
+
+def text_and_file(urdf: str | Path | None, path: Path | None) -> tuple[str | None, Path | None]:
+    """Return the text and the file of a URDF, which is given as text or as a path. Raises RobotNotFound, ModelError."""
+    if urdf is None or is_text(urdf):
+        return urdf, path  # type: ignore[return-value]
+    require_text_or_file(urdf)
+    text = safe_read(urdf)
+    require_loadable(text)
+    return text, path or Path(urdf).expanduser()
 
 
 def default_base(

@@ -13,16 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import (
-    FrameNotFound,
-    InvalidConfiguration,
-    InvalidOption,
-    JointNotFound,
-    ModelError,
-    RobotNotFound,
-    floats,
-    near_match,
-)
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats, near_match
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import on_own_base
@@ -30,16 +21,16 @@ from .configuration import values_by_joint
 from .constraints import Constraint
 from .formats.mimic import followers, mimic_limits, mimic_speeds
 from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf, srdf_of
-from .formats.urdf import is_text
 from .formats.urdf_model import build_model
+from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import default_base, folders_of, read_both
+from .load import default_base, folders_of, given_models, read_both, require_text_or_file, text_and_file
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
 
-CACHES = ("_local", "_sampling", "_circles", "memo", "_sealed")  # A copy must not share these caches.
+CACHES = ("_local", "_sampling", "_circles", "mobility", "memo", "_sealed")  # A copy must not share these caches.
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # A base or a tip has one of these types.
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
@@ -57,7 +48,9 @@ class Robot(Joints):
 
     def __init__(
         self,
-        model: pin.Model,
+        model: Any = None,
+        collision_model: pin.GeometryModel | None = None,
+        visual_model: pin.GeometryModel | None = None,
         *,
         tip: str | None = None,
         ee_link: str | None = None,
@@ -65,7 +58,7 @@ class Robot(Joints):
         home: Sequence[float] | None = None,
         name: str | None = None,
         locked: Mapping[str, float] | None = None,
-        urdf: str | None = None,
+        urdf: str | Path | None = None,
         path: Path | None = None,
         package_dirs: Iterable[str | Path] = (),
         on_base: Any = None,
@@ -75,17 +68,16 @@ class Robot(Joints):
         constraints: Sequence[Constraint] = (),
         others: Sequence[str] = (),
     ) -> None:
-        """Wrap an existing Pinocchio model; arguments that are not named here are those of `load`.
+        """Wrap a pin.Model with its shapes, as pin.buildModelsFromUrdf returns them, or a RobotWrapper; the rest is as in `load`.
 
-        home (n,) [rad or m] is a good, non-singular start, by default mid-range. A free-flyer of the model counts as a floating
+        home (n,) [rad or m] is a good, non-singular start, by default mid-range. urdf (text or path) has what the model lacks:
+        limits of mimic joints, and shapes; without a model it is read from there. A free-flyer of the model counts as a floating
         base and needs base_limits. others are joints that move for other tips (see Tree); those that move the base's branch are
-        coordinates too. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration, InvalidOption.
+        coordinates too. Raises FrameNotFound, JointNotFound, RobotNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
-        if not isinstance(model, pin.Model):
-            raise ModelError(
-                f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
-            )
+        urdf, path = text_and_file(urdf, path)
+        model, self.collision_model, self.visual_model = given_models(model, collision_model, visual_model, urdf)
         if on_base is not None and base is not None:
             raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits
@@ -181,8 +173,7 @@ class Robot(Joints):
     @classmethod
     def from_urdf(cls, source: str | Path, **options: Any) -> "Robot":
         """Load a URDF or xacro file, or URDF text; options and errors as in `load`, which also takes names and MJCF."""
-        if not is_text(source) and not Path(source).expanduser().is_file():
-            raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
+        require_text_or_file(source)
         return cls.load(source, **options)
 
     def _frame(self, name: str) -> str:
@@ -376,9 +367,12 @@ class Robot(Joints):
     def __getstate__(self) -> dict[str, Any]:
         """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
-        if self.urdf is not None:
+        state["visual_model"] = light(self.visual_model)
+        follow = len(self.model.mimicking_joints)
+        # A given model may be without the mimic joints of its URDF.
+        if self.urdf is not None and (follow or not followers(self.urdf).tied):
             state["model"] = state["_original"] = state["_given"] = None
-        elif len(self.model.mimicking_joints):
+        elif follow:
             raise ModelError(
                 f"robot '{self.name}' has mimic joints and was not made from a URDF, so it cannot be pickled"
             )

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.chain import Chain, TreeChain, pack_tree
+from ..text import in_shell
 from .configuration import values_by_joint
 from .formats.srdf import Srdf, srdf_of
 from .joints import Joints
@@ -95,6 +96,7 @@ class Tree(Joints):
         self.constraints = first.constraints
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.srdf = first.srdf
+        self.collision_model, self.visual_model = first.collision_model, first.visual_model
         self.joint_names = names = union(arms)
         homes = {joint: x for arm in reversed(arms) for joint, x in zip(arm.joint_names, arm.home, strict=True)}
         self.arms = arms = tuple(_among(arm, names, homes) for arm in arms)
@@ -182,7 +184,7 @@ class Tree(Joints):
                 some = ", ".join(ends[:ENDS]) or "none"
                 more = f" and {len(ends) - ENDS} more (ik info ROBOT --list-tips)" if len(ends) > ENDS else ""
                 raise FrameNotFound(
-                    f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {some}{more}"
+                    f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {some}{in_shell(more)}"
                 )
         if not isinstance(tips, list | tuple):
             raise InvalidOption(

@@ -190,8 +190,8 @@ def need_trimesh() -> Any:
 
 def _read(robot: Any) -> tuple[list[BodyPart], str]:
     """Return what can be drawn, and a sentence about what cannot."""
-    if robot.urdf is None:
-        return [], ""
+    if robot.visual_model is None and robot.urdf is None:
+        return [], "the Pinocchio model was given without visual_model="
     try:
         shapes, problems = link_shapes(robot, "look", MAX_SHAPES)
     except ModelError as error:

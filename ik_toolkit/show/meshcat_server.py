@@ -14,35 +14,20 @@ import importlib.resources
 import json
 import socket
 import threading
-import warnings
 from collections.abc import Callable, Container
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra
+from ..errors import InvalidOption
 from ..files import as_path, write_whole
 from .access import below, new_token, refused_request
 from .body import DrawnShape
+from .feed import ROOT, Feed, meshcat_module, scene_command
 
 HOST = "127.0.0.1"
-ROOT = "/meshcat/"
-MOST_GONE = 1000  # number of deleted paths remembered for a page that does not read its messages
 SHADE = 0.86  # Colours are multiplied by this, because under the viewer's lights pure white shows no shape.
-
-
-def _meshcat() -> Any:
-    """Import meshcat without the warnings about its own imports."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            import meshcat
-            import meshcat.commands
-            import meshcat.geometry
-        except ImportError:
-            raise MissingExtra("meshcat", "view") from None
-    return meshcat
 
 
 def _number(color: tuple[float, ...]) -> int:
@@ -54,18 +39,12 @@ def _packed(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
 
 
-def _command(command: dict[str, Any]) -> bytes:
-    import umsgpack
-
-    return umsgpack.packb({**command, "path": ROOT + command["path"]})
-
-
 class Window:
     """Contents of a drawing: commands by path in the scene, transforms for tests, and the page's text (`about`)."""
 
     def __init__(self) -> None:
         """Start with an empty scene."""
-        _meshcat()
+        meshcat_module()
         self.objects: dict[str, bytes] = {}
         self.copies: dict[str, bytes] = {}
         self.transforms: dict[str, np.ndarray] = {}
@@ -83,13 +62,13 @@ class Window:
 
     def _keep(self, kept: dict[str, bytes], command: dict[str, Any]) -> None:
         with self.lock:
-            kept[command["path"]] = _command(command)
+            kept[command["path"]] = scene_command(command)
             for feed in self.feeds:
                 feed.changed(command["path"])
 
     def shape(self, path: str, shape: DrawnShape) -> None:
         """Draw triangles at a path."""
-        g = _meshcat().geometry
+        g = meshcat_module().geometry
         material = g.MeshPhongMaterial(
             color=_number(tuple(SHADE * c for c in shape.color)),
             opacity=shape.opacity,
@@ -101,7 +80,7 @@ class Window:
 
     def points(self, path: str, points: np.ndarray, colors: np.ndarray, size: float) -> None:
         """Draw a cloud of points (N, 3) [m] with colors (N, 3) in 0..1 and a size [m]."""
-        g = _meshcat().geometry
+        g = meshcat_module().geometry
         cloud = g.PointsGeometry(points.T.astype(np.float32), colors.T.astype(np.float32))
         self._keep(
             self.objects,
@@ -156,7 +135,7 @@ class Window:
                     if paths is None or path in paths
                 ),
                 *(
-                    _command({"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()})
+                    scene_command({"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()})
                     for path, T in self.transforms.items()
                     if paths is None or path in paths
                 ),
@@ -202,58 +181,8 @@ def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
 
 def viewer_script() -> bytes:
     """Return the viewer script of the meshcat package, which is one file without external addresses."""
-    _meshcat()
+    meshcat_module()
     return (importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js").read_bytes()
-
-
-class Feed:
-    """Updates not yet sent to one open page.
-
-    It notes which paths changed, not how often, so an unread page accumulates no frames. `wake` is called when there is
-    an update. Callers of `changed`, `deleted` and `told` hold the window's lock.
-    """
-
-    def __init__(self, window: Window, wake: Callable[[], None]) -> None:
-        """Start with everything unsent."""
-        self.window, self._wake = window, wake
-        self._awake = False
-        self._gone: set[str] = set()
-        self._paths: set[str] = {*window.objects, *window.copies, *window.transforms}
-        self._about = dict(window.about)
-        self._news()
-
-    def _news(self) -> None:
-        if not self._awake:
-            self._awake = True
-            self._wake()
-
-    def changed(self, path: str) -> None:
-        """Note that the drawing or the pose at a path has changed."""
-        self._paths.add(path)
-        self._news()
-
-    def deleted(self, path: str) -> None:
-        """Note that a path and everything below it is deleted."""
-        self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
-        self._gone = {p for p in self._gone if not p.startswith(path + "/")} | {path}
-        if len(self._gone) > MOST_GONE:  # too many deleted paths: the page is cleared and drawn anew
-            window = self.window
-            self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
-        self._news()
-
-    def told(self, about: dict[str, Any]) -> None:
-        """Note that the text or camera of the page has changed."""
-        self._about.update(about)
-        self._news()
-
-    def take(self) -> list[bytes | str]:
-        """Return the messages that bring the page up to date."""
-        with self.window.lock:
-            self._awake = False
-            gone, paths, about = self._gone, self._paths, self._about
-            self._gone, self._paths, self._about = set(), set(), {}
-            erased = [_command({"type": "delete", "path": path}) for path in gone]
-            return [*erased, *self.window.snapshot(paths), *([json.dumps(about)] if about else [])]
 
 
 class Server:

@@ -16,6 +16,7 @@ from ..validate import positive, switch
 from . import animation
 from .animation import BLUE, GHOSTS, OBSTACLE, ORANGE, PURPLE, SLATE, numbered
 from .body import Body, DrawnShape, drawn_shape, need_trimesh, split_sharp_edges, tube
+from .feed import Guest
 from .meshcat_server import Window, write_page
 from .notebook import InCell, PageInCell
 from .scene_state import Color, SceneState, css, read_color, read_opacity, read_text
@@ -362,6 +363,7 @@ def view(
     obstacles: Any = None,
     title: str | None = None,
     live: bool = False,
+    viewer: Any = None,
 ) -> Scene:
     """Show a robot in 3-D: at home, at a configuration, or with a result.
 
@@ -376,6 +378,7 @@ def view(
         title: Title of the page, by default the robot's name.
         live: Whether the cells of a notebook that show the scene follow `Scene.update` and all other changes, over the kernel's
             own channel (extra 'notebook'), and targets can be dragged (`Scene.on_drag`); without a channel the scene stays still.
+        viewer: A meshcat.Visualizer, or Pinocchio's MeshcatVisualizer, in which the scene is drawn as well.
 
     Raises:
         InvalidConfiguration, InvalidTarget, InvalidOption: An argument does not fit the robot.
@@ -386,4 +389,6 @@ def view(
     scene.look()
     if switch(live, "live"):
         scene.connect()
+    if viewer is not None:
+        Guest(scene.window, viewer, [part.name for part in scene.body.parts])
     return scene

@@ -23,11 +23,12 @@ class SolveRecord(NamedTuple):
     kinds: tuple
     q0: bytes  # the configuration (n,) given as the start, or b""
     row: np.ndarray  # the kernel's result row: an Answer, q, and for several tips each tip's errors (Miss)
-    elapsed: float
+    elapsed: float  # [s] without the time in which kernels were compiled
     notice: str = ""
     errors: Errors | None = None  # The errors that Pinocchio has computed again.
     history: dict[str, np.ndarray] | None = None
     collision: tuple[str, str] | None = None
+    compile_time: float = 0.0  # [s]
 
     @property
     def given(self) -> bool:

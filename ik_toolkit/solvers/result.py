@@ -8,6 +8,7 @@ from ..copying import ReadOnly
 from ..errors import NotSolved
 from ..kernel.counted_error import FREE
 from ..kernel.records import ANSWER, AT
+from ..robot.configuration import joint_values
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from ..text import TextTable, length
@@ -36,7 +37,7 @@ class Result(ReadOnly):
         attempt: Number of the attempt that q comes from; 0 is the first, which starts at q0 if that was given.
         limited_joints: Names of joints at a limit.
         largest_move: Joint that moved farthest from q0 and how far [rad or m], or None.
-        elapsed: Time of the call [s].
+        elapsed, compile_time: Time of the call [s], and what it waited before for kernels to be compiled or loaded.
         seed, solver, robot: Seed of the random starts, name of the solver used, and the robot.
         notice: What was corrected in the input, that q may be far from q0, and what q does to loops of the description,
             or ''.
@@ -172,8 +173,13 @@ class Result(ReadOnly):
 
     @property
     def elapsed(self) -> float:
-        """Time the call took [s]."""
+        """Time the call took [s], without `compile_time`."""
         return self._of.elapsed
+
+    @property
+    def compile_time(self) -> float:
+        """Time [s] in which the call waited for kernels to be compiled (first use) or loaded (first in a process), else 0."""
+        return self._of.compile_time
 
     @property
     def seed(self) -> int:
@@ -250,6 +256,7 @@ class Result(ReadOnly):
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""
+        at = joint_values(self.robot, self.q)
         plain = {
             "success": self.success,
             "status": self.status.name,
@@ -258,6 +265,7 @@ class Result(ReadOnly):
             "robot": self.robot.name,
             "joint_names": list(self.robot.joint_names),
             "q": self.q.tolist(),
+            "mimic_joints": {joint: at[joint] for joint in self.robot.mimic_joints},
             "position_error": self.position_error,
             "orientation_error": self.orientation_error,
             "iterations": self.iterations,
@@ -267,6 +275,7 @@ class Result(ReadOnly):
             "limited_joints": list(self.limited_joints),
             "largest_move": self.largest_move,
             "elapsed": self.elapsed,
+            "compile_time": self.compile_time,
             "seed": self.seed,
             "notice": self.notice,
             "collision": self.collision,

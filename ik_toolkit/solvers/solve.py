@@ -1,4 +1,4 @@
-"""The public calls: `solve` for one target, and `Solver`, bound once, for loops that must be fast.
+"""The public calls: `solve` for one target, `solve_all`, and `Solver`, bound once, for loops that must be fast.
 
 The loop is one call away: a bound solver picks its plan by the kind of target, and the plan calls the compiled loop.
 """
@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
+from ..compile.jit import compile_time
 from ..copying import ReadOnly
 from ..errors import InvalidOption
 from ..kernel.checks import BAD_TARGET, CONVERGED
@@ -19,16 +20,18 @@ from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
-from .options import NAMES, Options, SolveOptions, make_options
+from .options import NAMES, AllOptions, Options, SolveOptions, make_options
 from .outcome import make_outcome
 from .plan import Plan
 from .postprocess import finish_failure
 from .registry import GENERAL, find_row, make_rule
 from .result import Result
+from .solutions import Solutions
 from .task import POSES, read_target
 
 # numpy has one dtype object for float64, so `is` compares it; other dtypes take the slow path.
 FLOAT = np.dtype(np.float64)
+CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # options that make sense for one answer only
 BOUND_KEPT = 64  # number of bound solvers that `solve` caches for a robot
 EXACT = {  # closed forms honour or ignore these options; 'auto' takes the search if any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
@@ -133,15 +136,17 @@ class Solver(ReadOnly):
             row = plan.solve(T, kinds, start, given)
             status = row[AT.status]
         asked = start.tobytes() if given else b""
-        outcome = make_outcome(
-            (plan, T.tobytes(), kinds, asked, row, perf_counter() - started, notice, None, None, None)
-        )
+        elapsed, waited = perf_counter() - started, 0.0
+        if elapsed > 1e-3:  # [s] A call that compiles, or loads what was compiled, takes longer.
+            elapsed -= (waited := compile_time(started))
+        outcome = make_outcome((plan, T.tobytes(), kinds, asked, row, elapsed, notice, None, None, None, waited))
         if status != CONVERGED:
             outcome = finish_failure(outcome)
         for step in plan.steps:
             outcome = step(outcome)
         if plan.steps or status != CONVERGED:
-            outcome = outcome._replace(elapsed=perf_counter() - started)
+            waited = compile_time(started)
+            outcome = outcome._replace(elapsed=perf_counter() - started - waited, compile_time=waited)
         return Result(outcome)
 
     def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64) -> Any:
@@ -269,3 +274,46 @@ def solve(
             raise InvalidOption("give closest=q_ref or q0, not both: the search starts at q_ref")
         q0, options["closest"] = options["closest"], True
     return bound_solver(robot, "auto" if solver is None else solver, options)(target, q0)
+
+
+def solve_all(
+    robot: Robot | Tree,
+    target: Any,
+    solver: Any = "auto",
+    q0: Any = None,
+    *,
+    starts: int = 1000,
+    count: int = 64,
+    **options: Unpack[AllOptions],
+) -> Solutions:
+    """Find every distinct solution inside the limits, nearest to q0 first; Pinocchio checks each.
+
+    'auto' uses a closed form if one fits. Its list is complete unless the fit is only near or a family exists:
+    `families` says what is free, and the rows are a spread sample. Otherwise the search runs from random starts, and
+    answers that differ by full turns or by less than 1e-3 are merged; these are never proven complete. A closed form
+    that may miss some solutions is completed by such a search.
+
+    Args:
+        robot: The Robot or Tree.
+        target: As for `solve`.
+        solver: As for `solve`.
+        q0: Configuration (n,) [rad or m], by default home.
+        starts: Number of random starts of a search.
+        count: Largest number of solutions.
+        options: As for `solve`, but for closest, objective, follow, timeout and history; limits=False lists what the
+            limits forbid too.
+
+    Returns:
+        The solutions, with their errors and how complete they are.
+
+    Raises:
+        InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption: As `solve` does.
+    """
+    require_robot(robot)
+    for name in CHOOSING:
+        if options.get(name):
+            raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
+    options.setdefault("check", True)
+    from .every import find_all
+
+    return find_all(bound_solver(robot, solver, options), target, q0, starts, count)

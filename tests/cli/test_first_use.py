@@ -15,17 +15,18 @@ from numba import config
 import ik_toolkit as ik
 from ik_toolkit.cli import doctor, first_use, main
 from ik_toolkit.compile import cache as kernels
+from ik_toolkit.robot.library import shipped_robots
 
 SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2", "--json"]
 OUT_OF_LIMITS = ["solve", "hydrolek_7w", "--xyz", "-1.2", "0.0", "0.3", "--json"]  # in reach, but not within the limits
 
 
-def run(arguments, cache, *, start=("-m", "ik_toolkit"), cwd=None, **more):
+def run(arguments, cache, *, start=("-m", "ik_toolkit"), cwd=None, given=None, **more):
     """Run `ik` as a user does, with a cache folder of its own."""
     env = {key: value for key, value in os.environ.items() if key not in ("CI", first_use.WAIT, "NUMBA_DISABLE_JIT")}
     env |= {"NUMBA_CACHE_DIR": str(cache), **more}
     return subprocess.run(
-        [sys.executable, *start, *arguments], env=env, capture_output=True, text=True, timeout=500, cwd=cwd
+        [sys.executable, *start, *arguments], env=env, capture_output=True, text=True, timeout=500, cwd=cwd, input=given
     )
 
 
@@ -61,6 +62,15 @@ def test_an_empty_cache_is_no_reason_to_wait(tmp_path):
         robot = ik.Robot.load("hydrolek_7w")
         assert np.linalg.norm(robot.fk(answer["q"]).translation - (1.0, 0.1, 0.2)) < 1e-6
     assert not list(tmp_path.rglob("*.nbc"))
+
+
+def test_the_second_run_gets_the_same_standard_input(tmp_path):
+    text = shipped_robots()["hydrolek_7w"].path.read_text()
+    with compiling_elsewhere(tmp_path):
+        done = run(["solve", "-", *SOLVE[2:]], tmp_path, given=text)
+    answer = json.loads(done.stdout)
+    assert done.returncode == 0 and answer["success"] and answer["kernel"] == "interpreted", done.stderr
+    assert answer["robot"] == "hydrolek_7w"
 
 
 def test_on_a_build_machine_and_in_process_it_compiles(capsys):

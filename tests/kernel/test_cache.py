@@ -16,7 +16,7 @@ from numba.core.caching import Cache
 from numba.core.dispatcher import Dispatcher
 
 import ik_toolkit
-from ik_toolkit.compile import cache
+from ik_toolkit.compile import cache, jit
 from ik_toolkit.compile.jit import INLINE, PARTS
 from ik_toolkit.compile.pipeline import PartLibrary
 from ik_toolkit.kernel.chain import forward_kinematics
@@ -275,3 +275,49 @@ def test_files_a_rule_is_compiled_from_are_watched(tmp_path, monkeypatch):
     module = importlib.import_module("rule_of_mine")
     watched = {path.name for thing in (module.Mine, module.step) for path in cache._sources(thing)}
     assert watched == {"rule_of_mine.py", "rule_helpers.py"}
+
+
+# Three calls of one rule, each of which takes up to a millisecond: the times of a newcomer's comparison of solvers.
+COMPARED = """
+import time, ik_toolkit as ik
+robot = ik.Robot.load("hydrolek_7w")
+target = robot.fk(robot.home + 0.1)
+for call in (ik.Solver(robot, "ccd"), ik.Solver(robot, "ccd", check=True), ik.Solver(robot, "ccd")):
+    began = time.perf_counter()
+    result = call(target)
+    print(time.perf_counter() - began, result.elapsed, result.compile_time, result.to_dict()["compile_time"])
+"""
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_the_time_of_a_solve_is_apart_from_that_of_compiling_and_loading(tmp_path):
+    for process in ("compiles", "loads"):
+        done = run(PACKAGE.parent, COMPARED, NUMBA_CACHE_DIR=str(tmp_path))
+        first, second, third = ([float(x) for x in row.split()] for row in done.stdout.splitlines())
+        wall, elapsed, waited, told = first
+        assert waited == told and 0.0 <= wall - elapsed - waited < 0.05
+        assert waited > (0.5 if process == "compiles" else 0.002)
+        assert elapsed < 0.05 and max(second[1], third[1]) < 0.05  # 10 times the 5 ms of a slow machine
+        assert second[2] == third[2] == 0.0
+        said = done.stderr.splitlines()
+        assert len(said) == (process == "compiles"), said
+        assert all(line == f"ik_toolkit is compiling CCD ({FIRST_USE}) ..." for line in said)
+
+
+def test_waiting_threads_count_once(monkeypatch):
+    """Two threads waited together from 1 to 4 s, another alone from 6 to 7 s; this one did not wait at all."""
+    rows = [(0, 0.0, 0.5), (1, 1.0, 3.0), (2, 1.5, 4.0), (1, 2.0, 2.5), (3, 6.0, 7.0)]
+    monkeypatch.setattr(jit, "waits", rows)
+    assert [jit.compile_time(since, everywhere=True) for since in (0.9, 2.0, 5.0, 6.5, 8.0)] == [
+        4.0,
+        3.0,
+        1.0,
+        0.5,
+        0.0,
+    ]
+    assert jit.compile_time(0.0) == 0.0
+    monkeypatch.setattr(jit.threading, "get_ident", lambda: 1)
+    assert jit.compile_time(0.0) == 2.0
+
+
+FIRST_USE = "first use on this machine, up to half a minute"

@@ -8,6 +8,7 @@ import shlex
 
 import pytest
 from folders import ROOT
+from wire import Wire
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
@@ -44,6 +45,9 @@ WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 def test_examples_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
+    if importlib.util.find_spec("meshcat"):
+        # The only difference from what a reader gets: no server, which is a process of its own.
+        monkeypatch.setattr("meshcat.visualizer.ViewerWindow", lambda **_: Wire())
     code = "\n".join(write_files(page, tmp_path))
     exec(compile(code, str(page), "exec"), {"__name__": "guide"})
 

@@ -19,7 +19,8 @@ KERNELS = "from ik_toolkit.compile.jit import cached\n" + "".join(
     f"@cached\ndef plus_{k}(x):\n    return x + {k}.0\n" for k in range(COUNT)
 )
 CALLS = f"""
-import sys, small_kernels
+import logging, sys, small_kernels
+logging.getLogger("ik_toolkit.compile").setLevel("ERROR")  # On a busy machine it says that compiling takes its time.
 print("ready", flush=True)
 sys.stdin.readline()
 print([getattr(small_kernels, f"plus_{{k}}")(1.0) for k in range({COUNT})])

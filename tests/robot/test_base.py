@@ -126,7 +126,7 @@ def test_a_free_flyer_of_a_given_model_is_solved_for(flyer):
         assert full.shape == (model.nq,) and np.allclose(pin.normalize(model, full), full, atol=1e-12)
         pin.framesForwardKinematics(model, data, full)
         assert np.allclose(data.oMf[model.getFrameId("left_foot")].homogeneous, robot.fk(q).homogeneous, atol=1e-12)
-        back = robot.fk(robot.from_pinocchio(full)).homogeneous
+        back = robot.fk(robot.q_from_pinocchio(full)).homogeneous
         assert np.allclose(back, robot.fk(q).homogeneous, atol=1e-9)
     assert robot.to_pinocchio(robot.home, rest=full).shape == full.shape
     still = ik.Robot(model, tip="left_foot", base="body")

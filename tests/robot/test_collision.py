@@ -177,7 +177,7 @@ def test_robots_without_shapes_or_meshes_say_so():
     with pytest.raises(ModelError, match=r"part\.stl.*package_dirs"):
         ik.CollisionModel(ik.Robot.load(TOUCHING.replace('<link name="l1"/>', mesh)))
     made = ik.Robot(pin.buildModelFromXML(TOUCHING), tip="l4")
-    with pytest.raises(ModelError, match="geometry="):
+    with pytest.raises(ModelError, match="collision_model="):
         ik.CollisionModel(made)
     shapes = pin.buildGeomFromUrdfString(made.model, balls(0.05, 0.05, 0.05, 0.05).urdf, pin.COLLISION)
     assert ik.CollisionModel(made, geometry=shapes).pairs == (("l0", "l2"), ("l0", "l3"), ("l1", "l3"))

@@ -60,7 +60,7 @@ def test_full_configuration_and_back(name):
     q = robot.random_q(np.random.default_rng(2))
     full = robot.to_pinocchio(q)
     assert full.shape == (robot.model.nq,)
-    assert np.allclose(robot.from_pinocchio(full), q, atol=1e-12)
+    assert np.allclose(robot.q_from_pinocchio(full), q, atol=1e-12)
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, full)
     tip = data.oMf[robot.model.getFrameId(robot.tip, pin.BODY)]

@@ -123,7 +123,7 @@ def test_configurations_as_of_a_robot(tree):
     for _ in range(50):
         q = tree.random_q(rng)
         assert tree.outside(q) == []
-        assert np.allclose(tree.from_pinocchio(tree.to_pinocchio(q)), q, atol=1e-12)
+        assert np.allclose(tree.q_from_pinocchio(tree.to_pinocchio(q)), q, atol=1e-12)
     assert tree.check_q(tree.home) is not tree.home
     with pytest.raises(errors.InvalidConfiguration, match=f"{tree.n} values"):
         tree.fk(np.zeros(tree.n + 1))

@@ -8,7 +8,7 @@ import numpy as np
 from ...robot.robot import Robot
 from ...solvers.closed_form import inspection
 from ...solvers.closed_form.inspection import Inspection
-from ...solvers.solve_all import solve_all
+from ...solvers.solve import solve_all
 from ...style import COLOURS
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from ...robot.robot import Robot
 from ...solvers.closed_form import inspection
 from ...solvers.closed_form.inspection import Inspection
-from ...solvers.solve import solve
-from ...solvers.solve_all import solve_all
+from ...solvers.solve import solve, solve_all
 from ..report import ROUNDING, Report
 from .figures import self_motion
 from .formulas import (

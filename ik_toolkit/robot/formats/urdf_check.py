@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ...errors import ModelError
+from ...text import in_shell
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
 from .finding import Finding, did_you_mean, error_finding, notes, odd
 from .mimic import followers
@@ -59,7 +60,7 @@ def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
     found = findings(text)
     errors = [finding for finding in found if finding.severity == "error"]
     if errors:
-        more = f" (and {len(errors) - 1} more; `ik check` lists them)" if len(errors) > 1 else ""
+        more = in_shell(f" (and {len(errors) - 1} more; `ik check` lists them)") if len(errors) > 1 else ""
         raise ModelError(f"the URDF cannot be used: {errors[0]}{more}; {errors[0].advice}")
     return notes(found, lines)
 

@@ -13,11 +13,11 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import InvalidOption, ModelError, floats, near_match
-from ..base import put_on
 from ..robot import Robot
 from ..tree import Tree
 from .convex import is_flat, owner_above, read_shapes, request
 from .distance import Clearance, Near
+from .link_shapes import placed
 from .surroundings import PlacedShape, Surroundings
 
 SAMPLES = 8  # This many random configurations show which links move relative to each other.
@@ -81,10 +81,8 @@ class CollisionModel(Surroundings):
             raise InvalidOption(f"geometry must be a pin.GeometryModel, not {type(geometry).__name__}")
         self.margin = as_margin(margin)
         self._given = None if geometry is None else geometry.clone()
-        self._own = read_shapes(robot) if geometry is None else geometry.clone()
+        self._own = read_shapes(robot) if geometry is None else placed(geometry, robot)
         self._own.removeAllCollisionPairs()
-        if geometry is not None and robot._original is not None:
-            put_on(self._own, robot._original, robot.model)
         self._links = [robot.model.frames[o.parentFrame].name for o in self._own.geometryObjects]
         self._tools = len(self._links)
         self._add_tools()

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import ModelError
-from .link_shapes import LinkShape, geometry_model, link_shapes, problems_sentence
+from .link_shapes import LinkShape, geometry_model, link_shapes, placed, problems_sentence
 from .shape import PLAIN, surface
 
 # Limit on a robot's shapes: their 45,000 pairs take 1 s and 0.5 GB to set up. Robots have up to 100 shapes.
@@ -15,12 +15,17 @@ MAX_SHAPES = 300
 
 
 def read_shapes(robot: Any) -> pin.GeometryModel:
-    """Read the collision shapes of the robot's URDF and place them on its model.
+    """Return the collision shapes given with the robot's model, or those of its URDF, placed on its model.
 
     Raises ModelError if one cannot be used.
     """
+    if robot.collision_model is not None:
+        return placed(robot.collision_model, robot)
     if robot.urdf is None:
-        raise ModelError(f"robot '{robot.name}' was not made from a URDF; pass its collision shapes as geometry=")
+        raise ModelError(
+            f"robot '{robot.name}' was made from a Pinocchio model alone; give its collision shapes: "
+            "ik.Robot(model, collision_model=)"
+        )
     shapes, problems = link_shapes(robot, "surface", MAX_SHAPES)
     if problems:
         where = "; meshes are read from the URDF's folder, its ROS package and package_dirs="

@@ -4,17 +4,21 @@ Pinocchio's own reader opens any path a file names, in this process, and drops a
 stderr when one of them is unusable. Here each unusable or missing shape is reported.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from ...errors import ModelError
+from ..base import put_on
 from ..formats.urdf import Item, attribute_numbers, parse
 from ..rotation import rpy_matrix
-from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
+from .meshes import FORMATS, Mesh, MeshPiece, find_mesh, mesh_folders, mesh_packages, read_meshes
 
 # Limit on a robot's triangles, which take 2 GB as bounding volume trees for collisions. Robots have up to 1,000,000.
 MAX_TOTAL = 5_000_000
@@ -55,6 +59,8 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     Raises ModelError if there are more than `most`.
     """
     role = ROLES[kind]
+    if kind == "look" and robot.visual_model is not None:
+        return _given(robot, robot.visual_model, most)
     items = [item for item in parse(robot.urdf) if item.tag in ("link", "material")]
     count = sum(given["role"] == role for item in items for given in item.shapes)
     if count > most:
@@ -96,6 +102,64 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     return found, problems
 
 
+def light(given: pin.GeometryModel | None) -> pin.GeometryModel | None:
+    """Return a copy of visual shapes for pickling, without triangles that are read from a file again (2.5 kB each)."""
+    copy = None if given is None else given.clone()
+    for shape in copy.geometryObjects if copy is not None else ():
+        if os.path.isfile(shape.meshPath):
+            shape.geometry = coal.BVHModelOBBRSS()
+    return copy
+
+
+def placed(given: pin.GeometryModel, robot: Any) -> pin.GeometryModel:
+    """Return a copy of shapes that were given with a Pinocchio model, on the links of the robot's model."""
+    copy = given.clone()
+    put_on(copy, robot.model if robot._original is None else robot._original, robot.model)
+    return copy
+
+
+def _given(robot: Any, geometry: pin.GeometryModel, most: int) -> tuple[list[LinkShape], Problems]:
+    """Return shapes given with a Pinocchio model; a mesh is its file's, with its colours, or else what Pinocchio has read of it."""
+    model, shapes = robot.model, placed(geometry, robot).geometryObjects
+    if len(shapes) > most:
+        raise ModelError(f"robot '{robot.name}' has {len(shapes):,} visual shapes; at most {most:,} are read")
+    files = {shape.name: Path(shape.meshPath).resolve() for shape in shapes if os.path.isfile(shape.meshPath)}
+    files = {name: file for name, file in files.items() if file.suffix.lower() in FORMATS}
+    read = read_meshes(files.values(), "look", list({file.parent for file in files.values()}))
+    meshes = {name: read[file] for name, file in files.items()}
+    found, problems = [], []
+    for shape in shapes:
+        frame, form = model.frames[shape.parentFrame], shape.geometry
+        place, mesh = frame.placement.actInv(shape.placement), meshes.get(shape.name, Mesh())
+        kind, sizes = _kind(form)
+        if kind == "mesh" and mesh.pieces:
+            sizes = tuple(map(float, shape.meshScale))
+        elif kind == "mesh" and isinstance(form, coal.BVHModelBase):
+            corners = [form.tri_indices(k) for k in range(form.num_tris)]
+            faces = np.array([[corner[0], corner[1], corner[2]] for corner in corners], dtype=int).reshape(-1, 3)
+            mesh = Mesh((MeshPiece(np.array(form.vertices()).reshape(-1, 3), faces, None),))
+        elif kind == "mesh":
+            problems.append((f"shape '{shape.name}'", f"is a {type(form).__name__}, which is not drawn"))
+            continue
+        own = any(piece.color for piece in mesh.pieces) and not shape.overrideMaterial
+        color = None if own else tuple(map(float, shape.meshColor))
+        file = shape.meshPath if kind == "mesh" else ""
+        found.append(LinkShape(shape.name, frame.name, kind, sizes, place, color, file, mesh=mesh))
+    return found, problems
+
+
+def _kind(form: Any) -> tuple[str, tuple[float, ...]]:
+    """Return kind and sizes [m] of a coal object; everything that has other names counts as a mesh."""
+    match form:
+        case coal.Box():
+            return "box", tuple((2.0 * form.halfSide).tolist())
+        case coal.Sphere():
+            return "sphere", (form.radius,)
+        case coal.Cylinder() | coal.Capsule():
+            return type(form).__name__.lower(), (form.radius, 2.0 * form.halfLength)
+    return "mesh", (1.0, 1.0, 1.0)
+
+
 def problems_sentence(problems: Problems) -> str:
     """Summarise problems in one sentence: the first three, and the number of others."""
     rows = list(dict.fromkeys(f"{element}: {problem}" for element, problem in problems))
@@ -105,7 +169,9 @@ def problems_sentence(problems: Problems) -> str:
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
     """Make Pinocchio's geometry model: place coal objects (`forms`) on the links of the shapes they were made from."""
     geometry = pin.GeometryModel()
-    frames: dict[str, int] = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY}
+    # Several frames may have one name; a link wins.
+    order = sorted(enumerate(model.frames), key=lambda one: one[1].type == pin.FrameType.BODY)
+    frames: dict[str, int] = {frame.name: i for i, frame in order}
     for shape, form in zip(shapes, forms, strict=True):
         frame = model.frames[frames[shape.link]]
         placement = frame.placement * shape.T_link_shape

@@ -21,8 +21,7 @@ from ...robot.tips import path_ends
 from ...robot.tree import Tree
 from ...solvers.registry import find_row, list_rows, make_rule
 from ...solvers.result import Result
-from ...solvers.solve import solve
-from ...solvers.solve_all import solve_all
+from ...solvers.solve import solve, solve_all
 from ...text import angle, duration, length, parameter, plain, vector
 from .drag_follower import Followed, Hand, prepare
 

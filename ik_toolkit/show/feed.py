@@ -1,0 +1,149 @@
+"""What has changed in a window and is not yet sent: to an open page of ours, or to a viewer of the caller's."""
+
+import base64
+import json
+import warnings
+from collections.abc import Callable, Iterable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, MissingExtra
+
+ROOT = "/meshcat/"
+MOST_GONE = 1000  # number of deleted paths remembered for a page that does not read its messages
+
+
+def meshcat_module() -> Any:
+    """Import meshcat without the warnings about its own imports."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            import meshcat
+            import meshcat.commands
+            import meshcat.geometry
+        except ImportError:
+            raise MissingExtra("meshcat", "view") from None
+    return meshcat
+
+
+def scene_command(command: dict[str, Any]) -> bytes:
+    """Return a command of meshcat, whose path is one of our scene's, as bytes."""
+    import umsgpack
+
+    return umsgpack.packb({**command, "path": ROOT + command["path"]})
+
+
+class Feed:
+    """Updates not yet sent to one open page.
+
+    It notes which paths changed, not how often, so an unread page accumulates no frames. `wake` is called when there is
+    an update. Callers of `changed`, `deleted` and `told` hold the window's lock.
+    """
+
+    def __init__(self, window: Any, wake: Callable[[], None]) -> None:
+        """Start with everything unsent."""
+        self.window, self._wake = window, wake
+        self._awake = False
+        self._gone: set[str] = set()
+        self._paths: set[str] = {*window.objects, *window.copies, *window.transforms}
+        self._about = dict(window.about)
+        self._news()
+
+    def _news(self) -> None:
+        if not self._awake:
+            self._awake = True
+            self._wake()
+
+    def changed(self, path: str) -> None:
+        """Note that the drawing or the pose at a path has changed."""
+        self._paths.add(path)
+        self._news()
+
+    def deleted(self, path: str) -> None:
+        """Note that a path and everything below it is deleted."""
+        self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
+        self._gone = {p for p in self._gone if not p.startswith(path + "/")} | {path}
+        if len(self._gone) > MOST_GONE:  # too many deleted paths: the page is cleared and drawn anew
+            window = self.window
+            self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
+        self._news()
+
+    def told(self, about: dict[str, Any]) -> None:
+        """Note that the text or camera of the page has changed."""
+        self._about.update(about)
+        self._news()
+
+    def take(self) -> list[bytes | str]:
+        """Return the messages that bring the page up to date."""
+        with self.window.lock:
+            self._awake = False
+            gone, paths, about = self._gone, self._paths, self._about
+            self._gone, self._paths, self._about = set(), set(), {}
+            erased = [scene_command({"type": "delete", "path": path}) for path in gone]
+            return [*erased, *self.window.snapshot(paths), *([json.dumps(about)] if about else [])]
+
+
+class Guest:
+    """Draws a window in the caller's viewer too: meshcat's, or Pinocchio's, whose own drawing of the robot then moves."""
+
+    def __init__(self, window: Any, viewer: Any, parts: Iterable[str]) -> None:
+        """Replace what was drawn there before; parts: names of the robot's parts. Raises InvalidOption."""
+        meshcat, group = getattr(viewer, "viewer", viewer), getattr(viewer, "viewerVisualGroupName", "")
+        if not isinstance(meshcat, meshcat_module().Visualizer) or (meshcat is not viewer and not group):
+            known = "a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer after initViewer() and loadViewerModel()"
+            raise InvalidOption(f"viewer must be {known}, not {viewer!r:.60}")
+        theirs = {f"robot/{shape.name}": shape for shape in viewer.visual_model.geometryObjects} if group else {}
+        if others := sorted({shape.name for shape in theirs.values()} - {*parts}):
+            raise InvalidOption(
+                f"the viewer draws '{others[0]}', no part of this robot; make it with ik.Robot(model, visual_model=)"
+            )
+        self._nodes = {path: meshcat[f"{group}/{shape.name}"] for path, shape in theirs.items()}
+        self._scales = {path: np.repeat([*shape.meshScale, 1.0], 4) for path, shape in theirs.items()}
+        self._drawn: dict[str, Any] = {}
+        self._scene = meshcat["ik_toolkit"]
+        self._scene.delete()
+        self._scene.set_animation(meshcat_module().animation.Animation(), play=False)
+        self._feed: Feed | None = None
+        self._feed = Feed(window, self.update)
+        window.feeds.add(self._feed)
+        self.update()
+
+    def update(self) -> None:
+        """Send what has changed; a title, lines, a legend and the camera stay with our own pages."""
+        import umsgpack
+
+        for data in self._feed.take() if self._feed is not None else ():
+            if isinstance(data, bytes):
+                self._send(umsgpack.unpackb(data))
+            elif motion := json.loads(data).get("animation"):
+                self._scene.set_animation(self._animation(motion))
+
+    def _send(self, command: dict[str, Any]) -> None:
+        path = command["path"].removeprefix(ROOT)
+        if command["type"] == "copy":  # which only our own page understands
+            made, color = self._drawn[command["source"]], {key: command[key] for key in ("color", "opacity")}
+            made = {**made, "materials": [{**made["materials"][0], **color, "transparent": True}]}
+            command = {"type": "set_object", "object": made}
+        elif command["type"] == "set_object":
+            self._drawn[ROOT + path] = command["object"]
+            if path.rpartition("/")[0] in self._nodes:
+                return
+        elif command["type"] == "set_transform" and path in self._nodes:
+            command["matrix"] = (self._scales[path] * command["matrix"]).tolist()
+        sent = {**command, "path": self._node(path).path.lower()}
+        self._scene.window.send(SimpleNamespace(lower=lambda: sent))
+
+    def _node(self, path: str) -> Any:
+        return self._nodes.get(path) or self._scene[path]
+
+    def _animation(self, motion: dict[str, Any]) -> Any:
+        made = meshcat_module().animation.Animation(default_framerate=motion["fps"])
+        poses = np.frombuffer(base64.b64decode(motion["data"]), "<f4").reshape(motion["count"], -1, 3, 4).astype(float)
+        for path, rows in zip(motion["paths"], poses.swapaxes(0, 1), strict=True):
+            for k, T in enumerate(rows):
+                made.at_frame(self._node(path.removeprefix(ROOT)), k).set_transform(
+                    np.vstack([T, [0.0, 0.0, 0.0, 1.0]])
+                )
+        return made
