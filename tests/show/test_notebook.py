@@ -16,11 +16,13 @@ pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
 import umsgpack
 from hostile import Reader
+from robots import urdf
 
 from ik_toolkit.show import notebook
 from ik_toolkit.show.body import DrawnShape, primitive
 from ik_toolkit.show.meshcat_server import Window
 from ik_toolkit.show.picture import picture
+from ik_toolkit.show.scene import Scene
 
 
 @pytest.fixture(autouse=True)
@@ -289,3 +291,14 @@ def test_labels_leave_the_grid_in_the_legend():
     scene.trail(np.eye(3), label="my trail")
     words = [text for _, text in scene.window.about["legend"]]
     assert words[0] == "my trail" and re.fullmatch("grid .* m+", words[-1])
+
+
+@pytest.mark.parametrize("length", ["1e-320", "1e-9", "1e8"])
+def test_robots_of_any_size_have_a_picture(length):
+    robot = ik.Robot.load(urdf(*[{"kind": "revolute", "axis": "0 1 0", "xyz": f"0 {length} 0"}] * 2))
+    assert "image/png" in ik.view(robot, target=(0.0, 0.0, 0.0))._repr_mimebundle_()
+
+
+def test_pages_and_empty_scenes_aim_their_own_camera():
+    robot = ik.Robot.load("planar_2r")
+    assert "image/png" in Scene(robot)._repr_mimebundle_() and "image/png" in Scene(robot).page()._repr_mimebundle_()
