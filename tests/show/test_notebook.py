@@ -108,8 +108,12 @@ def test_the_picture_shows_each_thing_where_it_is():
         T[:2, 3] = x, y
         window.shape(f"{name}/0", DrawnShape(vertices, faces, color))
         window.place(name, T)
+    wall = np.array([(-6, -40, -40), (-6, 40, -40), (-6, 40, 40), (-6, -40, 40)], dtype=np.float32)
+    window.shape("wall/0", DrawnShape(wall, np.array([(0, 2, 3), (0, 1, 2)], dtype=np.uint32), (0, 1, 0)))
+    window.place("wall", np.eye(4))
     drawn = pixels(picture(window))
-    red = (drawn[:, :, 0] > 0.3) & (drawn[:, :, 2] < 0.2)
+    assert (drawn[:, :, 1] > 0.3).mean() > 0.8
+    red = (drawn[:, :, 0] > 0.3) & (drawn[:, :, 1] < 0.2)
     scale = 230 / np.tan(np.radians(37.5))  # pixels of a metre at a distance of one metre
     rows, columns = np.nonzero(red)
     assert columns.mean() == pytest.approx(380 + scale * 0.6 / 4.0, abs=2.0)  # from +x, +y is to the right
