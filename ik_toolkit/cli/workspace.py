@@ -103,10 +103,13 @@ def _draw(found: Any, arm: Any, plot: Path | None, html: Path | None) -> None:
         draw(found, arm, file=plot)
     if html is not None:
         from ..show.scene import view
+        from .pictures import incomplete
 
         first = next(iter(found.solved))
         title = f"{arm.name}: targets of {found.tip}, {first}"
-        view(arm, cloud=(found.points, found.solved[first]), title=title).save(html)
+        scene = view(arm, cloud=(found.points, found.solved[first]), title=title)
+        incomplete(scene)
+        scene.save(html)
 
 
 def _chosen(names: list[str] | None, presets: list[str] | None) -> dict[str, Any]:

@@ -288,6 +288,7 @@ def split_sharp_edges(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarr
 def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
     """Build sticks for the joints that have no shapes: a ball at each, a bar for its link, and one for its stroke if it slides.
 
+    The links on either side get a bar, too, so that nothing hangs in the air.
     Where other parts of the robot have shapes, the coordinates of a moving base get no sticks.
     """
     make, model, data = need_trimesh().creation, robot.model, robot.model.createData()
@@ -307,10 +308,11 @@ def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
         for joint in arm._path.joints:
             if joint in bare and joint in arm._path.owner:
                 parts.setdefault(joint, BodyPart(f"{model.names[joint]}_ball", (ball,), joint, world))
-        for start, end in pieces:
+        for k, (start, end) in enumerate(pieces):
+            near = {point.joint for piece in pieces[max(k - 1, 0) : k + 2] for point in piece}
             joint, link = max(start.joint, end.joint), start.joint == end.joint
             moves = np.asarray(data.joints[joint].S).reshape(6, -1)[:3].any() if not link else True
-            if not bare & {start.joint, end.joint} or not moves or (link and np.array_equal(start.place, end.place)):
+            if not bare & near or not moves or (link and np.array_equal(start.place, end.place)):
                 continue
             name, at = model.names[joint], pin.SE3(np.eye(3), start.place)
             key = start.joint, end.joint, *start.place, *end.place

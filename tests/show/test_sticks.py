@@ -174,11 +174,14 @@ def test_links_without_shapes_are_sticks_and_the_shell_says_why(tmp_path, capsys
         scene = ik.view(robot)
         parts = {part.name for part in scene.body.parts}
         assert {"l2_0", "j0_ball", "j5_ball"} <= parts and "j1_ball" not in parts
+        base = scene.body.T_world_base[:3, 3]
+        check_chain(bars_of(scene), base, robot.fk(robot.home).translation + base, robot.reach)
     assert "mesh 'lost.stl' cannot be found" in scene.body.notice
     assert scene.body.notice.endswith("; links without shapes are drawn as sticks")
     file = tmp_path / "lost.urdf"
     file.write_text(lost)
-    for command in (["view", str(file)], ["solve", str(file), "--from-q", *["0.1"] * robot.n]):
+    words = ["view"], ["solve", "--from-q", *["0.1"] * robot.n], ["workspace", "--targets", "100"]
+    for command in ([name, str(file), *rest] for name, *rest in words):
         assert main([*command, "--html", str(tmp_path / "out.html")]) == 0
         assert "mesh 'lost.stl' is not there" in capsys.readouterr().err
 
