@@ -155,9 +155,12 @@ class TextTable:
         style = f" style='color:{self.color}'" if self.color else ""
         title = f"<b{style}>{html.escape(self.title)}</b>"
         head = "".join(f"<th>{html.escape(one)}</th>" for one in self.head)
-        rows = "".join(f"<tr>{''.join(f'<td>{html.escape(one)}</td>' for one in row)}</tr>" for row in self.rows)
+        rows = ""
+        for row in self.rows:  # numbers stay with their units
+            cells = (html.escape(one).replace(" ", "&nbsp;" if one[:1].isdigit() else " ") for one in row)
+            rows += f"<tr>{''.join(f'<td>{one}</td>' for one in cells)}</tr>"
         notes = "".join(f"<div>{html.escape(note)}</div>" for note in self.notes)
-        table = f"<table style='white-space:nowrap'>{f'<tr>{head}</tr>' if head else ''}{rows}</table>"
+        table = f"<table>{f'<tr>{head}</tr>' if head else ''}{rows}</table>"
         return f"{title} {html.escape(self.words)}{table}{notes}"
 
     def __str__(self) -> str:

@@ -30,7 +30,7 @@ class Interaction:
         scene.look()
         eye, to, *rest = scene.window.about["camera"]
         away = [
-            b + 1.35 * (a - b) for a, b in zip(eye, to, strict=True)
+            b + 1.5 * (a - b) for a, b in zip(eye, to, strict=True)
         ]  # further than that, so that there is room to drag
         scene.window.say(camera=[away, to, *rest])
 

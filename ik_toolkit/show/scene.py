@@ -322,7 +322,7 @@ class Scene(InCell, SceneState):
         def made() -> str:
             return page_html(self.robot, self.body, self.window.about["title"])
 
-        return PageInCell(made(), self.window) if path is None else write_page(path, "a live page", made)
+        return PageInCell(made(), self._aimed()) if path is None else write_page(path, "a live page", made)
 
     def serve(self, port: int = 0) -> str:
         """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""

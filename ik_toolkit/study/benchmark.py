@@ -114,7 +114,7 @@ class Benchmark:
         for robot, found in self.by_robot().items():
             for row in found:
                 once = "" if row.once is None else f"{100 * row.once.solved / row.once.targets:.1f} %"
-                share = f"{100 * row.solved / row.targets:.1f} % ({100 * row.low:.1f}-{100 * row.high:.1f})"
+                share = f"{100 * row.solved / row.targets:.1f} % ({100 * row.low:.1f} to {100 * row.high:.1f})"
                 times = duration(row.median), duration(row.p99)
                 rows.append((robot, row.solver, row.task, once, share, *times, row.iterations, row.fk_evaluations))
         head = ("robot", "solver", "task", "solved at once", "with restarts (95 %)", "median time", "99 % within")

@@ -82,7 +82,7 @@ class Workspace:
         rows = []
         for name, one in self.outcomes.items():
             low, high = wilson(one.solved, one.targets)
-            share = f"{100 * one.share:.2f} % ({100 * low:.2f}-{100 * high:.2f})"
+            share = f"{100 * one.share:.2f} % ({100 * low:.2f} to {100 * high:.2f})"
             steps, took = one.iterations / max(one.solved, 1), duration(one.elapsed / max(one.targets, 1))
             left = length(one.worst) if one.solved < one.targets else None
             rows.append((name, one.targets, share, steps, took, left))

@@ -16,11 +16,13 @@ pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
 import umsgpack
 from hostile import Reader
+from robots import urdf
 
 from ik_toolkit.show import notebook
 from ik_toolkit.show.body import DrawnShape, primitive
 from ik_toolkit.show.meshcat_server import Window
 from ik_toolkit.show.picture import picture
+from ik_toolkit.show.scene import Scene
 
 
 @pytest.fixture(autouse=True)
@@ -106,8 +108,12 @@ def test_the_picture_shows_each_thing_where_it_is():
         T[:2, 3] = x, y
         window.shape(f"{name}/0", DrawnShape(vertices, faces, color))
         window.place(name, T)
+    wall = np.array([(-6, -40, -40), (-6, 40, -40), (-6, 40, 40), (-6, -40, 40)], dtype=np.float32)
+    window.shape("wall/0", DrawnShape(wall, np.array([(0, 2, 3), (0, 1, 2)], dtype=np.uint32), (0, 1, 0)))
+    window.place("wall", np.eye(4))
     drawn = pixels(picture(window))
-    red = (drawn[:, :, 0] > 0.3) & (drawn[:, :, 2] < 0.2)
+    assert (drawn[:, :, 1] > 0.3).mean() > 0.8
+    red = (drawn[:, :, 0] > 0.3) & (drawn[:, :, 1] < 0.2)
     scale = 230 / np.tan(np.radians(37.5))  # pixels of a metre at a distance of one metre
     rows, columns = np.nonzero(red)
     assert columns.mean() == pytest.approx(380 + scale * 0.6 / 4.0, abs=2.0)  # from +x, +y is to the right
@@ -289,3 +295,14 @@ def test_labels_leave_the_grid_in_the_legend():
     scene.trail(np.eye(3), label="my trail")
     words = [text for _, text in scene.window.about["legend"]]
     assert words[0] == "my trail" and re.fullmatch("grid .* m+", words[-1])
+
+
+@pytest.mark.parametrize("length", ["1e-320", "1e-9", "1e8"])
+def test_robots_of_any_size_have_a_picture(length):
+    robot = ik.Robot.load(urdf(*[{"kind": "revolute", "axis": "0 1 0", "xyz": f"0 {length} 0"}] * 2))
+    assert "image/png" in ik.view(robot, target=(0.0, 0.0, 0.0))._repr_mimebundle_()
+
+
+def test_pages_and_empty_scenes_aim_their_own_camera():
+    robot = ik.Robot.load("planar_2r")
+    assert "image/png" in Scene(robot)._repr_mimebundle_() and "image/png" in Scene(robot).page()._repr_mimebundle_()

@@ -35,7 +35,7 @@ def test_a_batch_counts_what_ended_how(robot, poses):
     batch = ik.solve_batch(robot, poses, "dls", restarts=0, max_iterations=7)
     page = batch._repr_html_()
     for name, count in batch.counts().items():
-        assert f"<td>{name}</td><td>{count}</td><td>{100 * count / 40:.1f} %</td>" in page
+        assert f"<td>{name}</td><td>{count}</td><td>{100 * count / 40:.1f}&nbsp;%</td>" in page
     assert len(batch.counts()) > 1 and batch.success.any()
     good = batch.iterations[batch.status == Status.CONVERGED]
     assert f"<td>{np.median(good):g}</td>" in page and "ik.plot(batch)" in page
@@ -56,13 +56,13 @@ def test_paths_and_trajectories(robot, poses):
     line[:, 0, 3] -= np.linspace(0.0, 0.05, 9)
     path = ik.solve_path(robot, line)
     page = path._repr_html_()
-    assert "FOLLOWED" in page and f"{path.length[0]:.4g} rad" in page and "ik.plot(result)" in page
+    assert "FOLLOWED" in page and f"{path.length[0]:.4g}&nbsp;rad" in page and "ik.plot(result)" in page
     trajectory = path.retime(acceleration=1.0)
     page = trajectory._repr_html_()
     assert page.count("<tr>") == 1 + robot.n and "azimuth_yaw" in page and f"{trajectory.duration:.4g} s" in page
     line[-1, 0, 3] = 9.0
     lost = ik.solve_path(robot, line)._repr_html_()
-    assert "INCOMPLETE" in lost and "9, not reached: 1" in lost
+    assert "INCOMPLETE" in lost and "9,&nbsp;not&nbsp;reached:&nbsp;1" in lost
 
 
 def test_studies_are_tables_in_terminals_too(robot):

@@ -42,6 +42,7 @@ window.ikCells ??= (() => {
       box.frame.style.opacity = 1;
       model?.send({ open: 1 });
     }
+    if (ik.released) box.element.closest("[tabindex]")?.focus({ preventScroll: true }); // so that the notebook's keys work
     if (ik.state) box.state = ik.state;
     if (ik.still) remove(box, ik.still);
     if (ik.lost || ik.failed) {

@@ -91,6 +91,7 @@ function pull(event) {
 }
 function let_go(event) {
   if (held) event.stopImmediatePropagation();
+  if (event.target === viewer.renderer.domElement) tell({ released: 1 });
   held = null;
 }
 
