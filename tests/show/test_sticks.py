@@ -122,7 +122,7 @@ def test_a_ball_joint_is_drawn_through():
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = -1.0, 1.0
     robot = ik.Robot(model, tip="tip")
     scene = Scene(robot)
-    assert "the model was given without visual shapes" in scene.body.notice
+    assert "the Pinocchio model was given without visual_model=" in scene.body.notice
     for q in robot.random_q(np.random.default_rng(1), 5):
         scene.show(q)
         check_chain(bars_of(scene), np.zeros(3), robot.fk(q).translation, 1.0)
