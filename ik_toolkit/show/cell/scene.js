@@ -1,5 +1,5 @@
 // A scene in a frame of a notebook's page: the cell's script (cell.js) opens, feeds and closes it, and hears of a dragged target.
-const tell = (ik, move) => parent.postMessage({ ik }, "*", move), TEXT = new TextDecoder(), NEAR = 16, TURN = 0.012; // [px], [rad/px]
+const tell = (ik, move) => parent.postMessage({ ik }, "*", move), NEAR = 16, TURN = 0.012; // [px], [rad/px]
 let grips = [], held = null;
 
 const plainly = show;

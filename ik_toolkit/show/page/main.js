@@ -169,18 +169,18 @@ $("null").oninput = () => document.body.dataset.still && play(slide);
 $("null").onchange = $("null").onpointerup = () => { $("null").value = 0; };
 
 // In a frame of a notebook's cell, whose script (cell/cell.js of the package) closes it off-screen and opens it again as it was.
-function inCell(tell) {
+function inCell(say) {
   addEventListener("message", ({ source, data: { open, close } }) => {
     if (source !== parent) return;
     const { state } = open ?? {};
     if (state) play(() => show(state.q) && (state.targets.forEach((was, tip) => Object.assign(targets[tip], was)), show(state.q, state.result)));
-    if (open) tell({ ready: 1 });
+    if (open) say({ ready: 1 });
     if (!close) return;
-    tell({ state: { q, result, targets } });
-    tell({ still: canvas.toDataURL("image/jpeg", 0.9) });
+    say({ state: { q, result, targets } });
+    say({ still: canvas.toDataURL("image/jpeg", 0.9) });
     renderer.gl.getExtension("WEBGL_lose_context")?.loseContext();
   });
-  tell({ hello: 1 });
+  say({ hello: 1 });
 }
 
 try {
