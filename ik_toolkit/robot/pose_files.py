@@ -255,7 +255,8 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str, given:
             f"roll, pitch, yaw are {','.join(kinds[1])})"
         )
     if not turned:
-        unread = rotation_columns([name.removeprefix(prefix) for name in header if name not in needed])
+        others = [name.removeprefix(prefix) for name in header if name.startswith(prefix) and name not in needed]
+        unread = rotation_columns([name for name in others if "." not in name])
         if unread or given.euler is not None:
             said = f"the columns {', '.join(unread)} are not read" if unread else "no column has the angles of --euler"
             raise InvalidTarget(
