@@ -289,6 +289,7 @@ for call in (ik.Solver(robot, "ccd"), ik.Solver(robot, "ccd", check=True), ik.So
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_the_time_of_a_solve_is_apart_from_that_of_compiling_and_loading(tmp_path):
     for process in ("compiles", "loads"):

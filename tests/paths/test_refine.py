@@ -79,7 +79,9 @@ def length(q):
     return np.abs(np.diff(q, axis=0)).sum()
 
 
-@pytest.mark.parametrize("name", ["redundant", "free turn", "position", "two arms"])
+@pytest.mark.parametrize(
+    "name", ["redundant", "free turn", "position", pytest.param("two arms", marks=pytest.mark.slow)]
+)
 def test_a_path_gets_shorter_and_stays_on_its_poses(name):
     plan, kinds, T, q = wavy(name)
     robot = plan.robot

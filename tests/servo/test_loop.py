@@ -15,7 +15,7 @@ from ik_toolkit.servo.tracker import Tracker
 LIMITED: dict = {}
 
 
-@pytest.mark.parametrize("method", ["cv", "ca", "aad", "dls"])
+@pytest.mark.parametrize("method", ["cv", "ca", "aad", pytest.param("dls", marks=pytest.mark.slow)])
 def test_updates_equal_a_run(panda, method):
     ref = panda_reference(panda, True, 1.0)
     run = track(panda, ref, method, dt=0.01, q0=Q0, acceleration_limits=10.0, on_limit="leave")

@@ -55,8 +55,8 @@ def lab(folder, data):
             time.sleep(0.3)
         yield f"http://127.0.0.1:{port}/lab/tree/mine.ipynb"
     finally:
-        server.terminate()
-        server.wait(30)
+        server.kill()  # Asked to end, it waits for its kernels, which end by themselves when it is gone.
+        server.wait()
 
 
 @pytest.fixture(scope="module")
