@@ -10,6 +10,7 @@ import ik_toolkit as ik
 from ik_toolkit import cli
 from ik_toolkit.errors import InvalidOption, ModelError, RobotNotFound
 from ik_toolkit.robot.formats.convert import convert
+from ik_toolkit.robot.formats.urdf_write import numbers_text
 
 TRIANGLE = (DATA / "bad_urdf" / "triangle.stl").read_bytes()
 MESHES = ("package://my_arm/meshes/a.stl", "../meshes/a.stl", "package://nowhere/b.stl", "/etc/passwd.stl")
@@ -77,3 +78,7 @@ def test_other_words(package, tmp_path):
         ik.Robot.from_urdf("panda")
     with pytest.raises(ModelError, match="no movable joint"):
         ik.Robot.from_urdf('<robot name="r"><link name="a"/></robot>')
+
+
+def test_numbers_are_written_plainly():
+    assert numbers_text([-0.0, 0.0, 1.0, -2.5, 1e300]) == "0 0 1 -2.5 1e+300"

@@ -92,6 +92,8 @@ def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
     robot = ik.Robot.load(arm, tip="tool")
     assert "the loop 'connect lower and column' is left open" in caplog.text
     said = "ball joint 'shoulder' becomes three revolute joints: shoulder_yaw, shoulder_pitch, shoulder_roll"
+    span = dict(zip(robot.joint_names, (robot.upper - robot.lower).tolist(), strict=True))
+    assert 3.0 < span["shoulder_pitch"] <= np.pi and span["shoulder_yaw"] > 6.0 and span["shoulder_roll"] > 6.0
     assert said in robot.notes and "shapes that a URDF cannot hold are left out: ellipsoid" in robot.notes
     assert cli.main(["info", str(arm), "--tip", "tool"]) == 0
     assert "three revolute joints" in " ".join(capsys.readouterr().out.split())

@@ -42,6 +42,13 @@ def test_expanded_with_its_arguments(package):
         ik.Robot.load(package / "urdf" / "seg.xacro")
 
 
+def test_a_long_text_of_expressions_is_refused(tmp_path):
+    file = tmp_path / "long.urdf.xacro"
+    file.write_text(f'{HEAD}<link name="l0"/><material name="{"${1}" * 6000}"/></robot>')
+    with pytest.raises(ModelError, match="a text with expressions has more than 20,000 characters"):
+        ik.Robot.load(file)
+
+
 def test_an_argument_that_is_not_used_is_told(package, caplog):
     """A misspelled one gave the robot of the default, without a word."""
     file = package / "urdf" / "arm.urdf.xacro"

@@ -245,6 +245,7 @@ def test_text_latex_and_html_show_the_same_numbers(name):
     q, T = (x[0] for x in sample(arm, 1, seed=8))
     made = ik.solve(arm, T if arm.n > 2 else T[:3, 3].copy(), q0=q).explain()
     text, latex, page = str(made), made.to_markdown(), html.unescape(made.to_html())
+    assert "; the answer" in text and "not one of these branches" not in text
 
     def numbers(text):
         return re.findall(r"\d+\.\d{3,}", text)
