@@ -323,10 +323,9 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], everything: int, stamps: dict) -> None:
     """Write shares by file, and the survivors by name."""
     before = json.loads(given.output.read_text()) if given.output.exists() else {}
-    same = before.get("equivalent", {})  # judged by hand: `exact` name -> reason
+    # Judged by hand, by `exact` name: what is equivalent, and what a test kills in the source, though not as planted.
+    same, in_source = before.get("equivalent", {}), before.get("killed in the source", {})
     names = exact({m.file for m in todo})
-    # By hand, too: mutants that a test kills in the source, though not as planted, because other modules hold the old object.
-    in_source = before.get("killed in the source", {})
     done = {**done, **{m.name: "killed" for m in todo if names[m.name] in in_source}}
     counted = [m for m in todo if names[m.name] not in same]
     rows = {}
