@@ -66,22 +66,13 @@ def retime(
         made = [_straight(result.curve[0], result.curve[0], places[[0, 0]], limits)]
     pieces, t = _instants(made, rate)
     total = float(t[-1])
-    slow = () if tip_speed is None else _slower(robot, pieces, asked)
+    slow, kept = ((), "") if tip_speed is None else _kept_speed(robot, pieces, asked)
     message = missing or f"all {count} poses are passed in {total:.4g} s"
     if stops:
         message += f"; it stops at pose {_listed(stops)}, as no smooth curve passes there within the tolerance"
-    if tip_speed is not None:
-        ranges = [f"{a:.4g} to {b:.4g}" for a, b in slow]
-        on_path = [piece for piece in pieces if not np.isnan(piece.at).any()]
-        fastest = max(
-            (float((piece.speed * _tip_rates(robot, piece, piece.s)).max()) for piece in on_path), default=0.0
-        )
-        kept = f"; the tip keeps {asked:.4g} m/s" + (f" but from pose {_listed(ranges)}" if slow else "")
-        never = f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
-        message += kept if fastest >= KEPT * asked else never
     safe = None if result.collision is None else clearance
     return Trajectory(
-        robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces, result.collision,
+        robot, t, *sample(pieces, t), not missing, message + kept, *limits, (deviation, turn), safe, pieces, result.collision,
         tuple(stops), slow,
     )  # fmt: skip
 
@@ -130,7 +121,7 @@ def _instants(made: list[Piece], rate: float) -> tuple[tuple[Piece, ...], np.nda
 def _without_repeats(result: Any) -> Any:
     """Return a PathResult without the poses that repeat the pose before, at which the joints stand still.
 
-    Only `targets` (N, F, 4, 4) and `at` (M,) change: a spline over the poses needs a distance between any two of them.
+    Only `targets` (N, F, 4, 4), `q` (N, n) and `at` (M,) change: a spline over the poses needs a distance between any two of them.
     """
     T, q = result.targets, result.q
     still = (np.abs(np.diff(T, axis=0)).max(axis=(1, 2, 3)) <= LEAST) & (
@@ -189,14 +180,14 @@ def _pieces(
         parts = [slice(a, b + 1) for a, b in itertools.pairwise(bounds)]
         return [one for part in parts for one in _pieces(plan, result, allowed, part, limits, tip_speed)]
     rows = [slice(k, k + 2) for k in range(run.start, run.stop - 1)]
-    lines = [
-        _straight(result.curve[k], result.curve[k + 1], result.at[two], limits) for k, two in enumerate(rows, run.start)
-    ]
-    slow = [
-        one if tip_speed == math.inf or not one.duration else _fastest(one, plan.robot, limits, tip_speed)
-        for one in lines
-    ]
-    return [(None, one, two) for one, two in zip(slow, rows, strict=True)]
+    made: list[tuple[Curve | None, Piece, slice]] = []
+    for two in rows:
+        a, b = result.curve[two]
+        line = _straight(a, b, result.at[two], limits)
+        if line.duration and tip_speed < math.inf:
+            line = _fastest(line, plan.robot, limits, tip_speed)
+        made.append((None, line, two))
+    return made
 
 
 def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
@@ -210,21 +201,26 @@ def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
     return np.max(rates, axis=0)
 
 
-def _slower(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[float, float], ...]:
-    """Return the ranges (first, last place among the poses) where the fastest tip is slower than `asked` [m/s].
+def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[tuple[float, float], ...], str]:
+    """Return the ranges (first, last place among the poses) where the fastest tip is slower than `asked` [m/s], and words.
 
     Free motions between two branches of solutions are left out.
     """
     found: list[tuple[float, float]] = []
+    fastest = 0.0
     for piece in pieces:
         if np.isnan(piece.at).any():
             continue
-        slow = piece.speed * _tip_rates(robot, piece, piece.s) < KEPT * asked
+        speed = piece.speed * _tip_rates(robot, piece, piece.s)
+        fastest, slow = max(fastest, float(speed.max())), speed < KEPT * asked
         places = np.interp(piece.s, piece.knots, piece.at)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
         for a, b in edges.reshape(-1, 2).tolist():
             found.append((float(places[max(a - 1, 0)]), float(places[min(b, len(places) - 1)])))
-    return tuple(found)
+    if fastest < KEPT * asked:
+        return tuple(found), f"; the limits allow the tip {fastest:.4g} m/s at most, not {asked:.4g} m/s"
+    ranges = [f"{a:.4g} to {b:.4g}" for a, b in found]
+    return tuple(found), f"; the tip keeps {asked:.4g} m/s" + (f" but from pose {_listed(ranges)}" if found else "")
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -262,12 +258,11 @@ def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray],
     """
     knots = piece.knots
     between = max(2, math.ceil(GRID / (len(knots) - 1)))
-    grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
+    step = np.diff(knots) / between
     # From rest to a low tip speed takes a small part of the first interval, within which the acceleration is constant.
     nearer = 4.0 ** -np.arange(1.0, 8.0)
-    grid = np.unique(
-        np.concatenate([grid, grid[0] + nearer * (grid[1] - grid[0]), grid[-1] - nearer * (grid[-1] - grid[-2])])
-    )
+    ends = [knots, knots[0] + nearer * step[0], knots[-1] - nearer * step[-1]]
+    grid = np.unique(np.concatenate([*ends, *(knots[:-1] + k * step for k in range(1, between))]))
     _, slope, bend = piece.curve(grid)
     top = _ceiling(robot, piece, grid, tip_speed)
     for _ in range(LOWERED):

@@ -30,7 +30,7 @@ from .target_stream import STAND, Stream
 from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
 
 JUMP = 0.5  # [rad or arm reaches] joint move in one step that is reported as a jump
-RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a tracker restarts
+RESYNC = 0.1  # [rad or arm reaches] difference of measured and commanded joints beyond which a measurement is doubted
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # number of step lengths h for which a method's gains are cached
 
@@ -49,8 +49,8 @@ class Tracker(CopiesViews, ReadOnly):
         on_limit: What gives way to limits. "direct": the tip falls behind, but moves towards its target; "leave": the error
             is the least possible now; "clip": each joint is clipped on its own, as in the published form.
         dt_max: Longest step [s] that keeps limits (default five times the first dt); a longer dt is taken in parts.
-        jump, resync: Joint move in a step that is reported as a jump, and difference between command and measurement that
-            restarts the tracker [rad or arm reaches].
+        jump, resync: Joint move in a step that is reported as a jump, and difference between command and measurement above
+            which the measurement is not believed until the next one agrees [rad or arm reaches].
         avoid_limits: Gain [1/s] (or True, False) of null-space motion away from near limits.
         posture: Joint values (n,) to move to in the null space, or (joint values, gain [1/s]).
         elbow: A dict from joint names to 1 or -1: the side of zero on which a joint stays.

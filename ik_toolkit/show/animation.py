@@ -18,8 +18,9 @@ from ..solvers.collision_free import collision_model
 from ..text import angle as in_words
 from ..text import figure, length
 from .body import GREY, drawn_shape
-from .meshcat_server import ROOT
+from .feed import ROOT
 from .plots import drawing, iterates
+from .scene_state import css
 
 # Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
@@ -131,6 +132,11 @@ def numbered(word: str, k: int) -> str:
     return f"{word}{k + 1 if k else ''}"
 
 
+def thin_rows(count: int, most: int) -> np.ndarray:
+    """Return the numbers of at most `most` (2 or more) of `count` rows, evenly spread, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
+
+
 def each_target(robot: Joints, target: Any) -> dict[str, Any]:
     """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
     if isinstance(target, Mapping):
@@ -196,7 +202,7 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
 def draw_solve(scene: Any, result: Any) -> None:
     """Animate a solve as `Scene.converge` says."""
     Q, position, angle, others = iterates(result)
-    rows = np.unique(np.linspace(0, len(Q) - 1, min(len(Q), MAX_FRAMES)).astype(int))
+    rows = thin_rows(len(Q), MAX_FRAMES)
     between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
     frames, labels = [], []
     for k, row in enumerate(rows):
@@ -223,7 +229,7 @@ def draw_solve(scene: Any, result: Any) -> None:
 
 def draw_run(scene: Any, result: Any) -> None:
     """Show a tracking run as `Scene.follow` says."""
-    rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
+    rows = thin_rows(len(result.t), MAX_FRAMES)
     wide = 0.005 * scene._extent()
     ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
     for k in range(ways.shape[1]):  # labels for the first tip only
@@ -239,17 +245,15 @@ def animate(scene: Any, motion: ShownMotion) -> None:
     wide = 0.004 * scene._extent()
     ways = np.array([scene._tips(q) for q in motion.q])
     for f in range(len(scene.robot.tips)):
-        number = f"{f + 1 if f else ''}"
         if motion.targets is not None:
-            scene.trail(motion.targets[:, f], f"path{number}", SLATE, 0.45 * wide, "" if f else "poses")
-        _coloured(scene, ways[:, f], motion.values, f"trail{number}", wide, motion.breaks)
+            scene.trail(motion.targets[:, f], numbered("path", f), SLATE, 0.45 * wide, "" if f else "poses")
+        _coloured(scene, ways[:, f], motion.values, numbered("trail", f), wide, motion.breaks)
     if np.isfinite(motion.values).any():
         low, high = np.nanmin(motion.values), np.nanmax(motion.values)
-        bands = ", ".join("#" + "".join(f"{round(255 * c):02x}" for c in band) for band in BANDS)
+        bands = ", ".join(map(css, BANDS))
         label = f"{motion.name}: {figure(low)} to {figure(high)} {motion.unit}"
         scene._say("trail/0", (f"linear-gradient(90deg, {bands})", label))
-    count = len(motion.q)
-    rows = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).astype(int))
+    rows = thin_rows(len(motion.q), MAX_FRAMES)
     span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
     scene.animate(motion.q[rows], [motion.labels[k] for k in rows], fps=max(1.0, (len(rows) - 1) / (span or 1.0)))
     scene.say(*motion.lines)
@@ -291,7 +295,7 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
     if made is None:
         raise InvalidOption("there is no animation to record: see animate, or show a result with history or a run")
     poses = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4").reshape(made["count"], -1, 3, 4)
-    rows = np.unique(np.linspace(0, made["count"] - 1, min(most, made["count"])).astype(int))
+    rows = thin_rows(made["count"], most)
     frames, seen = [], copy.copy(window)
     for row in rows.tolist():
         moved = {

@@ -10,7 +10,7 @@ from ..robot.tree import Tree
 from ..solvers.result import Result
 from ..solvers.solve import Solver
 from ..text import duration, length
-from .animation import GHOSTS, SLATE, each_target
+from .animation import GHOSTS, SLATE, each_target, thin_rows
 from .plots import iterates
 from .scene import Scene, view
 from .scene_state import css
@@ -97,7 +97,7 @@ def interact(
 def _curve(label: str, result: Result, color: str) -> tuple[str, str, list[tuple[int, float]], str]:
     """Return label, colour, position errors [m] over the iterations of the attempt that found the result, and words."""
     errors = iterates(result)[1] if result.history else np.array([result.position_error])
-    rows = np.unique(np.linspace(0, len(errors) - 1, min(len(errors), 200)).astype(int))
+    rows = thin_rows(len(errors), 200)
     found = (
         "converged"
         if result.success

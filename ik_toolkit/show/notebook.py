@@ -25,8 +25,9 @@ from ..errors import InvalidOption, MissingExtra
 from ..robot.joints import Joints
 from .animation import numbered
 from .body import Body, DrawnShape
+from .feed import Feed
 from .live_page import thin
-from .meshcat_server import Feed, Window, _packed, viewer_script
+from .meshcat_server import Window, _packed, viewer_script
 from .picture import picture, shapes_of
 
 _standing: dict[str, Any] = {}  # the cell in which each shared part stands, as far as this kernel has put it there

@@ -11,8 +11,9 @@ import numpy as np
 
 from ..style import GREY, MUTED
 from .body import DrawnShape
+from .feed import ROOT
 from .live_page import normals
-from .meshcat_server import ROOT, SHADE, Window
+from .meshcat_server import SHADE, Window
 from .plots import drawing, literal_text
 
 

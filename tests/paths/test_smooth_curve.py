@@ -1,5 +1,7 @@
 """Poses are samples of a motion: how many of them describe it changes neither its time nor its smoothness much."""
 
+import itertools
+
 import motions
 import numpy as np
 import pytest
@@ -124,6 +126,22 @@ def test_a_pose_that_repeats_is_no_stop(at):
     )
     assert repeated.stops == () and abs(repeated.duration / plain.duration - 1.0) < 1e-6
     assert repeated.place[-1] == 25.0 and "all 26 poses" in repeated.message
+
+
+@pytest.mark.parametrize("seed", [103, 106])
+def test_the_tip_keeps_its_speed_between_the_grid_points(seed):
+    """Held to the speed at the points of its grid alone, the time law would exceed it by a quarter between them."""
+    robot, rng = motions.load("planar_2r"), np.random.default_rng(seed)
+    low, high = np.clip(robot.lower, -3.0, 3.0), np.clip(robot.upper, -3.0, 3.0)
+    corners_at = low + (high - low) * (0.3 + 0.4 * rng.random((int(rng.integers(2, 5)), 2)))
+    count = int(rng.integers(2, 25))
+    Q = np.concatenate([np.linspace(a, b, count) for a, b in itertools.pairwise(corners_at)])
+    path = ik.solve_path(robot, robot.chain.forward(Q)[0], q0=Q[0])
+    asked = rng.uniform(0.01, 0.5)
+    made = path.retime(velocity=1.0, acceleration=rng.uniform(1.0, 50.0), tip_speed=asked)
+    t = np.linspace(0.0, made.duration, 20_000)
+    xyz = robot.chain.forward(made.at(t)[0])[0][:, :3, 3]
+    assert np.linalg.norm(np.diff(xyz, axis=0), axis=1).max() / (t[1] - t[0]) < 1.005 * asked
 
 
 def test_the_tip_is_as_fast_as_asked_as_soon_as_the_acceleration_allows():
