@@ -229,10 +229,10 @@ def space(n, m, L, N):
     """Return the length [float64] of a block of memory with room for all arrays of a search.
 
     The search has n coordinates, m errors, L joints on all chains and N known configurations. The term (n + m + LINE)^2
-    is larger than all matrices and vectors over n and m, 16 m is larger than the arrays of the tips, and the rest is
-    for gaps between arrays.
+    is larger than all matrices and vectors over n and m but for the square ones, 16 m is larger than the arrays of the
+    tips, and the rest is for gaps between arrays.
     """
-    return (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
+    return 8 * max(n, m, 8) * max(n, m, 8) + (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
 
 
 def cut(block, kind, shapes):

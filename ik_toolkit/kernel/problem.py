@@ -20,6 +20,12 @@ Both have the same methods, so rules and loops are written once:
     moving(V, out)     convert a twist, or acceleration, of the targets V (m,) [base axes, m] to the errors that count
     mirrors(out)       write (F, 3) normals of reflections; with a free turn, a tip's reflection makes its last rotation error 0
     bending(look, x, y, out)  write (dJ/dt) y at joint rates x, for the J that was filled last; only where `plain`
+    graded(look, ee, good)    return the look with another value of `ee` and `good`, see levels.py
+    group(look, g), allowed(g)  return the squared error of group g, and its tolerance; a tip's position and rotation are a group each
+    exact(x, level)    aim at the targets themselves, not at the edge of the reach; return x, by how much level 0 is out of reach
+    tilt(g)            return sin(angle) / angle of a rotation measured by its chord, else 1; needs `stack`
+    curvature(c, least, H)  add second derivatives of the errors to H, see `curvature.add_curvature`; needs `stand`, `jacobian`, `stack`
+    bounds_of_step()   return the limits of a step (Ends)
     keep, left, report store and return the errors of the answer
 
 A problem holds views of the flat arrays and of scratch. It is made once in each call of a kernel and never leaves inlined code.
@@ -57,7 +63,8 @@ class Desk(NamedTuple):
     y: Array  # (m,) errors of the step, with rotations as rotation vectors
     # (m,) only for several tips: the errors whose sum of squares is minimised, with rotations as 2 sin(angle/2) times the axis
     e: Array
-    spent: Array  # (2,) number of evaluations made, and number allowed
+    spent: Array  # (3,) number of evaluations made, number allowed, and number of the attempt
+    tables: Array  # (8, k, k) scratch for matrices over the coordinates or the errors; k is the larger of n, m and 8
     errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
 
     def affords(self, evaluations):
@@ -68,11 +75,11 @@ class Desk(NamedTuple):
 @spliced
 def make_desk(block, n, m):
     """Make the working memory for n coordinates and m errors, cut from a block."""
-    s = Desk(*cut(block, np.float64, (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 2, (3, m // 6, 2))))
+    s = Desk(*cut(block, np.float64, (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, max(n, m, 8), max(n, m, 8)), (3, m // 6, 2))))
     for i in range(n):
         for k in range(m):
             s.J[i, k] = 0.0
-    s.spent[0], s.spent[1] = 0.0, 0.0
+    s.spent[0], s.spent[1], s.spent[2] = 0.0, 0.0, 0.0
     return s
 
 

@@ -80,6 +80,7 @@ class Answer(NamedTuple):
     excess: float  # length [m] by which the target is proven out of reach
     attempt: float  # number of the attempt that found q, 0 for the first
     held: float  # index of the joint that the option `follow` holds back (status TOO_FAR), or -1
+    agreed: float  # of a search by levels: number of attempts that found this minimum, else 0
 
 
 @compiled

@@ -32,6 +32,7 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
+from .levels import AT_MINIMUM, evaluation
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
 from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
@@ -181,7 +182,7 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
     count, steps, noted = spent.evaluations, spent.steps, spent.noted
     k, ceiling, moved, code, before = 0.0, patience.ceiling, np.inf, 0, np.inf
     while True:
-        e = p.evaluate(q)
+        e = evaluation(rule, p, q)
         count += 1
         if noted < job.history.shape[0]:
             note(p, e, job.near, job.history, noted, attempt)
@@ -207,8 +208,8 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
             if not (holding and hold(q, dq, w, job.near)):
                 break
         count = int(p.desk.spent[0])
-        if code == SINGULAR_STEP:
-            status = SINGULAR
+        if code == SINGULAR_STEP or code == AT_MINIMUM:
+            status = SINGULAR if code == SINGULAR_STEP else CONVERGED
             break
         steps += 1
         moved, far = integrate(q, dq, boxed, job.near)
@@ -296,7 +297,7 @@ def conclude(p, job, made, spent, excess):
     position, rotation = p.left(made.slot)
     return Answer(
         float(status), float(spent.steps), float(made.tries - 1), position, rotation, float(evaluations),
-        float(spent.noted), excess * job.box.scale(), float(made.found), float(held),
+        float(spent.noted), excess * job.box.scale(), float(made.found), float(held), 0.0,
     )  # fmt: skip
 
 
@@ -326,6 +327,30 @@ def start_attempt(p, job, k, excess):
     return Patience(iterations, ceiling, decay)
 
 
+def aim_at(rule, p, T, orders):
+    """Take a target: return the length by which it is out of reach [kernel units], -1 if it is not a pose."""
+    return rule.aimed(p, T, orders) if hasattr(rule, "aimed") else p.aim(T, orders)
+
+
+@overload(aim_at, jit_options=INLINE)
+def _aim_at(rule, p, T, orders):
+    if hasattr(rule.instance_class, "aimed"):
+        return lambda rule, p, T, orders: rule.aimed(p, T, orders)
+    return lambda rule, p, T, orders: p.aim(T, orders)
+
+
+def seek(rule, p, job, needs_jacobian, excess):
+    """Search by the rule's own `seek` if it has one, which `level_search` writes, otherwise by `search`."""
+    return rule.seek(p, job, excess) if hasattr(rule, "seek") else search(rule, p, job, needs_jacobian, excess)
+
+
+@overload(seek, jit_options=INLINE)
+def _seek(rule, p, job, needs_jacobian, excess):
+    if hasattr(rule.instance_class, "seek"):
+        return lambda rule, p, job, needs_jacobian, excess: rule.seek(p, job, excess)
+    return lambda rule, p, job, needs_jacobian, excess: search(rule, p, job, needs_jacobian, excess)
+
+
 @inline
 def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     """Do the work of the kernel that `entry` returns, whose arguments are given as views; block: scratch memory."""
@@ -352,7 +377,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
     from_q0 = o.given > 0.0 or o.closest > 0.0
     for t in range(N):
         row, q0 = out[t * width : (t + 1) * width], Q0[t if Q0.shape[0] > 1 else 0]
-        excess = p.aim(T[t], o)
+        excess = aim_at(rule, p, T[t], o)
         if excess < 0.0:
             row[0] = BAD_TARGET
             continue
@@ -364,7 +389,7 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
         if following:
             neighbourhood(q0, rows, o.follow, o.follow_slide, limits, box, near)
         sow(table.state, o.seed)
-        answer, place = search(rule, p, job, needs_jacobian, excess)
+        answer, place = seek(rule, p, job, needs_jacobian, excess)
         write(row, 0, answer)
         for i in range(n):
             row[ANSWER + i] = p.desk.q[i] * box.unit(i)

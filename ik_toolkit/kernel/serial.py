@@ -8,7 +8,8 @@ import numpy as np
 from ..compile.array_view import cut, space
 from ..compile.jit import build, compiled, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .counted_error import FREE, KEPT, POSITION, angle_left, counts, turn_axis, vector_ratio
+from .curvature import TipState, add_curvature
+from .counted_error import FREE, KEPT, POSE, POSITION, angle_left, counts, turn_axis, vector_ratio
 from .kinematics import aim, column, jacobian_rate, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import (
@@ -182,6 +183,31 @@ class Serial(NamedTuple):
     def draw(self, table, k, q):
         for i in range(q.shape[0]):
             q[i] = self.ends.low(i) + self.ends.span(i) * rnd(table.state)
+
+    def graded(self, look, ee, good):
+        return Look(look.point, look.linear, look.angular, ee, good)
+
+    def group(self, look, g):
+        return look.linear.square() if g == 0 else look.angular.square()
+
+    def allowed(self, g):
+        return self.tp if g == 0 else self.tr
+
+    def exact(self, excess, level):
+        put3(self.goal, 9, at3(self.goal, 12))
+        return excess if level[0] == 0.0 else min(excess, 0.0)
+
+    def tilt(self, g):
+        whole = int(self.task[WHAT.kind]) == POSE and g % 2 == 1
+        angle = math.sqrt(at3(self.desk.y, 3).square()) if whole else 0.0
+        return math.sin(angle) / angle if angle > 0.0 else 1.0
+
+    def curvature(self, c, least, H):
+        state = TipState(self.rows, self.joints, self.task, self.kept, self.goal, self.pose)
+        add_curvature(state, self.desk.J, 0, self.desk.y, c, least, H)
+
+    def bounds_of_step(self):
+        return self.ends
 
     def keep(self, look, place):
         """Store the errors of an evaluation (Look) at index `place`, measured from the target, not from the edge of the reach."""

@@ -194,7 +194,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
     tries = float(s.tries[lane])
     steps = s.spent[0, lane] - tries
     found = tries - 1.0
-    write(out[t], 0, Answer(float(CONVERGED), steps, found, position, rotation, count, 0.0, 0.0, found, -1.0))
+    write(out[t], 0, Answer(float(CONVERGED), steps, found, position, rotation, count, 0.0, 0.0, found, -1.0, 0.0))
     for i in range(n):
         out[t, ANSWER + i] = q[i] * ends.unit(i)
 

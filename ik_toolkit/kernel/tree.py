@@ -13,6 +13,7 @@ from ..compile.array_view import cut, fold, space
 from ..compile.jit import build, compiled, inner, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
 from .checks import ORTHONORMAL, rigid
+from .curvature import TipState, add_curvature, add_products
 from .counted_error import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
 from .kinematics import aim, jacobian_rate, room
 from .linalg import damped_stack, pseudo_inverse_step, row_product
@@ -236,6 +237,48 @@ class TreeProblem(NamedTuple):
 
     def draw(self, table, k, q):
         draw_some(self, table, k, q)
+
+    def graded(self, look, ee, good):
+        return Looks(ee, good)
+
+    def group(self, look, g):
+        return at3(self.desk.e, 3 * g).square()
+
+    def allowed(self, g):
+        f = g // 2
+        ends = Ends(self.ends[f], self.desk.q.shape[0])
+        tp, tr = tolerances(self.orders, int(self.tasks[f, WHAT.kind]), ends.scale())
+        return tp if g % 2 == 0 else tr
+
+    def exact(self, excess, level):
+        worst = min(excess, 0.0)
+        for f in range(self.tasks.shape[0]):
+            put3(self.goals[f], 9, at3(self.goals[f], 12))
+            if level[2 * f] > 0.0:
+                self.tips[f, 0] = 0.0
+            worst = max(worst, self.tips[f, 0]) if worst >= 0.0 else worst
+        return worst
+
+    def tilt(self, g):
+        whole = int(self.tasks[g // 2, WHAT.kind]) == POSE and g % 2 == 1
+        angle = math.sqrt(at3(self.desk.y, 3 * g).square()) if whole else 0.0
+        return math.sin(angle) / angle if angle > 0.0 else 1.0
+
+    def curvature(self, c, least, H):
+        s = self.desk
+        for f in range(self.tasks.shape[0]):
+            joints = self.joints[6 * self.cut[f] :]
+            rows = self.rows[self.cut[f] : self.cut[f + 1]]
+            if self.tasks[f, WHAT.other] < 0.0:
+                state = TipState(rows, joints, self.tasks[f], self.kept[f], self.goals[f], self.poses[f])
+                add_curvature(state, s.J, 6 * f, s.y, c, least[2 * f :], H)
+            else:  # Of a target that moves with another tip only the products of first derivatives are taken.
+                for part in range(2):
+                    if least[2 * f + part] > 0.0:
+                        add_products(s.J, 6 * f + 3 * part, s.y, 0.0, H)
+
+    def bounds_of_step(self):
+        return Ends(self.ends[0], self.desk.q.shape[0])
 
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors

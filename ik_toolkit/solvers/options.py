@@ -28,6 +28,7 @@ OTHERWISE = {  # names of options in other packages, each with a message on what
 AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
 # The options in COUNTING say which part of the errors counts; each is one value for every tip, or a dict by tip.
 COUNTING = ("mask", "slack", "free_turn", "frame")
+GROUPS = ("position", "orientation")  # the errors of a tip, as `priority` orders them
 FRAMES = ("base", "tip", "target")
 
 
@@ -50,6 +51,10 @@ class Options:
     numbers) about which rotation is free. Then slack (6,) are half widths inside which there is no error (inf, or pi for a
     rotation, frees a component). Then mask (6,) are weights (0 = free). Each is one value for every tip or a dict by tip, and
     the tolerances hold for what is left.
+
+    priority: which errors come first. "position" solves the position to its tolerance and makes the orientation as good as that
+    allows; "orientation" is the other way round. For several tips it may be a list, most important first, of tips ("left_tip"),
+    pairs ("left_tip", "position"), or lists of these that are equally important; what is not named comes last.
 
     relative_to: of a Tree, a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each
     joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0.
@@ -76,6 +81,7 @@ class Options:
     slack: Any = None
     free_turn: Any = None
     frame: Any = "base"
+    priority: Any = None
     relative_to: dict[str, str] | None = None
     joint_weights: tuple[float, ...] | None = None
     closest: bool = False
@@ -115,6 +121,7 @@ class PathOptions(TypedDict, total=False):
     slack: Numbers | Mapping[str, Numbers | None] | None
     free_turn: str | Numbers | Mapping[str, str | Numbers | None] | None
     frame: Literal["base", "tip", "target"] | Mapping[str, Literal["base", "tip", "target"]]
+    priority: Any
     relative_to: Mapping[str, str] | None
     joint_weights: Numbers | None
 
@@ -225,6 +232,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
                 values[name] = {tip: counting(name, one) for tip, one in value.items()}
             else:
                 values[name] = counting(name, value)
+        elif name == "priority" and value is not None:
+            values[name] = levels_of(value)
         elif name == "relative_to" and value is not None:
             if not isinstance(value, Mapping) or not all(isinstance(x, str) for pair in value.items() for x in pair):
                 raise InvalidOption(
@@ -269,6 +278,30 @@ def counting(name: str, value: Any) -> Any:
     if not 1e-9 < length < math.inf:  # A shorter vector has no usable direction.
         raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")
     return tuple((array / length).tolist())
+
+
+def levels_of(value: Any) -> tuple[tuple[tuple[str, str], ...], ...]:
+    """Return the option `priority` as levels, most important first, each of pairs (tip, "position" or "orientation").
+
+    The tip "" means every tip. Raises InvalidOption.
+    """
+    levels = [value] if isinstance(value, str) else value
+    if not isinstance(levels, list | tuple) or not levels:
+        raise InvalidOption(f"priority must be 'position', 'orientation' or a list of tips and pairs, not {value!r}")
+    return tuple(tuple(_groups_of(level)) for level in levels)
+
+
+def _groups_of(entry: Any) -> list[tuple[str, str]]:
+    """Return the pairs (tip, group) of one level of `priority`."""
+    if isinstance(entry, str):
+        return [("", entry)] if entry in GROUPS else [(entry, group) for group in GROUPS]
+    if isinstance(entry, tuple) and len(entry) == 2 and all(isinstance(x, str) for x in entry):
+        if entry[1] not in GROUPS:
+            raise InvalidOption(f"priority: {entry[1]!r} is neither 'position' nor 'orientation'.{near_match(entry[1], GROUPS)}")
+        return [(entry[0], entry[1])]
+    if isinstance(entry, list | tuple) and entry:
+        return [pair for one in entry for pair in _groups_of(one)]
+    raise InvalidOption(f"priority: {entry!r} is neither a tip nor a pair such as ('tip', 'position')")
 
 
 def _weights(name: str, value: Any) -> tuple[float, ...]:

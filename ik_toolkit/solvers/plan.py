@@ -22,8 +22,8 @@ from .closed_form_then_search import with_search
 from .options import PLAIN, Options
 from .postprocess import finishing
 from .protocol import Asked, misfit, parameters, require
-from .registry import GENERAL, Row, find_row
-from .task import kernel_tasks, relatives, what_counts
+from .registry import BY_LEVELS, GENERAL, Row, find_row
+from .task import group_levels, kernel_tasks, relatives, what_counts
 
 MARGIN = 1.0 - 1e-9  # share of a tolerance that the kernel uses, so that rounding in Pinocchio cannot disagree
 # A plan caches arrays for this many kinds of target; every free axis is a kind of its own.
@@ -51,6 +51,7 @@ class Plan:
                 f"joint_weights must have {robot.n} values, one per joint ({', '.join(robot.joint_names)})"
             )
         what_counts(robot, options)
+        group_levels(robot, options)
         relatives(robot, options)
         self.robot, self.row, self.rule, self.options = robot, row, rule, options
         self.held = held_joints(options)
@@ -90,8 +91,9 @@ class Plan:
 
     def search(self, **options: Any) -> "Plan":
         """Return the general search with the same options, some of them changed."""
-        row = find_row(GENERAL)
-        return Plan(self.robot, row, row.load()(), replace(self.options, **options))
+        asked = replace(self.options, **options)
+        row = find_row(BY_LEVELS if asked.priority is not None else GENERAL)
+        return Plan(self.robot, row, row.load()(), asked)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the request; the compiled loop is bound again. Raises InvalidOption if the rule would not be found."""

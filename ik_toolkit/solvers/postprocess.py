@@ -17,7 +17,7 @@ from ..kernel.records import ANSWER, AT, MISS, PAST
 from ..robot.pose import check_target
 from .options import OBJECTIVES
 from .status import Status, constraints_of
-from .task import POSE, counted_errors
+from .task import POSE, counted_errors, group_levels
 
 Step = Callable[[Any], Any]
 
@@ -176,7 +176,7 @@ def confirm(outcome: Any) -> Any:
     n = plan.robot.n
     errors = counted_errors(plan.robot, outcome.row[ANSWER : ANSWER + n], outcome.T[0], kinds, plan.options)
     outcome = outcome._replace(errors=errors)
-    if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
+    if outcome.row[AT.status] != CONVERGED or inside(errors, plan):
         return outcome
     if kinds == (POSE,):
         # A target rotation with few digits is replaced by the nearest exact one: the angle left to it is just as inexact.
@@ -208,10 +208,13 @@ def mark_open(plan: Any, rows: np.ndarray) -> None:
 
 def confirmed(plan: Any, q: np.ndarray, T: np.ndarray, kinds: tuple) -> bool:
     """Return whether Pinocchio finds q (n,) inside the tolerances of the target T (4, 4) or (F, 4, 4)."""
-    return inside(counted_errors(plan.robot, q, T, kinds, plan.options), plan.options)
+    return inside(counted_errors(plan.robot, q, T, kinds, plan.options), plan)
 
 
-def inside(errors: Any, options: Any) -> bool:
-    """Return whether the errors of every tip are inside their tolerances."""
-    p, r = options.position_tolerance, options.orientation_tolerance
-    return all(position <= p and (angle or 0.0) <= r for position, angle in errors)
+def inside(errors: Any, plan: Any) -> bool:
+    """Return whether the errors of every tip are inside their tolerances; with a priority those of the first level."""
+    p, r = plan.options.position_tolerance, plan.options.orientation_tolerance
+    if plan.options.priority is None:
+        return all(position <= p and (angle or 0.0) <= r for position, angle in errors)
+    flat = [(error or 0.0) <= most for pair in errors for error, most in zip(pair, (p, r), strict=True)]
+    return all(good for good, level in zip(flat, group_levels(plan.robot, plan.options), strict=True) if level == 0)

@@ -245,6 +245,8 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
     o = asked.options
     if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
         return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"
+    if o.priority is not None and not row.levels:
+        return "has all errors at one level, so it takes no priority; leave the solver out"
     if row.moves_all and o.joint_weights is not None and 0.0 in o.joint_weights:
         return f"moves every joint, so it cannot hold one (joint weight 0); use '{GENERAL}'"
     for kind, word, solved in ((POSITION, "positions", row.position), (POSE, "poses", row.pose)):

@@ -51,6 +51,7 @@ class Row:
     tips if that differs. `pose` and `position` are the targets it solves. A solver that is `one_tip` is not for several
     tips; one that `moves_all` moves every joint, so none can be held by a weight of 0; one that `tracks` makes sense
     with one step per sample. `joints` are the numbers of joints that a closed form may fit, which 'auto' uses.
+    `levels` is true of the solver that serves the option `priority`.
     `package` is the package it comes from, if not this one (see `registered`), `cls` the class if it need not be
     imported. A solver declares everything else itself (see `protocol`).
     """
@@ -69,6 +70,7 @@ class Row:
     moves_all: bool = False
     tracks: bool = True
     joints: tuple[int, ...] = ()
+    levels: bool = False
     package: str = ""
     cls: Any = None
 
@@ -167,6 +169,18 @@ ROWS: tuple[Row, ...] = (
         one_tip=True,
     ),
     Row(
+        "sqp",
+        _RULES + "levels:SQP",
+        "Sequential quadratic programming: errors in order of priority, with exact second derivatives (option priority)",
+        "any robot; pose, masks, several tips; an arm with fewer joints than the target fixes",
+        "Nocedal and Wright 2006, ch. 18",
+        # Eight attempts with all errors at one level, if the arm has the joints for that, then at most 30 by level.
+        search=Length(60, 38, (30.0, 0.18, 100.0, 0.35)),
+        several=Length(80, 68, (60.0, 0.25, 200.0, 0.4)),
+        tracks=False,
+        levels=True,
+    ),
+    Row(
         "planar-2r",
         _CLOSED + "planar_2r:Planar2R",
         "Closed form of a planar two-link arm: both elbow branches; returns the one within limits nearest q0",
@@ -202,6 +216,7 @@ LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
 BY_NAME = {row.name: row for row in ROWS}
 GENERAL = ROWS[0].name  # 'auto' takes this solver if no closed form fits.
+BY_LEVELS = next(row.name for row in ROWS if row.levels)  # 'auto' takes this solver for the option `priority`.
 
 
 def list_rows() -> tuple[Row, ...]:

@@ -10,7 +10,7 @@ from ..errors import InvalidOption, InvalidTarget, near_match
 from ..kernel.counted_error import AXIS, FREE, PART, POSE, POSITION
 from ..kernel.records import Task
 from ..robot.pose import AxisTarget, check_target, errors
-from .options import COUNTING, FRAMES, Options
+from .options import COUNTING, FRAMES, GROUPS, Options
 
 POSES = (POSE,)  # kinds of the target of one tip that is a pose
 WHOLE = frozenset((POSE, POSITION))
@@ -75,6 +75,25 @@ def relatives(robot: Any, o: Options) -> tuple[int, ...]:
                 circle = " -> ".join(seen[seen.index(seen[-1]) :])
                 raise InvalidOption(f"relative_to is circular: {circle}; one of them needs a target of its own")
     return tuple(robot.tips.index(o.relative_to[tip]) if tip in o.relative_to else -1 for tip in robot.tips)
+
+
+def group_levels(robot: Any, o: Options) -> tuple[int, ...]:
+    """Return the level (2 F,) of each tip's position and orientation; 0 comes first, and all are 0 without a priority.
+
+    Raises InvalidOption for an unknown tip, or errors named twice.
+    """
+    order = o.priority or ()
+    level: dict[tuple[str, str], int] = {}
+    for c, groups in enumerate(order):
+        for name, group in groups:
+            if name and name not in robot.tips:
+                near = near_match(name, (*GROUPS, *robot.tips))
+                raise InvalidOption(f"priority: '{name}' is neither position, orientation nor a tip solved for.{near}")
+            for tip in [name] if name else robot.tips:
+                if (tip, group) in level:
+                    raise InvalidOption(f"priority names the {group} of {tip} twice")
+                level[tip, group] = c
+    return tuple(level.get((tip, group), len(order)) for tip in robot.tips for group in GROUPS)
 
 
 def counts_in_part(kinds: tuple, o: Options) -> bool:

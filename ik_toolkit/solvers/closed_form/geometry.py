@@ -180,4 +180,4 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
         for i in range(n):
             hist[0, PAST + i] = out[ANSWER + i]
     excess = gap if status == UNREACHABLE else 0.0
-    write(out, 0, Answer(float(status), 0.0, 0.0, position, rotation, 1.0, noted, excess, 0.0, -1.0))
+    write(out, 0, Answer(float(status), 0.0, 0.0, position, rotation, 1.0, noted, excess, 0.0, -1.0, 0.0))

@@ -1,0 +1,458 @@
+"""Errors in order of priority: a level of errors is made as small as the levels above it allow.
+
+The errors of each tip form two groups, position and rotation, and every group has a level; level 0 comes first. The step solves
+a quadratic program with the exact second derivatives of the Lagrangian, one level after the other, each in the null space that
+the levels above have left (sequential quadratic programming; Nocedal and Wright, Numerical Optimization, chapter 18):
+
+    level 0         J' d = e                            a constraint, solved with damping as in Levenberg-Marquardt
+    level k > 0     min g' d + d' H d / 2               over what is left, H with the curvature of the constraint times its multiplier
+
+If no attempt reaches level 0, it is minimised like the others, with its own second derivatives: a stretched arm's Jacobian is
+singular, so its null space would move the tip.
+"""
+
+# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# pyright: reportCallIssue=false, reportArgumentType=false
+import math
+from typing import NamedTuple
+
+from numba.extending import overload
+
+from ..compile.jit import INLINE, inline, inner
+from .linalg import cholesky, cholesky_solve
+from .records import copy
+
+AT_MINIMUM = -3  # what the step of a rule with levels returns at a first-order minimum inside the tolerances of level 0
+
+
+class LevelSteps(NamedTuple):
+    """Numeric constants of the steps, measured on eight arms; errors are in kernel units (lengths over reach) and rad."""
+
+    first_order: float = 1e-6  # a minimum: norm of the gradient in the null space, and of wrong multipliers times ten
+    damping: float = 0.02  # share of the squared error by which the constraint is damped, as in `lm`
+    least_damping: float = 1e-12
+    pivot: float = 1e-4  # pivots of the constraint's Jacobian below this do not count
+    multiplier: float = 1e-9  # damping of the multipliers, which exist where the Jacobian is singular, too
+    flat: float = 1e-3  # least curvature of a step; below it a direction of a level is left to the next level
+    flat_reach: float = 1e-6  # the same for a position out of reach, which a joint near the tip may change by micrometres
+    longest_along: float = 1.0  # longest step towards the constraint [rad or kernel units]
+    longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or kernel units]
+    sweeps: int = 12  # highest number of sweeps of Jacobi rotations
+    same: float = 0.02  # minima are the same if their errors differ by less than this share
+    same_reach: float = 1e-5  # the same for level 0 out of reach, which comes before the level below whatever that gains
+    agree: int = 3  # the search ends when so many attempts have found the best minimum
+    agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
+    plain: int = 16  # attempts with all errors at one level, where there are at least as many joints as errors
+    known: int = 8  # attempts after which the position is taken to be out of reach
+    decay: float = 0.64  # factor, in each iteration, of the squared error of level 0 above which an attempt is given up
+
+
+QUADRATIC = LevelSteps()
+
+
+# ---------------------------------------------------------------------------------------------- for rules of every kind
+def evaluation(rule, p, q):
+    """Return the errors at q; for a rule with levels `ee` ranks the configuration instead of summing all squares."""
+    return rule.evaluated(p, q) if hasattr(rule, "evaluated") else p.evaluate(q)
+
+
+@overload(evaluation, jit_options=INLINE)
+def _evaluation(rule, p, q):
+    if hasattr(rule.instance_class, "evaluated"):
+        return lambda rule, p, q: rule.evaluated(p, q)
+    return lambda rule, p, q: p.evaluate(q)
+
+
+@inline
+def rank_errors(p, e, level):
+    """Return a look whose `ee` orders configurations by level, and whose `good` says if all levels are in tolerance.
+
+    With the levels above c in tolerance and a squared error v of level c, `ee` is v / (1 + v) - c: a configuration that meets
+    more levels always has a smaller value, and below 0 level 0 is met.
+    """
+    groups, top = level.shape[0], 0.0
+    for g in range(groups):
+        top = max(top, level[g])
+    for c in range(int(top) + 1):
+        value, met = 0.0, True
+        for g in range(groups):
+            if level[g] == c:
+                one = p.group(e, g)
+                value += one
+                met = met and one < p.allowed(g)
+        if not met:
+            return p.graded(e, value / (1.0 + value) - c, False)
+    return p.graded(e, -top - 1.0, True)
+
+
+@inline
+def agrees(ee, best):
+    """Return whether two values of `ee` belong to the same minimum."""
+    level = math.floor(best)
+    share = QUADRATIC.same if best < 0.0 else QUADRATIC.same_reach
+    return abs(ee - best) <= share * (best - level + QUADRATIC.first_order)
+
+
+# ------------------------------------------------------------------------------------------------------- linear algebra
+@inner
+def null_basis(A, k, m, Q):
+    """Write to Q (k, k) a rotation whose first r columns span the columns of A (k, m), and return the rank r.
+
+    Householder reflections with column pivoting (Golub and Van Loan, Matrix Computations, algorithm 5.4.1); A is overwritten.
+    """
+    for i in range(k):
+        for j in range(k):
+            Q[i, j] = 1.0 if i == j else 0.0
+    for c in range(min(k, m)):
+        pivot, most = c, 0.0
+        for j in range(c, m):
+            size = 0.0
+            for i in range(c, k):
+                size += A[i, j] * A[i, j]
+            if size > most:
+                pivot, most = j, size
+        norm = math.sqrt(most)
+        if not norm > QUADRATIC.pivot:
+            return c
+        for i in range(k):
+            A[i, c], A[i, pivot] = A[i, pivot], A[i, c]
+        A[c, c] += norm if A[c, c] >= 0.0 else -norm  # The column now holds the normal of the reflection.
+        size = 0.0
+        for i in range(c, k):
+            size += A[i, c] * A[i, c]
+        for j in range(c + 1, m):
+            dot = 0.0
+            for i in range(c, k):
+                dot += A[i, c] * A[i, j]
+            dot *= 2.0 / size
+            for i in range(c, k):
+                A[i, j] -= dot * A[i, c]
+        for i in range(k):
+            dot = 0.0
+            for j in range(c, k):
+                dot += Q[i, j] * A[j, c]
+            dot *= 2.0 / size
+            for j in range(c, k):
+                Q[i, j] -= dot * A[j, c]
+    return min(k, m)
+
+
+@inner
+def eigen(W, V, k):
+    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the columns of V."""
+    for i in range(k):
+        for j in range(k):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(QUADRATIC.sweeps):
+        beside, diagonal = 0.0, 0.0
+        for i in range(k):
+            diagonal += W[i, i] * W[i, i]
+            for j in range(i):
+                beside += W[i, j] * W[i, j]
+        if beside <= 1e-24 * diagonal:
+            break
+        for i in range(k - 1):
+            for j in range(i + 1, k):
+                if W[i, j] == 0.0:
+                    continue
+                ratio = 0.5 * (W[j, j] - W[i, i]) / W[i, j]
+                t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
+                c = 1.0 / math.sqrt(t * t + 1.0)
+                s = t * c
+                for h in range(k):
+                    a, b = W[h, i], W[h, j]
+                    W[h, i], W[h, j] = c * a - s * b, s * a + c * b
+                    a, b = V[h, i], V[h, j]
+                    V[h, i], V[h, j] = c * a - s * b, s * a + c * b
+                for h in range(k):
+                    a, b = W[i, h], W[j, h]
+                    W[i, h], W[j, h] = c * a - s * b, s * a + c * b
+
+
+# ------------------------------------------------------------------------------------------------------------- the step
+@inner
+def slope_of_level(p, c, level, out):
+    """Write to out (n,) the gradient of half the squared errors of level c, whose errors `stack` has written."""
+    s = p.desk
+    for i in range(out.shape[0]):
+        out[i] = 0.0
+    for g in range(level.shape[0]):
+        if level[g] == c:
+            factor = p.tilt(g)
+            for i in range(out.shape[0]):
+                for k in range(3 * g, 3 * g + 3):
+                    out[i] -= factor * s.J[i, k] * s.y[k]
+
+
+@inner
+def hessian_of_level(p, c, level, multiplier, least, factors, H):
+    """Write to H (n, n) the second derivatives of the Lagrangian of level c, with multipliers (m,) of the levels above it.
+
+    least (2 F,) and factors (m,) are scratch.
+    """
+    for i in range(H.shape[0]):
+        for j in range(H.shape[0]):
+            H[i, j] = 0.0
+    for g in range(level.shape[0]):
+        least[g] = 1.0 if level[g] == c else 0.0
+        for k in range(3 * g, 3 * g + 3):
+            factors[k] = -p.desk.y[k] if level[g] == c else multiplier[k] if level[g] < c else 0.0
+    p.curvature(factors, least, H)
+
+
+@inner
+def onto_constraint(s, level, k, value, free, B, M):
+    """Write to s.dq the damped step onto level 0, and replace the basis in s.tables[1] by one of its null space.
+
+    Args:
+        s: Working memory; the errors are in s.y.
+        level: (2 F,) level of each group.
+        k: Number of free joints; s.tables[1] has a column for each.
+        value: Squared error of level 0.
+        free: (k,) index of each free joint.
+        B: Receives the rows of the Jacobian (k, r) of the free joints, for the r errors of level 0.
+        M: Receives the Cholesky factor of B'B, for the multipliers.
+
+    Returns:
+        The number of columns of the new basis.
+    """
+    Z, A, Q, b = s.tables[1], s.tables[2], s.tables[3], s.tables[7][1]
+    r = 0
+    for g in range(level.shape[0]):
+        if level[g] == 0.0:
+            for h in range(3 * g, 3 * g + 3):
+                for i in range(k):
+                    A[i, r] = B[i, r] = s.J[int(free[i]), h]
+                b[r] = s.y[h]
+                r += 1
+    rank = null_basis(A, k, r, Q)
+    for x in range(r):
+        for z in range(x + 1):
+            total = 0.0
+            for i in range(k):
+                total += B[i, x] * B[i, z]
+            A[x, z] = M[x, z] = total
+        A[x, x] += QUADRATIC.damping * value + QUADRATIC.least_damping
+        M[x, x] += QUADRATIC.multiplier
+    cholesky(A, r, QUADRATIC.least_damping * QUADRATIC.least_damping)
+    cholesky_solve(A, r, b)
+    cholesky(M, r, QUADRATIC.least_damping)
+    most = 0.0
+    for i in range(k):
+        total = 0.0
+        for x in range(r):
+            total += B[i, x] * b[x]
+        s.dq[int(free[i])] = total
+        most = max(most, abs(total))
+    if most > QUADRATIC.longest_along:
+        for i in range(s.dq.shape[0]):
+            s.dq[i] *= QUADRATIC.longest_along / most
+    for j in range(rank, k):
+        for i in range(k):
+            Z[int(free[i]), j - rank] = Q[i, j]
+        for i in range(s.dq.shape[0]):
+            if not s.w[i] > 0.0:
+                Z[i, j - rank] = 0.0
+    return k - rank
+
+
+@inner
+def down_level(s, k, slope, flattest, last, box):
+    """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
+
+    The Hessian is in s.tables[0], the basis (n, k) of the null space in s.tables[1]. Directions in which the level is flat are
+    left to the next level (curvature below `flattest`): the basis is replaced by them, unless this is the last level. The step is shortened so that it ends
+    inside the limits (box); the part that reaches level 0 is not.
+
+    Returns:
+        The number of columns of the new basis, and the squared norm of the gradient `slope` (n,) in the old one.
+    """
+    n = s.q.shape[0]
+    H, Z, A, V, W, b, dz = s.tables[0], s.tables[1], s.tables[2], s.tables[3], s.tables[4], s.tables[7][1], s.tables[7][5]
+    steep = 0.0
+    for x in range(k):
+        here, ahead = 0.0, 0.0
+        for i in range(n):
+            product, total = 0.0, slope[i]
+            for j in range(n):
+                product += H[i, j] * Z[j, x]
+                total += H[i, j] * s.dq[j]
+            A[i, x] = product
+            here += Z[i, x] * slope[i]
+            ahead += Z[i, x] * total
+        steep += here * here
+        b[x] = -ahead
+    for x in range(k):
+        for z in range(k):
+            total = 0.0
+            for i in range(n):
+                total += Z[i, x] * A[i, z]
+            W[x, z] = total
+    eigen(W, V, k)
+    for i in range(n):
+        dz[i] = 0.0
+    left, size = 0, 0.0
+    for z in range(k):
+        along = 0.0
+        for x in range(k):
+            along += V[x, z] * b[x]
+        flat = abs(W[z, z]) < flattest
+        passed = flat and not last and abs(along) <= QUADRATIC.first_order
+        along = 0.0 if passed else along / max(abs(W[z, z]), flattest)
+        size += along * along
+        for i in range(n):
+            total = 0.0
+            for x in range(k):
+                total += Z[i, x] * V[x, z]
+            dz[i] += along * total
+            if passed:
+                A[i, left] = total
+        if passed:
+            left += 1
+    for i in range(n):
+        for z in range(left):
+            Z[i, z] = A[i, z]
+    share = min(1.0, QUADRATIC.longest_across / math.sqrt(size)) if size > 0.0 else 1.0
+    for i in range(n):
+        if box.turns(i) <= 0.0:
+            x, d = s.q[i] + s.dq[i], dz[i]
+            if d < 0.0 and s.q[i] > box.lower(i) and x + share * d < box.lower(i):
+                share = max((box.lower(i) - x) / d, 0.0)
+            elif d > 0.0 and s.q[i] < box.upper(i) and x + share * d > box.upper(i):
+                share = max((box.upper(i) - x) / d, 0.0)
+    for i in range(n):
+        s.dq[i] += share * dz[i]
+    return left, steep
+
+
+@inner
+def multipliers(s, level, k, slope, free, B, M, out):
+    """Write to out (m,) minus the multipliers of level 0 for the gradient `slope` (n,) of another level; see `onto_constraint`."""
+    b, r = s.tables[7][1], 0
+    for g in range(level.shape[0]):
+        if level[g] == 0.0:
+            for h in range(3 * g, 3 * g + 3):
+                b[r] = 0.0
+                for i in range(k):
+                    b[r] += B[i, r] * slope[int(free[i])]
+                r += 1
+    cholesky_solve(M, r, b)
+    r = 0
+    for g in range(level.shape[0]):
+        for h in range(3 * g, 3 * g + 3):
+            out[h] = 0.0
+            if level[g] == 0.0:
+                out[h] = -b[r]
+                r += 1
+
+
+@inner
+def inverse_multipliers(p, level, k, slope, out):
+    """Write to out (m,) what stands for the multipliers of level 0 where that is minimised: J' mu with mu = -H^+ slope.
+
+    The eigenvalues and eigenvectors of H are those that `down_level` found for level 0, whose basis was the free joints.
+    """
+    s = p.desk
+    V, W, free = s.tables[3], s.tables[4], s.tables[7][6]
+    for h in range(out.shape[0]):
+        out[h] = 0.0
+    for z in range(k):
+        if abs(W[z, z]) >= QUADRATIC.flat_reach:
+            along = 0.0
+            for x in range(k):
+                along += V[x, z] * slope[int(free[x])]
+            for x in range(k):
+                mu = -V[x, z] * along / abs(W[z, z])
+                for g in range(level.shape[0]):
+                    if level[g] == 0.0:
+                        for h in range(3 * g, 3 * g + 3):
+                            out[h] += s.J[int(free[x]), h] * mu
+
+
+@inner
+def wrongly_held(p, level, slope, multiplier, asked, box):
+    """Return the joint at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none.
+
+    slope (n,): gradient of what is minimised; asked (n,): the weights from before joints were held.
+    """
+    s = p.desk
+    worst, most = -1, 10.0 * QUADRATIC.first_order
+    for i in range(s.q.shape[0]):
+        if asked[i] > 0.0 and not s.w[i] > 0.0:
+            z = slope[i]
+            for h in range(multiplier.shape[0]):
+                z += s.J[i, h] * multiplier[h]
+            inwards = -z if s.q[i] <= box.lower(i) else z
+            if inwards > most:
+                worst, most = i, inwards
+    return worst
+
+
+@inner
+def step_by_levels(p, e, level, far):
+    """Write the step to p.desk.dq, and return 0, or AT_MINIMUM if q meets level 0 and is a first-order minimum of the others.
+
+    level (2 F,): level of each group; far: whether level 0 is minimised, because it is out of reach. Joints at a limit that the
+    step pushes outwards are held; at a minimum the multipliers of held joints must push outwards, or the worst is released.
+    """
+    s = p.desk
+    n, m = s.J.shape
+    top, value, box = 0.0, 0.0, p.bounds_of_step()
+    rows, B, M = s.tables[7], s.tables[5], s.tables[6]
+    slope, factors, least, free, asked = rows[0], rows[2], rows[3], rows[6], rows[4]
+    multiplier = s.A[0]
+    for g in range(level.shape[0]):
+        top = max(top, level[g])
+        value += p.group(e, g) if level[g] == 0.0 else 0.0
+    p.stack(e)
+    copy(s.w, asked)
+    released, first = -1, 0 if far else 1  # The limits bear against the first level that is minimised.
+    for _ in range(2 * n + 2):
+        k = 0
+        for i in range(n):
+            s.dq[i] = 0.0
+            if s.w[i] > 0.0:
+                free[k] = i
+                k += 1
+        for i in range(n):
+            for j in range(k):
+                s.tables[1][i, j] = 1.0 if int(free[j]) == i else 0.0
+        steep, count, inward = 0.0, k, -1
+        for h in range(m):
+            multiplier[h] = 0.0
+        for c in range(int(top) + 1):
+            if c == 0 and not far:
+                k = onto_constraint(s, level, k, value, free, B, M)
+                continue
+            slope_of_level(p, c, level, slope)
+            if c > 0 and not far:
+                multipliers(s, level, count, slope, free, B, M, multiplier)
+            if c == first:
+                inward = wrongly_held(p, level, slope, multiplier, asked, box)
+            if k == 0:
+                break
+            hessian_of_level(p, c, level, multiplier, least, factors, s.tables[0])
+            k, one = down_level(
+                s, k, slope, QUADRATIC.flat if c > 0 else QUADRATIC.flat_reach, c == int(top), box
+            )
+            steep += one
+            if c == 0:
+                slope_of_level(p, 1, level, slope)
+                inverse_multipliers(p, level, count, slope, multiplier)
+        held = False
+        for i in range(n):
+            outwards = (s.q[i] <= box.lower(i) and s.dq[i] < 0.0) or (s.q[i] >= box.upper(i) and s.dq[i] > 0.0)
+            if s.w[i] > 0.0 and outwards:
+                s.w[i] = 0.0
+                held = True
+        if held:
+            continue
+        if (e.ee < 0.0 or far) and steep <= QUADRATIC.first_order * QUADRATIC.first_order:
+            if inward < 0:
+                return AT_MINIMUM
+            if released < 0:
+                released = inward
+                s.w[inward] = asked[inward]
+                continue
+        break
+    return 0

@@ -1,0 +1,99 @@
+"""The rule of the option `priority`: sequential quadratic programming, one level of errors after the other."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...compile.jit import compiled
+from ...kernel.level_search import PLAIN, OUT_OF_REACH, search_by_levels
+from ...kernel.levels import QUADRATIC, rank_errors, step_by_levels
+from ...kernel.records import Array, Ends
+from ...kernel.starts import BEST, known_configurations
+from ..protocol import Asked, rule
+from ..task import group_levels
+from .jacobian import FLOOR
+
+
+KNOWN = 2048  # number of known starts; 256 find 1 % fewer of the best minima on five joints
+
+
+def posture_groups(starts: np.ndarray) -> np.ndarray:
+    """Return configurations (N, n) ordered so that each of BEST interleaved groups has one posture.
+
+    The groups come from halving at the median of the joint that varies most.
+    """
+    groups = [starts]
+    while len(groups) < BEST:
+        sides = [(group, int(group.var(axis=0).argmax())) for group in groups]
+        groups = [half for group, i in sides for half in np.array_split(group[group[:, i].argsort(kind="stable")], 2)]
+    return np.stack(groups, axis=1).reshape(-1, starts.shape[1])
+
+
+@compiled
+class Tolerances(NamedTuple):
+    """What `aim` reads of the options."""
+
+    tol_p: float  # position tolerance [m]
+    tol_r: float  # rotation tolerance [rad]
+
+
+@compiled
+class LevelStep(NamedTuple):
+    """The compiled step; level 0 comes first."""
+
+    numbers: Array  # number of attempts with all errors at one level, then the level of each group of errors (2 F,)
+
+    def aimed(self, p, T, orders):
+        # Only a position of level 0 proves a target out of reach, and it does not depend on the orientation.
+        return p.exact(p.aim(T, Tolerances(orders.tol_p, np.inf)), self.numbers[1:])
+
+    def evaluated(self, p, q):
+        p.stand(q)
+        e = p.see()
+        if int(p.desk.spent[2]) == PLAIN:
+            return e
+        return rank_errors(p, e, self.numbers[1:])
+
+    def step(self, p, e):
+        if int(p.desk.spent[2]) == PLAIN:
+            p.damped(e, QUADRATIC.damping * e.ee + FLOOR)
+            return 0
+        return step_by_levels(p, e, self.numbers[1:], int(p.desk.spent[2]) == OUT_OF_REACH)
+
+    def seek(self, p, job, excess):
+        return search_by_levels(self, p, job, self.numbers[1:], int(self.numbers[0]), excess)
+
+
+@rule(step=LevelStep)
+class SQP(NamedTuple):
+    """Sequential quadratic programming with exact second derivatives, for errors in order of priority (option `priority`).
+
+    Source: Nocedal and Wright, Numerical Optimization, chapter 18; the null-space hierarchy is that of Nakamura and
+    Hanafusa, J. Dynamic Systems 108 (1986).
+    """
+
+    hold = True
+    wrap = True
+
+    def start_table(self, robot: Any, position_only: bool) -> np.ndarray:
+        """Return starts (M, n) [rad or m], in groups of like postures: neighbouring starts find the same minimum."""
+        chain = robot.chain
+        box = Ends(chain.ends.reshape(-1, chain.ends.shape[-1])[0], robot.n)
+        low, span, home = (np.array([read(i) for i in range(robot.n)]) for read in (box.low, box.span, box.home))
+        starts = known_configurations(low, low + span, home, KNOWN)
+        return posture_groups(starts) * chain.unit
+
+    def refuses(self, asked: Asked) -> str:
+        """Return why the rule cannot solve what is asked, or ''."""
+        o = asked.options
+        if o.priority is None:
+            return "solves errors in order; say which come first, as priority='position'"
+        if o.closest or o.follow:
+            return f"takes no {'closest' if o.closest else 'follow'} with priority"
+        return ""
+
+    def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
+        """Return the numbers of the compiled step."""
+        assert asked is not None
+        plain = QUADRATIC.plain if asked.rows <= robot.n else 0
+        return np.array([plain, *group_levels(robot, asked.options)], dtype=float)
