@@ -151,6 +151,10 @@ class CountOptions:
         "[TIP:]X Y Z", "Axis of the tip about which it may rotate freely: x, y, z or a vector."
     )
     frame: list[str] | None = option("[TIP:]base|tip|target", "Axes of --mask and --slack.")
+    priority: str | None = option(
+        "LEVEL,...",
+        "What comes first: position, orientation, or TIP and TIP:position in order, + between equals; the rest as near as possible.",
+    )
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
         """Return the options given, by name, for a call; relative: --relative. Raises InvalidOption."""
@@ -159,7 +163,18 @@ class CountOptions:
         axis = _for_tips(self.free_turn, "--free-turn", _axis)
         options = {"mask": _vectors(self.mask, "--mask", 6), "slack": slack, "free_turn": axis}
         options |= {"frame": _for_tips(self.frame, "--frame", str), "relative_to": relations(relative)}
+        options["priority"] = priorities(self.priority)
         return {name: value for name, value in options.items() if value is not None}
+
+
+def priorities(text: str | None) -> list[Any] | None:
+    """Return the levels of --priority as the option `priority` takes them."""
+
+    def one(word: str) -> Any:
+        tip, _, group = word.strip().rpartition(":")
+        return (tip, group) if tip else group
+
+    return None if text is None else [[one(word) for word in level.split("+")] for level in text.split(",")]
 
 
 def _for_tips(texts: Sequence[str] | None, name: str, read: Callable[[str], Any]) -> Any:

@@ -33,8 +33,7 @@ def search_by_levels(rule, p, job, level, plain, excess):
     """
     o, q, start, s = job.orders, p.desk.q, p.desk.start, p.desk
     given, attempts = int(o.given), int(o.attempts)
-    if excess > 0.0:
-        plain = 0
+    plain = 0 if excess > 0.0 else min(plain, attempts - 1)
     copy(start, job.best)
     for f in range(s.errors.shape[1]):
         s.errors[BEST_OF_ALL, f, 0], s.errors[BEST_OF_ALL, f, 1] = 1e300, 1e300

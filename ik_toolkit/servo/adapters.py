@@ -16,16 +16,17 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.options import COUNTING, NAMES, OTHERWISE, Options, make_options
 from ..solvers.registry import find_row, list_rows
-from ..solvers.task import kernel_tasks, relatives, what_counts
+from ..solvers.task import group_levels, kernel_tasks, relatives, what_counts
 from . import laws
 from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
 RELATIVE = 10.0  # weight of errors relative to another tip: how two hands hold a thing matters more than where they do
+LOWER = 0.01  # weight of a level of priority relative to the level above it
 LEVER = 0.2  # [m] lever arm by which an angle is compared with a length: about the length of a hand
 ALIKE = 0.6  # similarity (difflib) above which an unknown option is taken for a misspelt one of another method
-WORDS = (*COUNTING, "relative_to")  # options that select which errors count
+WORDS = (*COUNTING, "relative_to", "priority")  # options that select which errors count
 
 
 def even(scale: float) -> np.ndarray:
@@ -56,6 +57,7 @@ class Published:
         self.options: Options = make_options(dict(counting))
         what_counts(robot, self.options)
         relatives(robot, self.options)
+        self.levels = np.array(group_levels(robot, self.options))  # (2 F,) level of each tip's position and orientation
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes for pickling, without the compiled loop, which cannot be pickled."""
@@ -87,7 +89,9 @@ class Published:
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []
         unit = np.array([scale] * 3 + [1.0] * 3)
-        for task in kernel_tasks(self.robot, kinds, self.options):
+        for task, level in zip(
+            kernel_tasks(self.robot, kinds, self.options), self.levels.reshape(-1, 2), strict=True
+        ):
             weights, slack = np.array(task[-12:-6]), np.array(task[-6:])
             weights[slack >= (*(math.inf,) * 3, *(math.pi,) * 3)] = 0.0
             slack[weights == 0.0] = 0.0
@@ -95,7 +99,7 @@ class Published:
                 task = Task(*task[:-12], *(weights > 0.0), *np.zeros(6))
             tasks.append(task)
             first = RELATIVE if task.other >= 0 else 1.0
-            counts.append([weights * first * even(scale), slack, slack * unit])
+            counts.append([weights * first * even(scale) * np.repeat(LOWER**level, 3), slack, slack * unit])
         orders = np.concatenate([np.zeros(HEAD), *tasks, np.ones(n), [0.0]])
         return orders, np.ascontiguousarray(np.concatenate(counts, axis=1))
 

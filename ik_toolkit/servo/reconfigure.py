@@ -29,7 +29,7 @@ from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT, Ends
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
-from ..solvers.registry import GENERAL, find_row
+from ..solvers.registry import BY_LEVELS, GENERAL, find_row
 from .adapters import LEVER
 from .motion_limits import speeds
 from .target_stream import STAND, STILL, WAIT
@@ -64,9 +64,9 @@ class Postures:
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
         """Prepare the solver; options: say which errors count; speed (n,): joint speed limits [kernel units per s]."""
         self.robot = robot
-        o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
+        o = {name: getattr(options, name) for name in (*COUNTING, "relative_to", "priority")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
-        row = find_row(GENERAL)
+        row = find_row(GENERAL if options.priority is None else BY_LEVELS)
         one_attempt = Options(restarts=0, **exact, **o)
         self.plan = Plan(robot, row, row.load()(), one_attempt)
         weights = tuple((speed / max(speed.max(), TINY)).tolist())

@@ -60,6 +60,7 @@ class Judged(NamedTuple):
     robot: Any
     settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
+    firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the first level of priority
     jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
     speed: np.ndarray  # (n,) speed limits [rad/s or m/s]
 
@@ -170,12 +171,15 @@ class Step:
 
     def _sizes(self) -> np.ndarray:
         """Return the size (2,) of the errors before and after the step, with lengths in arm reaches."""
-        parts = self._outcome.errors.reshape(2, -1, 2, 3) * [[1.0 / self._outcome.by.robot.reach], [1.0]]
+        by = self._outcome.by
+        parts = self._outcome.errors.reshape(2, -1, 2, 3) * by.firm[:, :, None] * [[1.0 / by.robot.reach], [1.0]]
         return np.linalg.norm(parts.reshape(2, -1), axis=1)
 
     def _away(self) -> bool:
-        """Return whether the error left exceeds JUDGE.position or JUDGE.angle, so that it is worth saying why."""
-        return self.position_error > JUDGE.position or (self.orientation_error or 0.0) > JUDGE.angle
+        """Return whether the first level's error left exceeds JUDGE.position or JUDGE.angle, so that it is worth saying why."""
+        by = self._outcome.by
+        left = np.linalg.norm(self._outcome.errors[1].reshape(-1, 2, 3), axis=2) * by.firm
+        return bool(left[:, 0].max() > JUDGE.position or (left[:, 1] * by.posed).max() > JUDGE.angle)
 
     @property
     def reason(self) -> str:

@@ -13,6 +13,7 @@ from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.collision_free import collision_model
+from ..solvers.task import group_levels
 from ..validate import LATE, one_of, parts_of_step, positive, rates
 from . import laws, viability
 from .adapters import bind
@@ -322,7 +323,8 @@ class Tracker(CopiesViews, ReadOnly):
         self._carried = carried_of(self._carried.block)
         self._carried.kept[:], self._carried.basis[:] = 0, 0.0
         posed = tuple(bool(counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
-        self._judged = Judged(self.robot, self.engine.settings, posed, self.jump, self._speed)
+        firm = np.array(group_levels(self.robot, self.engine.options)).reshape(-1, 2) == 0
+        self._judged = Judged(self.robot, self.engine.settings, posed, firm, self.jump, self._speed)
         self._kinds = kinds
 
     def carried(self) -> np.ndarray:

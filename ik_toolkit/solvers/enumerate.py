@@ -12,7 +12,7 @@ from .outcome import SPOKEN
 from .plan import Plan
 from .protocol import Asked
 from .solutions import Solutions
-from .task import counted_rows, counts_in_part
+from .task import counted_errors, counted_rows, counts_in_part, group_levels
 
 ONE_ATTEMPT: dict[str, Any] = {
     **PLAIN,
@@ -65,6 +65,8 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
     found = Solutions(robot, answers, distance, errors, False, single.row.name, "")
     found = distinct_rows(found, plan)
     found = found.keep(np.argsort(found.distance, kind="stable"))
+    if o.priority is not None:
+        return _minima(found, plan, kinds, T, f"({len(out)} of {starts} starts converged)", count)
     redundant = _redundant(plan, kinds)
     found._put(families=_families(single, found, T, kinds, redundant))
     distinct = len(found)
@@ -75,6 +77,24 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
     found._put(message=f"{len(found)} {words} ({len(out)} of {starts} starts converged)")
     if found.families:
         found._put(message=found.message + f"; {found.families[0].message}")
+    return found
+
+
+def _minima(found: Solutions, plan: Plan, kinds: tuple, T: np.ndarray, words: str, count: int) -> Solutions:
+    """Return local minima of errors in order of priority, the least first; other starts may lead to more."""
+    levels = group_levels(plan.robot, plan.options)
+    o = plan.options
+    least = [o.position_tolerance, o.orientation_tolerance] * len(kinds)
+
+    def rank(q: np.ndarray) -> list[float]:
+        errors = [error or 0.0 for pair in counted_errors(plan.robot, q, T[0], kinds, o) for error in pair]
+        over = [error if error > most else 0.0 for error, most in zip(errors, least, strict=True)]
+        return [sum(x for x, level in zip(over, levels, strict=True) if level == c) for c in range(max(levels) + 1)]
+
+    ranks = [rank(q) for q in found.q]
+    found = found.keep(np.array(sorted(range(len(found)), key=ranks.__getitem__)[:count], dtype=int))
+    plural = "minima" if len(found) != 1 else "minimum"
+    found._put(message=f"{len(found)} local {plural} of the errors in order of priority, the least first {words}")
     return found
 
 

@@ -9,6 +9,7 @@ from ..errors import FAR_AWAY
 from ..kernel.counted_error import FREE, POSE, POSITION
 from ..kernel.records import ANSWER, AT
 from ..text import angle, figure, length
+from .options import GROUPS
 from .status import SEARCHED, Status, constraints_of
 from .task import Counts, all_errors, counted_rows, what_counts
 
@@ -57,6 +58,8 @@ def sentence(result: Any) -> str:
     if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
         far = status == Status.UNREACHABLE and row[AT.excess] > FAR_AWAY * result.robot.reach
         return _closed_form_says(result, left) + ("; were millimetres meant?" if far else "")
+    if status == Status.CONVERGED and (missed := _missed(result)):
+        return f"{missed}, the nearest found ({_joints(result.robot.n)}; {_starts(starts)}, {int(row[AT.agreed])} agree)"
     if status == Status.CONVERGED:
         text = f"converged in {result.iterations} iterations to {left}"
         return f"{text} after {result.restarts} restart{'s' * (result.restarts > 1)}" if result.restarts else text
@@ -75,18 +78,37 @@ def sentence(result: Any) -> str:
     return text + _at_each_tip(result)
 
 
+def _missed(result: Any) -> str:
+    """Say which errors of lower priority are left at q and which are in tolerance, or return '' if all are."""
+    plan, found = result._of.plan, {True: [], False: []}
+    if plan.options.priority is None:
+        return ""
+    for level in result.level_errors:
+        for name, error in level.items():
+            turned = name.endswith(GROUPS[1])
+            most = plan.options.orientation_tolerance if turned else plan.options.position_tolerance
+            met = error <= most
+            found[met].append(name if met else f"{name} {angle(error) if turned else length(error)} off")
+    met, off = " and ".join(found[True]), ", ".join(found[False])
+    return off and f"{met} reached; {off}"
+
+
+def _joints(n: int) -> str:
+    return f"{n} joint{'s' * (n != 1)}"
+
+
 def _cause(result: Any) -> str:
     """Say what keeps the arm from the target, as far as it is known, and which part of the target it can meet; or return ''."""
     if result.status == Status.UNREACHABLE and max(result._of.excess()) > FAR_AWAY * result.robot.reach:
         return "were millimetres meant?"
-    if result.status not in SHORT:
+    if result.status not in SHORT or result._of.plan.options.priority is not None:
         return ""
     blocked = result.status == Status.LIMIT_BLOCKED  # limits were tested, so the cause is known
     never, few = ([], "") if blocked else (impossible(result), too_few_joints(result))
     if not never and not few and result.restarts == 0:
         return ""  # a single attempt proves nothing about the arm
     advice = (
-        "free what cannot be met (free_turn, mask), or give it less weight (mask)"
+        "free what cannot be met (free_turn, mask), or put the position before the orientation (priority)"
         if never or few
         else ADVICE[result.status]
     )
@@ -219,7 +241,7 @@ def too_few_joints(result: Any) -> str:
         able = arm.mobility.directions
         if fixed > able:
             name = "the arm" if len(rows) == 1 else arm.tip
-            joints = f"{arm.n} joint{'s' * (arm.n != 1)}"
+            joints = _joints(arm.n)
             moves = "" if able == arm.n else f", which move the tip in {able} directions"
             texts.append(f"{name} has {joints}{moves}, and the target fixes {fixed} directions")
     return "; ".join(texts)

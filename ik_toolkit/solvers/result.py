@@ -15,9 +15,10 @@ from ..text import TextTable, length
 from .explain.explanation import Explanation
 from .message import sentence
 from .outcome import SPOKEN, SolveRecord
+from .options import GROUPS
 from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
-from .task import all_errors
+from .task import all_errors, group_levels
 
 FAR_MOVE = 0.5  # [rad or robot sizes] a Solver's farther move from q0 gets a notice
 
@@ -31,6 +32,7 @@ class Result(ReadOnly):
         position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest; the second is None if
             the target leaves orientation free.
         position_errors, orientation_errors: The same errors of each tip, by its name.
+        level_errors: The errors by level of priority, most important first.
         raw_error, raw_errors: All six errors of the tip, and of each tip by its name, before slack, free turn and mask.
         iterations, restarts, fk_evaluations: Counts of steps, of attempts after the first, and of FK evaluations (all
             tips count as one).
@@ -66,7 +68,7 @@ class Result(ReadOnly):
 
     @property
     def success(self) -> bool:
-        """Whether all errors are inside their tolerances, and the constraints of the description hold."""
+        """Whether all errors are inside their tolerances, with a priority those of its first level, and constraints hold."""
         return self.status == Status.CONVERGED
 
     @property
@@ -93,6 +95,21 @@ class Result(ReadOnly):
     def orientation_errors(self) -> dict[str, float | None]:
         """Angle [rad] between each tip and its target; None if the target leaves orientation free."""
         return {tip: angle for tip, (_, angle) in zip(self.robot.tips, self._of.left(), strict=True)}
+
+    @property
+    def level_errors(self) -> tuple[dict[str, float], ...]:
+        """Errors [m], [rad] by level of priority, most important first: "position" and "orientation", of several tips "TIP position".
+
+        Without a priority there is one level.
+        """
+        levels = group_levels(self.robot, self._of.plan.options)
+        names = [f"{tip} {group}" if len(self.robot.tips) > 1 else group for tip in self.robot.tips for group in GROUPS]
+        errors = [error for pair in self._of.left() for error in pair]
+        found: list[dict[str, float]] = [{} for _ in range(max(levels) + 1)]
+        for level, name, error in zip(levels, names, errors, strict=True):
+            if error is not None:
+                found[level][name] = error
+        return tuple(level for level in found if level)
 
     @property
     def raw_errors(self) -> dict[str, np.ndarray]:
@@ -268,6 +285,7 @@ class Result(ReadOnly):
             "mimic_joints": {joint: at[joint] for joint in self.robot.mimic_joints},
             "position_error": self.position_error,
             "orientation_error": self.orientation_error,
+            "level_errors": list(self.level_errors),
             "iterations": self.iterations,
             "restarts": self.restarts,
             "attempt": self.attempt,

@@ -21,7 +21,7 @@ def step(
     robot = SimpleNamespace(joint_names=("turn", "slide"), chain=SimpleNamespace(unit=UNITS), reach=1.0)
     left = np.concatenate(errors)
     out = (
-        Judged(robot, lambda h: {}, (True, True), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before),
+        Judged(robot, lambda h: {}, (True, True), np.ones((2, 2)), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before),
         np.array([left, left]),
         0.01, lost, down, True, 0.0, False, None, None,
     )  # fmt: skip
