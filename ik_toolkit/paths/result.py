@@ -295,11 +295,11 @@ def path_sentence(path: PathResult, needed: int, allowed: float) -> str:
             cut = f"; {ends}, and all of them take {needed}" if needed > allowed else ""
             return (
                 f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; {far}; move the "
-                "poses, relax the targets (free_turn, slack, mask), or widen the limits"
+                "poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
             )
         return (
             f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; {far}; allow them "
-            "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
+            "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask, priority)"
         )
     turn, slide = path.length
     length = f"{turn:.3g} rad" + (f" and {slide:.3g} m" if slide else "")

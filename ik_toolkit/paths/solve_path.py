@@ -26,9 +26,11 @@ from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
+from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import freedom
+from .nearest_poses import nearest_poses
 from .path_problem import STEP, Problem
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
@@ -93,7 +95,9 @@ def solve_path(
         seed: number that fixes the random starts.
         threads: number of threads; default all cores.
         progress: function (fraction, text) that is called regularly.
-        options: as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.
+        options: as for `solve`: tolerances, limits, mask, slack, free_turn, frame, priority, relative_to,
+            joint_weights. With a priority the path leads through the nearest poses that one posture reaches; they are
+            the `targets` of the result, whose errors are those from the poses asked for.
 
     Returns:
         The best motion found. That a path cannot be followed is a status of the result.
@@ -121,6 +125,10 @@ def solve_path(
     asked = avoided(avoid_collisions)
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
+    wanted = T
+    if solver.options.priority is not None:  # The search follows poses that the arm can reach.
+        T = nearest_poses(solver, T, kinds, q0)
+        solver = Solver(robot, seed=seed, **{**options, "priority": None, "slack": None})
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
@@ -147,7 +155,8 @@ def solve_path(
             search.lower_bound = None  # half turns the other way may need fewer
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
-        return replace(made, tolerance_given=path_tolerance is not None)
+        made = replace(made, tolerance_given=path_tolerance is not None)
+        return made if wanted is T else _against(made, wanted)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
@@ -275,6 +284,21 @@ def _result(
         return result
     message = f"{result.message}; but at pose {broken[0]} {broken[1]}"
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
+
+
+def _against(made: PathResult, wanted: np.ndarray) -> PathResult:
+    """Return the path along the nearest poses with the errors from the poses asked for, and a sentence on them."""
+    errors = np.full((len(made.q), 2), np.nan)
+    there = np.flatnonzero(np.isfinite(made.q).all(axis=1))
+    for t in there:
+        left = counted_errors(made.robot, made.q[t], wanted[t], made.kinds, made.options)
+        errors[t] = np.max([(position, turned or 0.0) for position, turned in left], axis=0)
+    worst = np.max(errors[there], axis=0, initial=0.0)
+    words = f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
+    orientation = None if made.orientation_error is None else errors[:, 1]
+    return replace(
+        made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}"
+    )
 
 
 DOUBT = 0.1  # A rotation that differs from half a turn by less than 0.1 orientation tolerances may go either way.
