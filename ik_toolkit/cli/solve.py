@@ -365,6 +365,8 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
         show(tips)
     counts = f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}"
     errors = {"position error": length(result.position_error), "orientation error": _angle(result.orientation_error)}
+    if result.success and len(result.level_errors) > 1:
+        errors["in short"] = result.message
     status = {"status": f"{result.status.name}, solver {result.solver}"}
     show(
         facts(

@@ -1,9 +1,9 @@
 """The search of a rule with levels: attempts until the best minimum has been found several times (see levels.py)."""
 
 from ..compile.jit import inline
-from .checks import CONVERGED, ITERATION_LIMIT, LIMIT_BLOCKED, STALLED, UNREACHABLE
+from .checks import CONVERGED, ITERATION_LIMIT, LIMIT_BLOCKED, STALLED, TOO_FAR, UNREACHABLE
 from .levels import QUADRATIC, agrees, evaluation
-from .limits import face
+from .limits import face, held_back
 from .problem import BEST_OF_ALL, NEAREST
 from .records import Answer, copy
 from .search import Patience, Spent, make_attempt, start_attempt
@@ -88,7 +88,13 @@ def search_by_levels(rule, p, job, level, plain, excess):
         for i in range(q.shape[0]):
             if o.limits > 0.0 and (q[i] <= job.near.lower(i) or q[i] >= job.near.upper(i)):
                 status = LIMIT_BLOCKED
-    evaluations = spent.evaluations
+    evaluations, held = spent.evaluations, -1
+    if o.follow > 0.0 and status != CONVERGED:
+        e = p.evaluate(q)
+        p.jacobian(e)
+        evaluations += 1
+        held = held_back(p, e, job.near, job.box, o.limits > 0.0)
+        status = TOO_FAR if held >= 0 else status
     if o.limits > 0.0 and not o.follow > 0.0 and face(q, start, job.box):
         s.spent[2] = float(CONSTRAINED)
         e = evaluation(rule, p, q)
@@ -100,5 +106,5 @@ def search_by_levels(rule, p, job, level, plain, excess):
     position, rotation = p.left(place)
     return Answer(
         float(status), float(spent.steps), float(tries - 1), position, rotation, float(evaluations),
-        float(spent.noted), excess * job.box.scale(), float(found), -1.0, float(agreed),
+        float(spent.noted), excess * job.box.scale(), float(found), float(held), float(agreed),
     ), place  # fmt: skip

@@ -42,7 +42,7 @@ class LevelSteps(NamedTuple):
     same_reach: float = 1e-5  # the same for level 0 out of reach, which comes before the level below whatever that gains
     agree: int = 3  # the search ends when so many attempts have found the best minimum
     agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
-    plain: int = 16  # attempts with all errors at one level, where there are at least as many joints as errors
+    plain: int = 48  # attempts with all errors at one level, where there are at least as many joints as errors
     known: int = 8  # attempts after which the position is taken to be out of reach
     decay: float = 0.64  # factor, in each iteration, of the squared error of level 0 above which an attempt is given up
 

@@ -96,7 +96,7 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWES
         The survey.
     """
     t, along, turning = samples_of(robot, reference, fewest)
-    first, then = bound_lm(robot, restarts=0, **options), bound_lm(robot, follow=True, **options)
+    first, then = bound_search(robot, restarts=0, **options), bound_search(robot, follow=True, **options)
     targets = targets_at(reference, t)
     q = np.empty((len(t), robot.n))
     until, stop = None, float(along[-1])
@@ -119,7 +119,7 @@ def trace(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return times (K,) [s] and joint values (K, n) as `survey` does, or None if a pose is out of reach."""
     t, _, _ = samples_of(robot, reference, fewest)
-    first, then = bound_lm(robot, restarts=0, **options), bound_lm(robot, follow=True, **options)
+    first, then = bound_search(robot, restarts=0, **options), bound_search(robot, follow=True, **options)
     q, last = np.empty((len(t), robot.n)), q0
     for k, target in enumerate(targets_at(reference, t)):
         found = (then if k else first)(target, last)
@@ -132,7 +132,7 @@ def trace(
 def other_start(robot: Joints, reference: References, **options: Any) -> np.ndarray | None:
     """Return joint values (n,) at a reference's start from which all of it can be reached, or None."""
     start = targets_at(reference, np.zeros(1))[0]
-    solver, tried = bound_lm(robot, restarts=0, **options), []
+    solver, tried = bound_search(robot, restarts=0, **options), []
     for q in robot.random_q(np.random.default_rng(0), STARTS):
         found = solver(start, q)
         new = found.success and not any((np.abs(found.q - other) < APART * robot.chain.unit).all() for other in tried)
@@ -143,11 +143,12 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
     return None
 
 
-def bound_lm(robot: Joints, **options: Any) -> Any:
-    """Return the LM solver bound to a robot, with tolerances fine enough to say what can be reached."""
+def bound_search(robot: Joints, **options: Any) -> Any:
+    """Return the general search bound to a robot, with tolerances fine enough to say what can be reached."""
+    from ..solvers.registry import search_for
     from ..solvers.solve import bound_solver
 
-    return bound_solver(robot, "lm", {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
+    return bound_solver(robot, search_for(options.get("priority")), {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
 
 
 def freed(reference: Reference) -> Reference:

@@ -29,7 +29,7 @@ from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT, Ends
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
-from ..solvers.registry import BY_LEVELS, GENERAL, find_row
+from ..solvers.registry import find_row, search_for
 from .adapters import LEVER
 from .motion_limits import speeds
 from .target_stream import STAND, STILL, WAIT
@@ -66,7 +66,7 @@ class Postures:
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to", "priority")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
-        row = find_row(GENERAL if options.priority is None else BY_LEVELS)
+        row = find_row(search_for(options.priority))
         one_attempt = Options(restarts=0, **exact, **o)
         self.plan = Plan(robot, row, row.load()(), one_attempt)
         weights = tuple((speed / max(speed.max(), TINY)).tolist())

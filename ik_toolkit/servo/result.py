@@ -327,9 +327,9 @@ def _away(result: TrackResult, outside: np.ndarray) -> str:
     judged = result.t >= result.settle
     k = _worst(result, judged)
     away = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
-    allowed = length(result.position_tolerance)
-    if result.orientation_error is not None:
-        allowed += f" and {angle(result.orientation_tolerance)}"
+    allowed = length(result.position_tolerance) if result.position_tolerance < np.inf else ""
+    if result.orientation_error is not None and result.orientation_tolerance < np.inf:
+        allowed += f"{' and ' * bool(allowed)}{angle(result.orientation_tolerance)}"
     first, last = result.t[outside][[0, -1]]
     when = f"from t = {first:.4g} s to " + ("the end" if outside[-1] else f"{last:.4g} s, within it again at the end")
     after = f" after {result.settle:g} s" if result.settle else ""

@@ -16,7 +16,7 @@ from ..motion.time_law import coordinate_at, smoothed, time_law, times_of
 from ..validate import LATE
 from . import laws, viability
 from .null_space_motion import AVOID, POSTURE
-from .path_reach import bound_lm, samples_of, singular_sides, targets_at
+from .path_reach import bound_search, samples_of, singular_sides, targets_at
 from .singular_step import SIDE
 from .target_stream import samples_from
 from .tracker import Tracker
@@ -257,7 +257,7 @@ class Run:
         """Return the joint path (K + 1, n) of `solve_path` from the present joints, or None if there is none."""
         robot, unit = self.tracker.robot, self.tracker.robot.chain.unit
         reference: Any = robot.for_tips(dict(zip(robot.tips, self.references, strict=True)))
-        anywhere = bound_lm(robot, **self.counts)
+        anywhere = bound_search(robot, **self.counts)
         if not all(
             anywhere(one, self.q0).success for one in targets_at(reference, samples_of(robot, reference, POSES)[0])
         ):

@@ -19,6 +19,7 @@ from ..robot.rotation import angles_between
 from ..robot.tree import Tree
 from ..solvers.batch.targets import doubt_far
 from ..solvers.collision_free import collision_model
+from ..solvers.task import group_levels
 from ..validate import number, one_of, positive
 from . import laws
 from .adapters import check_options
@@ -38,7 +39,7 @@ from .retimed_run import Run, Taken
 from .tracker import JUMP, Tracker
 
 MODES = ("slow", "leave", "clip")
-COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that select which errors count
+COUNTS = ("mask", "slack", "free_turn", "frame", "priority", "relative_to")  # options that select which errors count
 MAX_STRETCH = 10.0  # By default a run may take up to this many times the duration of its reference.
 FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # fractions of a step at which the error between samples is evaluated
 
@@ -127,7 +128,8 @@ def track(
         raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
     seen = np.linspace(0.0, duration, 65)  # enough to see how far a path goes
     doubt_far(robot, np.stack([one.at(seen)[0] for one in references], axis=1), "the path")
-    q0 = _start(robot, references, options.get("avoid_collisions", False)) if q0 is None else q0
+    wishes = {name: options[name] for name in ("avoid_collisions", "priority") if name in options}
+    q0 = _start(robot, references, wishes) if q0 is None else q0
     tracker = Tracker(
         robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,
         on_limit="clip" if mode == "clip" else "leave", **options,
@@ -143,6 +145,7 @@ def track(
     settle = settling(settle, at_rest, times[-1])
     tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
     counts = {name: value for name, value in options.items() if name in COUNTS}
+    tolerances = tuple(np.where(first_level(tracker), tolerances, np.inf))
     run = Run(tracker, references, times, tolerances, settle, stretch, counts)
     best = run.go(mode == "slow")
 
@@ -235,6 +238,11 @@ def _result(run: Run, best: Taken, check: Any) -> TrackResult:
     )
 
 
+def first_level(tracker: Any) -> np.ndarray:
+    """Return whether positions and orientations (2,) are of the first level of priority at any tip; only these are judged."""
+    return np.any(np.array(group_levels(tracker.robot, tracker.engine.options)).reshape(-1, 2) == 0, axis=0)
+
+
 def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return distances (M,) [m] and angles (M,) [rad] between two sets of poses (M, 4, 4)."""
     away = np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1)
@@ -247,12 +255,13 @@ def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
     return np.stack([arm.chain.forward(np.ascontiguousarray(Q[:, at]))[0][:, :3, 3] for arm, at in arms], axis=1)
 
 
-def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
+def _start(robot: Any, references: list[Reference], wishes: Mapping[str, Any]) -> np.ndarray:
     """Return home if the tips are then at the start of their references, else joint values that bring them there.
 
-    If no such joint values are found, the best attempt is returned. avoid: the option `avoid_collisions`; if something touches at
-    home, another start is sought.
+    If no such joint values are found, the best attempt is returned. wishes: the options `avoid_collisions` and `priority`; if
+    something touches at home, another start is sought.
     """
+    avoid = wishes.get("avoid_collisions", False)
     targets = robot.for_tips({tip: one.target(0.0) for tip, one in zip(robot.tips, references, strict=True)})
     errors = np.array(robot.errors(robot.home, targets), dtype=float).reshape(-1, 2)  # NaN where orientation is free
     touches = avoid is not False and collision_model(robot, avoid).collides(robot.home)
@@ -260,7 +269,7 @@ def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
         return robot.home
     from ..solvers.solve import solve
 
-    return solve(robot, targets, q0=robot.home, avoid_collisions=avoid).q
+    return solve(robot, targets, q0=robot.home, **wishes).q
 
 
 def _between(

@@ -22,7 +22,7 @@ from .closed_form_then_search import with_search
 from .options import PLAIN, Options
 from .postprocess import finishing
 from .protocol import Asked, misfit, parameters, require
-from .registry import BY_LEVELS, GENERAL, Row, find_row
+from .registry import GENERAL, Row, find_row, search_for
 from .task import group_levels, kernel_tasks, relatives, what_counts
 
 MARGIN = 1.0 - 1e-9  # share of a tolerance that the kernel uses, so that rounding in Pinocchio cannot disagree
@@ -92,7 +92,7 @@ class Plan:
     def search(self, **options: Any) -> "Plan":
         """Return the general search with the same options, some of them changed."""
         asked = replace(self.options, **options)
-        row = find_row(BY_LEVELS if asked.priority is not None else GENERAL)
+        row = find_row(search_for(asked.priority))
         return Plan(self.robot, row, row.load()(), asked)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -174,9 +174,9 @@ ROWS: tuple[Row, ...] = (
         "Sequential quadratic programming: errors in order of priority, with exact second derivatives (option priority)",
         "any robot; pose, masks, several tips; an arm with fewer joints than the target fixes",
         "Nocedal and Wright 2006, ch. 18",
-        # Eight attempts with all errors at one level, if the arm has the joints for that, then at most 30 by level.
-        search=Length(60, 38, (30.0, 0.18, 100.0, 0.35)),
-        several=Length(80, 68, (60.0, 0.25, 200.0, 0.4)),
+        # First 48 attempts with all errors at one level, if the arm has the joints for that, then at most 30 by level.
+        search=Length(40, 78, (30.0, 0.18, 100.0, 0.35), 20),
+        several=Length(60, 108, (60.0, 0.25, 200.0, 0.4)),
         tracks=False,
         levels=True,
     ),
@@ -216,7 +216,12 @@ LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
 BY_NAME = {row.name: row for row in ROWS}
 GENERAL = ROWS[0].name  # 'auto' takes this solver if no closed form fits.
-BY_LEVELS = next(row.name for row in ROWS if row.levels)  # 'auto' takes this solver for the option `priority`.
+BY_LEVELS = next(row.name for row in ROWS if row.levels)
+
+
+def search_for(priority: Any) -> str:
+    """Return the name of the general search for a value of the option `priority`."""
+    return GENERAL if priority is None else BY_LEVELS
 
 
 def list_rows() -> tuple[Row, ...]:

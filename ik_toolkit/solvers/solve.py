@@ -24,7 +24,7 @@ from .options import NAMES, AllOptions, Options, SolveOptions, make_options
 from .outcome import make_outcome
 from .plan import Plan
 from .postprocess import finish_failure
-from .registry import BY_LEVELS, GENERAL, find_row, make_rule
+from .registry import GENERAL, find_row, make_rule, search_for
 from .result import Result
 from .solutions import Solutions
 from .task import POSES, read_target
@@ -72,8 +72,7 @@ class Solver(ReadOnly):
         if auto:
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
-        by_default = GENERAL if options.get("priority") is None else BY_LEVELS
-        self.plan = make_plan(robot, by_default if auto else solver, options)
+        self.plan = make_plan(robot, search_for(options.get("priority")) if auto else solver, options)
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)

@@ -137,7 +137,7 @@ def test_what_ends_a_path_early_is_told():
     assert none.message == (
         f"with no reconfiguration the path found ends at pose {last} of 101: pose {last + 1} cannot be passed, and the whole "
         f"path needs 1; from the start {100 * none.fraction:.3g} % of its length can be followed in one motion; allow them "
-        "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
+        "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask, priority)"
     )
     T[98, 0, 3] += 9.0
     lost = ik.solve_path(robot, T)
@@ -145,7 +145,7 @@ def test_what_ends_a_path_early_is_told():
     assert lost.message == (
         f"{np.isfinite(lost.q[:, 0]).sum()} of 101 poses reached; not pose 98: {lost.unreachable[0].reason}; from the start "
         f"{100 * lost.fraction:.3g} % of its length can be followed in one motion; move the "
-        "poses, relax the targets (free_turn, slack, mask), or widen the limits"
+        "poses, relax the targets (free_turn, slack, mask, priority), or widen the limits"
     )
     assert lost.unreachable[0].proven and lost.unreachable[0].reason.startswith("beyond reach by ")
 

@@ -88,8 +88,8 @@ class SQP(NamedTuple):
         o = asked.options
         if o.priority is None:
             return "solves errors in order; say which come first, as priority='position'"
-        if o.closest or o.follow:
-            return f"takes no {'closest' if o.closest else 'follow'} with priority"
+        if o.closest or o.objective is not None:
+            return f"takes no {'closest' if o.closest else 'objective'} with a priority"
         return ""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
