@@ -153,7 +153,7 @@ class CountOptions:
     frame: list[str] | None = option("[TIP:]base|tip|target", "Axes of --mask and --slack.")
     priority: str | None = option(
         "LEVEL,...",
-        "What comes first: position, orientation, or TIP and TIP:position in order, + between equals; the rest as near as possible.",
+        "What comes first: position, orientation, or TIP and TIP:position in order, + between equals; the rest comes last.",
     )
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:

@@ -11,12 +11,12 @@ import numpy as np
 from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, inline
 from .checks import CONVERGED
+from .dispatch import problem_on
 from .limits import hold
 from .linalg import row_product
 from .null_space import REFERENCE, make_bounds, move
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Ends, Orders, copy, read
-from .search import problem_on
 
 
 class Descent(NamedTuple):

@@ -1,20 +1,67 @@
 """The search of a rule with levels: attempts until the best minimum has been found several times (see levels.py)."""
 
-from ..compile.jit import inline
+import math
+from typing import NamedTuple
+
+from ..compile.jit import compiled, inline
 from .checks import CONVERGED, ITERATION_LIMIT, LIMIT_BLOCKED, STALLED, TOO_FAR, UNREACHABLE
-from .levels import QUADRATIC, agrees, evaluation
+from .dispatch import evaluation
+from .levels import QUADRATIC
 from .limits import face, held_back
 from .problem import BEST_OF_ALL, NEAREST
 from .records import Answer, copy
 from .search import Patience, Spent, make_attempt, start_attempt
 
-# What an attempt does: all errors at one level, level 0 as a constraint, or level 0 minimised because it is out of reach.
-PLAIN, CONSTRAINED, OUT_OF_REACH = range(3)
+WORST = 1e300  # a squared error above any other
+
+
+class Phases(NamedTuple):
+    """What an attempt does with the levels."""
+
+    at_once: int = 0  # all errors are at one level
+    constrained: int = 1  # level 0 is a constraint
+    out_of_reach: int = 2  # level 0 is minimised
+
+
+PHASE = Phases()
+
+
+@compiled
+class Minimum(NamedTuple):
+    """The best minimum found so far."""
+
+    ee: float  # rank of the configuration, see `rank_errors`
+    beside: float  # squared error of the level below the one that `ee` tells
+    agreed: int  # number of attempts that found it
+    found: int  # number of the attempt that found it first
+    met: bool  # whether all levels are in tolerance
+
+
+@inline
+def rank_errors(p, e, level):
+    """Return a look whose `ee` orders configurations by level, and whose `good` says if all levels are in tolerance.
+
+    With the levels above c in tolerance and a squared error v of level c, `ee` is v / (1 + v) - c: a configuration that meets
+    more levels always has a smaller value, and below 0 level 0 is met.
+    """
+    groups, top = level.shape[0], 0.0
+    for g in range(groups):
+        top = max(top, level[g])
+    for c in range(int(top) + 1):
+        value, met = 0.0, True
+        for g in range(groups):
+            if level[g] == c:
+                one = p.group(e, g)
+                value += one
+                met = met and one < p.allowed(g)
+        if not met:
+            return p.graded(e, value / (1.0 + value) - c, False)
+    return p.graded(e, -top - 1.0, True)
 
 
 @inline
 def next_level(p, e, level):
-    """Return the squared error of the level after the first that is not in tolerance (rank_errors tells that one)."""
+    """Return the squared error of the level below the one that `rank_errors` tells."""
     c, value = 1.0, 0.0
     while e.ee < 1.0 - c:
         c += 1.0
@@ -25,78 +72,99 @@ def next_level(p, e, level):
 
 
 @inline
+def choose_phase(plain, tries, reached, near, far, excess):
+    """Return what the next attempt does: after some constrained ones that did not reach level 0, every other one minimises it."""
+    if tries < plain:
+        return PHASE.at_once
+    if excess > 0.0 or (not reached and near >= QUADRATIC.known and (near + far) % 2 == 0):
+        return PHASE.out_of_reach
+    return PHASE.constrained
+
+
+@inline
+def compare(p, e, level, best, number, job):
+    """Return the better of the best Minimum and that of attempt `number`, which ended at e; keep its q and errors if it is new."""
+    beside, floor = next_level(p, e, level), math.floor(best.ee)
+    share = QUADRATIC.same if best.ee < 0.0 else QUADRATIC.same_reach
+    same = abs(e.ee - best.ee) <= share * (best.ee - floor + QUADRATIC.first_order)
+    closer = beside < (1.0 - QUADRATIC.same) * best.beside - QUADRATIC.first_order
+    if (e.ee < best.ee and not same) or (same and closer):
+        copy(p.desk.q, job.closest)
+        p.keep(e, NEAREST)
+        return Minimum(e.ee, beside, 1, number, e.good)
+    alike = same and beside <= (1.0 + QUADRATIC.same) * best.beside + QUADRATIC.first_order
+    return Minimum(best.ee, best.beside, best.agreed + alike, best.found, best.met)
+
+
+@inline
 def search_by_levels(rule, p, job, level, plain, excess):
-    """Make attempts until the best minimum was found QUADRATIC.agree times, and return the Answer and the index of its errors.
+    """Make attempts until several have found the best minimum, and return the Answer and the index of its errors.
 
     level (2 F,): level of each group of errors; plain: number of attempts with all errors at one level that come first.
     The rest is as for `search.search`.
     """
-    o, q, start, s = job.orders, p.desk.q, p.desk.start, p.desk
-    given, attempts = int(o.given), int(o.attempts)
+    o, s, attempts = job.orders, p.desk, int(job.orders.attempts)
     plain = 0 if excess > 0.0 else min(plain, attempts - 1)
-    copy(start, job.best)
+    copy(s.start, job.best)
     for f in range(s.errors.shape[1]):
-        s.errors[BEST_OF_ALL, f, 0], s.errors[BEST_OF_ALL, f, 1] = 1e300, 1e300
+        s.errors[BEST_OF_ALL, f, 0], s.errors[BEST_OF_ALL, f, 1] = WORST, WORST
     s.spent[1] = o.evaluations
-    spent, least, best, second = Spent(0, 0, 0), 1e300, 1e300, 1e300
-    tries, near, far, agreed, found, cut_off, place, met = 0, 0, 0, 0, 0, 0, BEST_OF_ALL, False
+    spent, least, best = Spent(0, 0, 0), WORST, Minimum(WORST, WORST, 0, 0, False)
+    tries, near, far, found, cut_off = 0, 0, 0, 0, 0
     while True:
-        index, phase = tries, PLAIN
-        if tries >= plain:
-            least = 1e300 if tries == plain else least
-            missed = least >= 0.0 and near >= QUADRATIC.known
-            phase = OUT_OF_REACH if excess > 0.0 or (missed and (near + far) % 2 == 0) else CONSTRAINED
-            index = far if phase == OUT_OF_REACH else near
-            far, near = far + (phase == OUT_OF_REACH), near + (phase == CONSTRAINED)
+        least = (
+            WORST if tries == plain else least
+        )  # Ranks do not compare with the sums of squares of the attempts before.
+        phase = choose_phase(plain, tries, least < 0.0, near, far, excess)
         s.spent[2] = float(phase)
-        patience = start_attempt(p, job, index - given, excess)
-        if phase == CONSTRAINED:
+        index = tries if phase == PHASE.at_once else near if phase == PHASE.constrained else far
+        near, far = near + (phase == PHASE.constrained), far + (phase == PHASE.out_of_reach)
+        patience = start_attempt(p, job, index - int(o.given), excess)
+        if phase == PHASE.constrained:
             patience = Patience(patience.iterations, 16.0 if level[0] > 0.0 else 1.0, QUADRATIC.decay)
-        elif phase == OUT_OF_REACH:
-            patience = Patience(patience.iterations, 1e300, 1.0)
+        elif phase == PHASE.out_of_reach:
+            patience = Patience(patience.iterations, WORST, 1.0)
         before = least
         status, e, least, spent = make_attempt(rule, p, job, patience, True, spent, least, tries)
-        if place == BEST_OF_ALL and least < before:
-            found = tries
-        tries += 1
+        found = tries if least < before else found
         cut_off += status == ITERATION_LIMIT
         if status == CONVERGED:
-            met, beside = e.good, next_level(p, e, level)
-            same = agrees(e.ee, best)
-            closer = beside < (1.0 - QUADRATIC.same) * second - QUADRATIC.first_order
-            if (e.ee < best and not same) or (same and closer):
-                agreed, second = 0, 1e300
-            if agreed == 0 or (same and not beside > (1.0 + QUADRATIC.same) * second + QUADRATIC.first_order):
-                agreed += 1
-                if e.ee < best or closer:
-                    best, second, place, found = min(e.ee, best), min(second, beside), NEAREST, tries - 1
-                    copy(q, job.closest)
-                    p.keep(e, NEAREST)
-        enough = QUADRATIC.agree if best < 0.0 else QUADRATIC.agree_reach
-        if met or agreed >= enough or tries >= attempts or spent.evaluations >= o.evaluations:
+            best = compare(p, e, level, best, tries, job)
+        tries += 1
+        enough = best.agreed >= (QUADRATIC.agree if best.ee < 0.0 else QUADRATIC.agree_reach)
+        if best.met or enough or tries >= attempts or spent.evaluations >= o.evaluations:
             break
-    answer = job.best if place == BEST_OF_ALL else job.closest
+    if best.agreed == 0:
+        best = Minimum(WORST, WORST, 0, found, False)
+    return conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess)
+
+
+@inline
+def conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess):
+    """Put the answer into p.desk.q, each joint on its turn nearest the start; return the Answer and the index of its errors."""
+    o, s, q = job.orders, p.desk, p.desk.q
+    answer, place = (job.closest, NEAREST) if best.agreed > 0 else (job.best, BEST_OF_ALL)
     copy(answer, q)
-    if best < 0.0 or met:
+    limits, evaluations, held = o.limits > 0.0, spent.evaluations, -1
+    status = STALLED
+    if best.ee < 0.0 or best.met:
         status = CONVERGED
     elif excess > 0.0:
         status = UNREACHABLE
     elif spent.evaluations >= o.evaluations or cut_off == tries:
         status = ITERATION_LIMIT
-    else:
-        status = STALLED
-        for i in range(q.shape[0]):
-            if o.limits > 0.0 and (q[i] <= job.near.lower(i) or q[i] >= job.near.upper(i)):
-                status = LIMIT_BLOCKED
-    evaluations, held = spent.evaluations, -1
-    if o.follow > 0.0 and status != CONVERGED:
+    elif o.follow > 0.0:
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
-        held = held_back(p, e, job.near, job.box, o.limits > 0.0)
-        status = TOO_FAR if held >= 0 else status
-    if o.limits > 0.0 and not o.follow > 0.0 and face(q, start, job.box):
-        s.spent[2] = float(CONSTRAINED)
+        held = held_back(p, e, job.near, job.box, limits)
+        status = TOO_FAR if held >= 0 else STALLED
+    elif limits:
+        for i in range(q.shape[0]):
+            if q[i] <= job.near.lower(i) or q[i] >= job.near.upper(i):
+                status = LIMIT_BLOCKED
+    if limits and not o.follow > 0.0 and face(q, s.start, job.box):
+        s.spent[2] = float(PHASE.constrained)
         e = evaluation(rule, p, q)
         evaluations += 1
         if status == CONVERGED and not e.ee < 0.0:  # The rounding of a full turn exceeded a tolerance.
@@ -106,5 +174,5 @@ def search_by_levels(rule, p, job, level, plain, excess):
     position, rotation = p.left(place)
     return Answer(
         float(status), float(spent.steps), float(tries - 1), position, rotation, float(evaluations),
-        float(spent.noted), excess * job.box.scale(), float(found), float(held), float(agreed),
+        float(spent.noted), excess * job.box.scale(), float(best.found), float(held), float(best.agreed),
     ), place  # fmt: skip

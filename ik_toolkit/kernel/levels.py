@@ -5,24 +5,19 @@ a quadratic program with the exact second derivatives of the Lagrangian, one lev
 the levels above have left (sequential quadratic programming; Nocedal and Wright, Numerical Optimization, chapter 18):
 
     level 0         J' d = e                            a constraint, solved with damping as in Levenberg-Marquardt
-    level k > 0     min g' d + d' H d / 2               over what is left, H with the curvature of the constraint times its multiplier
+    level k > 0     min g' d + d' H d / 2               over what is left; H has the constraint's curvature, too
 
 If no attempt reaches level 0, it is minimised like the others, with its own second derivatives: a stretched arm's Jacobian is
 singular, so its null space would move the tip.
 """
 
-# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
-# pyright: reportCallIssue=false, reportArgumentType=false
 import math
 from typing import NamedTuple
 
-from numba.extending import overload
-
-from ..compile.jit import INLINE, inline, inner
-from .linalg import cholesky, cholesky_solve
+from ..compile.jit import inner
+from .linalg import cholesky, cholesky_solve, eigen, null_basis
 from .records import copy
-
-AT_MINIMUM = -3  # what the step of a rule with levels returns at a first-order minimum inside the tolerances of level 0
+from .search import AT_MINIMUM
 
 
 class LevelSteps(NamedTuple):
@@ -34,15 +29,15 @@ class LevelSteps(NamedTuple):
     pivot: float = 1e-4  # pivots of the constraint's Jacobian below this do not count
     multiplier: float = 1e-9  # damping of the multipliers, which exist where the Jacobian is singular, too
     flat: float = 1e-3  # least curvature of a step; below it a direction of a level is left to the next level
-    flat_reach: float = 1e-6  # the same for a position out of reach, which a joint near the tip may change by micrometres
+    flat_reach: float = 1e-6  # the same for a position out of reach, which a joint may change by micrometres
     longest_along: float = 1.0  # longest step towards the constraint [rad or kernel units]
     longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or kernel units]
-    sweeps: int = 12  # highest number of sweeps of Jacobi rotations
     same: float = 0.02  # minima are the same if their errors differ by less than this share
-    same_reach: float = 1e-5  # the same for level 0 out of reach, which comes before the level below whatever that gains
+    same_reach: float = 1e-5  # the same for level 0 out of reach, which comes before the level below
     agree: int = 3  # the search ends when so many attempts have found the best minimum
     agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
-    plain: int = 48  # attempts with all errors at one level, where there are at least as many joints as errors
+    at_once: int = 48  # attempts with all errors at one level, where there are at least as many joints as errors
+    table: int = 2048  # number of known starts; 256 find 2 % fewer of the best minima on five joints
     known: int = 8  # attempts after which the position is taken to be out of reach
     decay: float = 0.64  # factor, in each iteration, of the squared error of level 0 above which an attempt is given up
 
@@ -50,126 +45,6 @@ class LevelSteps(NamedTuple):
 QUADRATIC = LevelSteps()
 
 
-# ---------------------------------------------------------------------------------------------- for rules of every kind
-def evaluation(rule, p, q):
-    """Return the errors at q; for a rule with levels `ee` ranks the configuration instead of summing all squares."""
-    return rule.evaluated(p, q) if hasattr(rule, "evaluated") else p.evaluate(q)
-
-
-@overload(evaluation, jit_options=INLINE)
-def _evaluation(rule, p, q):
-    if hasattr(rule.instance_class, "evaluated"):
-        return lambda rule, p, q: rule.evaluated(p, q)
-    return lambda rule, p, q: p.evaluate(q)
-
-
-@inline
-def rank_errors(p, e, level):
-    """Return a look whose `ee` orders configurations by level, and whose `good` says if all levels are in tolerance.
-
-    With the levels above c in tolerance and a squared error v of level c, `ee` is v / (1 + v) - c: a configuration that meets
-    more levels always has a smaller value, and below 0 level 0 is met.
-    """
-    groups, top = level.shape[0], 0.0
-    for g in range(groups):
-        top = max(top, level[g])
-    for c in range(int(top) + 1):
-        value, met = 0.0, True
-        for g in range(groups):
-            if level[g] == c:
-                one = p.group(e, g)
-                value += one
-                met = met and one < p.allowed(g)
-        if not met:
-            return p.graded(e, value / (1.0 + value) - c, False)
-    return p.graded(e, -top - 1.0, True)
-
-
-@inline
-def agrees(ee, best):
-    """Return whether two values of `ee` belong to the same minimum."""
-    level = math.floor(best)
-    share = QUADRATIC.same if best < 0.0 else QUADRATIC.same_reach
-    return abs(ee - best) <= share * (best - level + QUADRATIC.first_order)
-
-
-# ------------------------------------------------------------------------------------------------------- linear algebra
-@inner
-def null_basis(A, k, m, Q):
-    """Write to Q (k, k) a rotation whose first r columns span the columns of A (k, m), and return the rank r.
-
-    Householder reflections with column pivoting (Golub and Van Loan, Matrix Computations, algorithm 5.4.1); A is overwritten.
-    """
-    for i in range(k):
-        for j in range(k):
-            Q[i, j] = 1.0 if i == j else 0.0
-    for c in range(min(k, m)):
-        pivot, most = c, 0.0
-        for j in range(c, m):
-            size = 0.0
-            for i in range(c, k):
-                size += A[i, j] * A[i, j]
-            if size > most:
-                pivot, most = j, size
-        norm = math.sqrt(most)
-        if not norm > QUADRATIC.pivot:
-            return c
-        for i in range(k):
-            A[i, c], A[i, pivot] = A[i, pivot], A[i, c]
-        A[c, c] += norm if A[c, c] >= 0.0 else -norm  # The column now holds the normal of the reflection.
-        size = 0.0
-        for i in range(c, k):
-            size += A[i, c] * A[i, c]
-        for j in range(c + 1, m):
-            dot = 0.0
-            for i in range(c, k):
-                dot += A[i, c] * A[i, j]
-            dot *= 2.0 / size
-            for i in range(c, k):
-                A[i, j] -= dot * A[i, c]
-        for i in range(k):
-            dot = 0.0
-            for j in range(c, k):
-                dot += Q[i, j] * A[j, c]
-            dot *= 2.0 / size
-            for j in range(c, k):
-                Q[i, j] -= dot * A[j, c]
-    return min(k, m)
-
-
-@inner
-def eigen(W, V, k):
-    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the columns of V."""
-    for i in range(k):
-        for j in range(k):
-            V[i, j] = 1.0 if i == j else 0.0
-    for _ in range(QUADRATIC.sweeps):
-        beside, diagonal = 0.0, 0.0
-        for i in range(k):
-            diagonal += W[i, i] * W[i, i]
-            for j in range(i):
-                beside += W[i, j] * W[i, j]
-        if beside <= 1e-24 * diagonal:
-            break
-        for i in range(k - 1):
-            for j in range(i + 1, k):
-                if W[i, j] == 0.0:
-                    continue
-                ratio = 0.5 * (W[j, j] - W[i, i]) / W[i, j]
-                t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                for h in range(k):
-                    a, b = W[h, i], W[h, j]
-                    W[h, i], W[h, j] = c * a - s * b, s * a + c * b
-                    a, b = V[h, i], V[h, j]
-                    V[h, i], V[h, j] = c * a - s * b, s * a + c * b
-                for h in range(k):
-                    a, b = W[i, h], W[j, h]
-                    W[i, h], W[j, h] = c * a - s * b, s * a + c * b
-
-
-# ------------------------------------------------------------------------------------------------------------- the step
 @inner
 def slope_of_level(p, c, level, out):
     """Write to out (n,) the gradient of half the squared errors of level c, whose errors `stack` has written."""
@@ -225,7 +100,7 @@ def onto_constraint(s, level, k, value, free, B, M):
                     A[i, r] = B[i, r] = s.J[int(free[i]), h]
                 b[r] = s.y[h]
                 r += 1
-    rank = null_basis(A, k, r, Q)
+    rank = null_basis(A, k, r, QUADRATIC.pivot, Q)
     for x in range(r):
         for z in range(x + 1):
             total = 0.0
@@ -260,15 +135,23 @@ def onto_constraint(s, level, k, value, free, B, M):
 def down_level(s, k, slope, flattest, last, box):
     """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
 
-    The Hessian is in s.tables[0], the basis (n, k) of the null space in s.tables[1]. Directions in which the level is flat are
-    left to the next level (curvature below `flattest`): the basis is replaced by them, unless this is the last level. The step is shortened so that it ends
-    inside the limits (box); the part that reaches level 0 is not.
+    The Hessian is in s.tables[0], the basis (n, k) of the null space in s.tables[1]. Directions whose curvature is below
+    `flattest` are left to the next level: the basis is replaced by them, unless this is the last level. The step is
+    shortened so that it ends inside the limits (box); the part that reaches level 0 is not.
 
     Returns:
         The number of columns of the new basis, and the squared norm of the gradient `slope` (n,) in the old one.
     """
     n = s.q.shape[0]
-    H, Z, A, V, W, b, dz = s.tables[0], s.tables[1], s.tables[2], s.tables[3], s.tables[4], s.tables[7][1], s.tables[7][5]
+    H, Z, A, V, W, b, dz = (
+        s.tables[0],
+        s.tables[1],
+        s.tables[2],
+        s.tables[3],
+        s.tables[4],
+        s.tables[7][1],
+        s.tables[7][5],
+    )
     steep = 0.0
     for x in range(k):
         here, ahead = 0.0, 0.0
@@ -331,7 +214,7 @@ def multipliers(s, level, k, slope, free, B, M, out):
     b, r = s.tables[7][1], 0
     for g in range(level.shape[0]):
         if level[g] == 0.0:
-            for h in range(3 * g, 3 * g + 3):
+            for _ in range(3):
                 b[r] = 0.0
                 for i in range(k):
                     b[r] += B[i, r] * slope[int(free[i])]
@@ -432,9 +315,7 @@ def step_by_levels(p, e, level, far):
             if k == 0:
                 break
             hessian_of_level(p, c, level, multiplier, least, factors, s.tables[0])
-            k, one = down_level(
-                s, k, slope, QUADRATIC.flat if c > 0 else QUADRATIC.flat_reach, c == int(top), box
-            )
+            k, one = down_level(s, k, slope, QUADRATIC.flat if c > 0 else QUADRATIC.flat_reach, c == int(top), box)
             steep += one
             if c == 0:
                 slope_of_level(p, 1, level, slope)

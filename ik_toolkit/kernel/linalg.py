@@ -252,3 +252,79 @@ def lu_solve(A, b, m):
             s -= A[k, j] * b[j]
         b[k] = s / A[k, k]
     return True
+
+
+@inner
+def null_basis(A, k, m, least, Q):
+    """Write to Q (k, k) a rotation whose first r columns span the columns of A (k, m), and return the rank r.
+
+    Columns shorter than `least` do not count. Householder reflections with column pivoting (Golub and Van Loan, Matrix
+    Computations, algorithm 5.4.1); A is overwritten.
+    """
+    for i in range(k):
+        for j in range(k):
+            Q[i, j] = 1.0 if i == j else 0.0
+    for c in range(min(k, m)):
+        pivot, most = c, 0.0
+        for j in range(c, m):
+            size = 0.0
+            for i in range(c, k):
+                size += A[i, j] * A[i, j]
+            if size > most:
+                pivot, most = j, size
+        norm = math.sqrt(most)
+        if not norm > least:
+            return c
+        for i in range(k):
+            A[i, c], A[i, pivot] = A[i, pivot], A[i, c]
+        A[c, c] += norm if A[c, c] >= 0.0 else -norm  # The column now holds the normal of the reflection.
+        size = 0.0
+        for i in range(c, k):
+            size += A[i, c] * A[i, c]
+        for j in range(c + 1, m):
+            dot = 0.0
+            for i in range(c, k):
+                dot += A[i, c] * A[i, j]
+            dot *= 2.0 / size
+            for i in range(c, k):
+                A[i, j] -= dot * A[i, c]
+        for i in range(k):
+            dot = 0.0
+            for j in range(c, k):
+                dot += Q[i, j] * A[j, c]
+            dot *= 2.0 / size
+            for j in range(c, k):
+                Q[i, j] -= dot * A[j, c]
+    return min(k, m)
+
+
+@inner
+def eigen(W, V, k):
+    """Make the symmetric matrix W (k, k) diagonal by Jacobi rotations, and write its eigenvectors to the columns of V."""
+    for i in range(k):
+        for j in range(k):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(SWEEPS):
+        beside, diagonal = 0.0, 0.0
+        for i in range(k):
+            diagonal += W[i, i] * W[i, i]
+            for j in range(i):
+                beside += W[i, j] * W[i, j]
+        if beside <= 1e-24 * diagonal:
+            break
+        for i in range(k - 1):
+            for j in range(i + 1, k):
+                if W[i, j] == 0.0:
+                    continue
+                ratio = 0.5 * (W[j, j] - W[i, i]) / W[i, j]
+                t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
+                c = 1.0 / math.sqrt(t * t + 1.0)
+                s = t * c
+                for h in range(k):
+                    a, b = W[h, i], W[h, j]
+                    W[h, i], W[h, j] = c * a - s * b, s * a + c * b
+                    a, b = V[h, i], V[h, j]
+                    V[h, i], V[h, j] = c * a - s * b, s * a + c * b
+                for h in range(k):
+                    a, b = W[i, h], W[j, h]
+                    W[i, h], W[j, h] = c * a - s * b, s * a + c * b

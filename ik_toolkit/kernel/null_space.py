@@ -10,11 +10,11 @@ import numpy as np
 
 from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached, compiled, inline, spliced
+from .dispatch import problem_on
 from .limits import LIGHTEST, hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
-from .search import problem_on
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3  # secondary objectives, see `refine`
 # Damping of projections and corrections. It is below the square of any singular value in whose direction a step is useful.

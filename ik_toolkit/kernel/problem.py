@@ -21,10 +21,10 @@ Both have the same methods, so rules and loops are written once:
     mirrors(out)       write (F, 3) normals of reflections; with a free turn, a tip's reflection makes its last rotation error 0
     bending(look, x, y, out)  write (dJ/dt) y at joint rates x, for the J that was filled last; only where `plain`
     graded(look, ee, good)    return the look with another value of `ee` and `good`, see levels.py
-    group(look, g), allowed(g)  return the squared error of group g, and its tolerance; a tip's position and rotation are a group each
+    group(look, g), allowed(g)  return the squared error of group g and its tolerance; position and rotation of a tip are groups
     exact(x, level)    aim at the targets themselves, not at the edge of the reach; return x, by how much level 0 is out of reach
     tilt(g)            return sin(angle) / angle of a rotation measured by its chord, else 1; needs `stack`
-    curvature(c, least, H)  add second derivatives of the errors to H, see `curvature.add_curvature`; needs `stand`, `jacobian`, `stack`
+    curvature(c, least, H)  add second derivatives of the errors to H, see `curvature.add_curvature`; needs J and `stack`
     bounds_of_step()   return the limits of a step (Ends)
     keep, left, report store and return the errors of the answer
 
@@ -75,7 +75,13 @@ class Desk(NamedTuple):
 @spliced
 def make_desk(block, n, m):
     """Make the working memory for n coordinates and m errors, cut from a block."""
-    s = Desk(*cut(block, np.float64, (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, max(n, m, 8), max(n, m, 8)), (3, m // 6, 2))))
+    s = Desk(
+        *cut(
+            block,
+            np.float64,
+            (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, max(n, m, 8), max(n, m, 8)), (3, m // 6, 2)),
+        )
+    )
     for i in range(n):
         for k in range(m):
             s.J[i, k] = 0.0

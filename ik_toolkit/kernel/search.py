@@ -18,7 +18,7 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.array_view import cut, fold, keep, view
-from ..compile.jit import BUILD, INLINE, cached, compiled, inline, inner
+from ..compile.jit import INLINE, cached, compiled, inline, inner
 from .checks import (
     BAD_START,
     BAD_TARGET,
@@ -32,17 +32,16 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
-from .levels import AT_MINIMUM, evaluation
+from .dispatch import aim_at, evaluation, problem_on, shaped
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
 from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, PAST, TASK, Answer, Array, Ends, Orders, copy, read, write
-from .serial import make_serial, serial_on
 from .starts import BEST, FEATURES, StartTable, make_table, sow
-from .tree import make_tree, tree_on
 
 # A rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall.
-SINGULAR_STEP, WAITING = -1, -2
+# AT_MINIMUM ends an attempt with success: q is a first-order minimum (see levels.py).
+SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
 # An attempt without a status yet either goes on (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
 GOING, STILL = -1, -2
 
@@ -64,42 +63,6 @@ class Endings(NamedTuple):
 
 
 END = Endings()
-
-
-def problem_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of one tip (Serial, if `ends` is one row) or of several (Tree), with scratch cut from a block."""
-    return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
-
-
-@overload(problem_on, jit_options=INLINE)
-def _problem_on(block, rows, ends, tasks, n, orders):
-    if ends.ndim == 1:
-        return lambda block, rows, ends, tasks, n, orders: serial_on(block, rows, ends, tasks, n, orders)
-    return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
-
-
-def shaped(ends, T, tips):
-    """Return the flat `ends` as a problem needs them: flat for one tip, T (N, 4, 4), or one row a tip, T (N, F, 4, 4)."""
-    return ends if T.ndim == 3 else ends.reshape(tips, -1)
-
-
-@overload(shaped, jit_options=INLINE)
-def _shaped(ends, T, tips):
-    if T.ndim == 3:
-        return lambda ends, T, tips: ends
-    return lambda ends, T, tips: fold(ends, np.float64, tips, ends.shape[0] // tips)
-
-
-def problem(rows, ends, tasks, n, orders):
-    """Make a problem (Serial or Tree) with scratch of its own, for code that works on arrays."""
-    return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
-
-
-@overload(problem, jit_options=BUILD)
-def _problem(rows, ends, tasks, n, orders):
-    if ends.ndim == 1:
-        return lambda rows, ends, tasks, n, orders: make_serial(rows, ends, tasks, n, orders)
-    return lambda rows, ends, tasks, n, orders: make_tree(rows, ends, tasks, n, orders)
 
 
 @compiled
@@ -325,18 +288,6 @@ def start_attempt(p, job, k, excess):
     for i in range(p.desk.x.shape[0]):
         p.desk.x[i] = 0.0
     return Patience(iterations, ceiling, decay)
-
-
-def aim_at(rule, p, T, orders):
-    """Take a target: return the length by which it is out of reach [kernel units], -1 if it is not a pose."""
-    return rule.aimed(p, T, orders) if hasattr(rule, "aimed") else p.aim(T, orders)
-
-
-@overload(aim_at, jit_options=INLINE)
-def _aim_at(rule, p, T, orders):
-    if hasattr(rule.instance_class, "aimed"):
-        return lambda rule, p, T, orders: rule.aimed(p, T, orders)
-    return lambda rule, p, T, orders: p.aim(T, orders)
 
 
 def seek(rule, p, job, needs_jacobian, excess):

@@ -13,10 +13,10 @@ import numpy as np
 
 from ..compile.jit import cached, inline, inner, spliced
 from ..kernel.algebra import V3
+from ..kernel.dispatch import problem
 from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
 from ..kernel.records import HEAD, TASK, Orders, copy, read
-from ..kernel.search import problem
 from .path_problem import Problem
 
 SHORTEST = 1.0 / 256  # smallest step, as a share of the distance between two poses; below it continuation stops

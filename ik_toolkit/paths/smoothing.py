@@ -14,9 +14,9 @@ import math
 import numpy as np
 
 from ..compile.jit import cached, inner, spliced
+from ..kernel.dispatch import problem
 from ..kernel.null_space import REFERENCE, make_bounds, onto_target
 from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
-from ..kernel.search import problem
 
 # Weight of squared task errors against squared joint differences; a step leaves 1e-9 rad of an error of 1e-2 rad.
 TASK_WEIGHT = 1e7

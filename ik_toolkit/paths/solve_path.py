@@ -30,8 +30,7 @@ from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
 from .freedom import freedom
-from .nearest_poses import nearest_poses
-from .path_problem import STEP, Problem
+from .path_problem import STEP, Problem, nearest_poses
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
@@ -128,7 +127,8 @@ def solve_path(
     wanted = T
     if solver.options.priority is not None:  # The search follows poses that the arm can reach.
         T = nearest_poses(solver, T, kinds, q0)
-        solver = Solver(robot, seed=seed, **{**options, "priority": None, "slack": None})
+        exact: dict[str, Any] = {**options, "priority": None, "slack": None}
+        solver = Solver(robot, seed=seed, **exact)
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
@@ -294,11 +294,11 @@ def _against(made: PathResult, wanted: np.ndarray) -> PathResult:
         left = counted_errors(made.robot, made.q[t], wanted[t], made.kinds, made.options)
         errors[t] = np.max([(position, turned or 0.0) for position, turned in left], axis=0)
     worst = np.max(errors[there], axis=0, initial=0.0)
-    words = f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
-    orientation = None if made.orientation_error is None else errors[:, 1]
-    return replace(
-        made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}"
+    words = (
+        f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
     )
+    orientation = None if made.orientation_error is None else errors[:, 1]
+    return replace(made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}")
 
 
 DOUBT = 0.1  # A rotation that differs from half a turn by less than 0.1 orientation tolerances may go either way.

@@ -89,9 +89,7 @@ class Published:
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []
         unit = np.array([scale] * 3 + [1.0] * 3)
-        for task, level in zip(
-            kernel_tasks(self.robot, kinds, self.options), self.levels.reshape(-1, 2), strict=True
-        ):
+        for task, level in zip(kernel_tasks(self.robot, kinds, self.options), self.levels.reshape(-1, 2), strict=True):
             weights, slack = np.array(task[-12:-6]), np.array(task[-6:])
             weights[slack >= (*(math.inf,) * 3, *(math.pi,) * 3)] = 0.0
             slack[weights == 0.0] = 0.0

@@ -19,8 +19,9 @@ from numba.extending import overload
 
 from ..compile.array_view import keep, space, view
 from ..compile.jit import INLINE, cached, inline, inner
+from ..kernel.dispatch import problem_on
 from ..kernel.records import HEAD, TASK, Orders, copy, read
-from ..kernel.search import problem_on, step_class
+from ..kernel.search import step_class
 from .command import Moment, Published, copy_rows, lean, wanted
 from .constrained_step import LEAVE, SHORT, WANTED, Allowed, StepTaken, TaskRate, constrain, room_on, room_space
 from .damped_descent import descend, notice, stuck

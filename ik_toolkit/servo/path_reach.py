@@ -148,7 +148,11 @@ def bound_search(robot: Joints, **options: Any) -> Any:
     from ..solvers.registry import search_for
     from ..solvers.solve import bound_solver
 
-    return bound_solver(robot, search_for(options.get("priority")), {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
+    return bound_solver(
+        robot,
+        search_for(options.get("priority")),
+        {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options,
+    )
 
 
 def freed(reference: Reference) -> Reference:

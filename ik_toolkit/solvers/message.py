@@ -59,7 +59,9 @@ def sentence(result: Any) -> str:
         far = status == Status.UNREACHABLE and row[AT.excess] > FAR_AWAY * result.robot.reach
         return _closed_form_says(result, left) + ("; were millimetres meant?" if far else "")
     if status == Status.CONVERGED and (missed := _missed(result)):
-        return f"{missed}, the nearest found ({_joints(result.robot.n)}; {_starts(starts)}, {int(row[AT.agreed])} agree)"
+        return (
+            f"{missed}, the nearest found ({_joints(result.robot.n)}; {_starts(starts)}, {int(row[AT.agreed])} agree)"
+        )
     if status == Status.CONVERGED:
         text = f"converged in {result.iterations} iterations to {left}"
         return f"{text} after {result.restarts} restart{'s' * (result.restarts > 1)}" if result.restarts else text

@@ -297,7 +297,9 @@ def _groups_of(entry: Any) -> list[tuple[str, str]]:
         return [("", entry)] if entry in GROUPS else [(entry, group) for group in GROUPS]
     if isinstance(entry, tuple) and len(entry) == 2 and all(isinstance(x, str) for x in entry):
         if entry[1] not in GROUPS:
-            raise InvalidOption(f"priority: {entry[1]!r} is neither 'position' nor 'orientation'.{near_match(entry[1], GROUPS)}")
+            raise InvalidOption(
+                f"priority: {entry[1]!r} is neither 'position' nor 'orientation'.{near_match(entry[1], GROUPS)}"
+            )
         return [(entry[0], entry[1])]
     if isinstance(entry, list | tuple) and entry:
         return [pair for one in entry for pair in _groups_of(one)]

@@ -170,7 +170,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "sqp",
-        _RULES + "levels:SQP",
+        _RULES + "sqp:SQP",
         "Sequential quadratic programming: errors in order of priority, with exact second derivatives (option priority)",
         "any robot; pose, masks, several tips; an arm with fewer joints than the target fixes",
         "Nocedal and Wright 2006, ch. 18",

@@ -14,8 +14,8 @@ from ..style import BAD, GOOD
 from ..text import TextTable, length
 from .explain.explanation import Explanation
 from .message import sentence
-from .outcome import SPOKEN, SolveRecord
 from .options import GROUPS
+from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
 from .status import SEARCHED, Status, constraints_of
 from .task import all_errors, group_levels
@@ -98,7 +98,7 @@ class Result(ReadOnly):
 
     @property
     def level_errors(self) -> tuple[dict[str, float], ...]:
-        """Errors [m], [rad] by level of priority, most important first: "position" and "orientation", of several tips "TIP position".
+        """Errors [m], [rad] by level of priority, the first first: "position" and "orientation", of several tips "TIP position".
 
         Without a priority there is one level.
         """

@@ -82,7 +82,7 @@ def group_levels(robot: Any, o: Options) -> tuple[int, ...]:
 
     Raises InvalidOption for an unknown tip, or errors named twice.
     """
-    order = o.priority or ()
+    order: tuple = o.priority or ()
     level: dict[tuple[str, str], int] = {}
     for c, groups in enumerate(order):
         for name, group in groups:

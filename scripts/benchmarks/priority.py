@@ -54,6 +54,7 @@ def levels(robot: ik.Robot, q: np.ndarray, T: np.ndarray, first: str) -> tuple[f
 
 def first_order(robot: ik.Robot, q: np.ndarray, T: np.ndarray, first: str) -> float:
     """Norm of the gradient of the second level that no motion along the first level and the limits may lower."""
+
     def values(q: np.ndarray) -> np.ndarray:
         now = robot.fk(q).homogeneous
         turn = pin.log3(now[:3, :3] @ T[:3, :3].T)
@@ -81,7 +82,7 @@ def measure(name: str, o: argparse.Namespace) -> dict[str, Any]:
     """One arm."""
     robot, rng = load(name), np.random.default_rng(o.seed)
     T = targets(robot, o.targets, o.turn, o.beyond, rng)
-    solver, single = ik.Solver(robot, priority=o.first), ik.Solver(robot, priority=o.first, restarts=0)
+    solver = ik.Solver(robot, priority=o.first)
     solver(T[0])
     times, found, evaluations = [], [], []
     for one in T:
@@ -96,7 +97,10 @@ def measure(name: str, o: argparse.Namespace) -> dict[str, Any]:
             robot, np.repeat(one[None], o.starts, 0), priority=o.first, restarts=0, check=0.0,
             q0=np.array([robot.random_q(rng) for _ in range(o.starts)]),
         )  # fmt: skip
-        both = [mine, *(levels(robot, q, one, o.first) for q in tried.q[tried.success if not o.beyond else slice(None)])]
+        both = [
+            mine,
+            *(levels(robot, q, one, o.first) for q in tried.q[tried.success if not o.beyond else slice(None)]),
+        ]
         least = min(pair[0] for pair in both) if o.beyond else 2e-6
         best = min((pair[1] for pair in both if pair[0] <= least + 1e-5 * o.beyond), default=np.inf)
         good = mine[0] <= least + 1e-5 * o.beyond and mine[1] <= (1 + HIT) * best + 1e-4

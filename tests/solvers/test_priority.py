@@ -31,7 +31,9 @@ def errors(robot, q, T):
 def steepest(robot, q, T, first):
     """Norm of the second level's gradient along which neither the first level nor a limit keeps it from falling."""
     h, unit = 1e-6, robot.chain.unit
-    J = np.array([(errors(robot, q + h * unit * e, T) - errors(robot, q - h * unit * e, T)) / (2 * h) for e in np.eye(robot.n)])
+    J = np.array(
+        [(errors(robot, q + h * unit * e, T) - errors(robot, q - h * unit * e, T)) / (2 * h) for e in np.eye(robot.n)]
+    )
     one, two = FIRST[first]
     g, A = J[:, two] @ errors(robot, q, T)[two], J[:, one]
     low, high, held = q <= robot.lower + 1e-12, q >= robot.upper - 1e-12, np.zeros(robot.n, dtype=bool)
@@ -51,7 +53,9 @@ def five_joints():
 
 
 @pytest.mark.parametrize("first", ["position", "orientation"])
-@pytest.mark.parametrize("make", [five_joints, lambda: ik.Robot.load("hydrolek_7w"), lambda: ik.Robot.load("palletizer")])
+@pytest.mark.parametrize(
+    "make", [five_joints, lambda: ik.Robot.load("hydrolek_7w"), lambda: ik.Robot.load("palletizer")]
+)
 def test_first_level_in_tolerance_and_second_at_a_minimum(make, first):
     robot, rng = make(), np.random.default_rng(3)
     solver, reached = ik.Solver(robot, priority=first), 0
@@ -63,7 +67,7 @@ def test_first_level_in_tolerance_and_second_at_a_minimum(make, first):
             assert np.linalg.norm(errors(robot, result.q, T)[FIRST[first][0]]) <= 1e-6 * max(1.0, 1.0 / robot.reach)
             assert steepest(robot, result.q, T, first) < 1e-5
             assert (result.q >= robot.lower).all() and (result.q <= robot.upper).all()
-    assert reached == 40 if first == "position" else reached >= 0
+    assert reached == 40 or first == "orientation"
 
 
 def test_no_single_attempt_finds_better_than_the_search():
@@ -187,7 +191,11 @@ def test_masks_slack_and_free_turns_count_within_their_level():
     for _ in range(5):
         T = turned(robot, rng, 0.5)
         whole = ik.solve(robot, T, priority="position").orientation_error
-        for counts in ({"free_turn": "z"}, {"slack": (0, 0, 0, 0.1, 0.1, 0.1)}, {"mask": (1, 1, 1, 1, 1, 0), "frame": "tip"}):
+        for counts in (
+            {"free_turn": "z"},
+            {"slack": (0, 0, 0, 0.1, 0.1, 0.1)},
+            {"mask": (1, 1, 1, 1, 1, 0), "frame": "tip"},
+        ):
             part = ik.solve(robot, T, priority="position", **counts)
             assert part.success and part.orientation_error <= 1.01 * whole + 1e-4
 

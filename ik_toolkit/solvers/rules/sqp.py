@@ -5,16 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...compile.jit import compiled
-from ...kernel.level_search import PLAIN, OUT_OF_REACH, search_by_levels
-from ...kernel.levels import QUADRATIC, rank_errors, step_by_levels
+from ...kernel.level_search import PHASE, rank_errors, search_by_levels
+from ...kernel.levels import QUADRATIC, step_by_levels
 from ...kernel.records import Array, Ends
 from ...kernel.starts import BEST, known_configurations
 from ..protocol import Asked, rule
 from ..task import group_levels
 from .jacobian import FLOOR
-
-
-KNOWN = 2048  # number of known starts; 256 find 1 % fewer of the best minima on five joints
 
 
 def posture_groups(starts: np.ndarray) -> np.ndarray:
@@ -50,15 +47,15 @@ class LevelStep(NamedTuple):
     def evaluated(self, p, q):
         p.stand(q)
         e = p.see()
-        if int(p.desk.spent[2]) == PLAIN:
+        if int(p.desk.spent[2]) == PHASE.at_once:
             return e
         return rank_errors(p, e, self.numbers[1:])
 
     def step(self, p, e):
-        if int(p.desk.spent[2]) == PLAIN:
+        if int(p.desk.spent[2]) == PHASE.at_once:
             p.damped(e, QUADRATIC.damping * e.ee + FLOOR)
             return 0
-        return step_by_levels(p, e, self.numbers[1:], int(p.desk.spent[2]) == OUT_OF_REACH)
+        return step_by_levels(p, e, self.numbers[1:], int(p.desk.spent[2]) == PHASE.out_of_reach)
 
     def seek(self, p, job, excess):
         return search_by_levels(self, p, job, self.numbers[1:], int(self.numbers[0]), excess)
@@ -80,7 +77,7 @@ class SQP(NamedTuple):
         chain = robot.chain
         box = Ends(chain.ends.reshape(-1, chain.ends.shape[-1])[0], robot.n)
         low, span, home = (np.array([read(i) for i in range(robot.n)]) for read in (box.low, box.span, box.home))
-        starts = known_configurations(low, low + span, home, KNOWN)
+        starts = known_configurations(low, low + span, home, QUADRATIC.table)
         return posture_groups(starts) * chain.unit
 
     def refuses(self, asked: Asked) -> str:
@@ -95,5 +92,5 @@ class SQP(NamedTuple):
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
         """Return the numbers of the compiled step."""
         assert asked is not None
-        plain = QUADRATIC.plain if asked.rows <= robot.n else 0
+        plain = QUADRATIC.at_once if asked.rows <= robot.n else 0
         return np.array([plain, *group_levels(robot, asked.options)], dtype=float)

@@ -1,0 +1,71 @@
+"""What is chosen by class when a search is compiled: the problem, and the calls that a rule may take over from it."""
+
+# Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
+# pyright: reportCallIssue=false, reportArgumentType=false
+import numpy as np
+from numba.extending import overload
+
+from ..compile.array_view import fold
+from ..compile.jit import BUILD, INLINE
+from .serial import make_serial, serial_on
+from .tree import make_tree, tree_on
+
+
+def problem_on(block, rows, ends, tasks, n, orders):
+    """Make the problem of one tip (Serial, if `ends` is one row) or of several (Tree), with scratch cut from a block."""
+    return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
+
+
+@overload(problem_on, jit_options=INLINE)
+def _problem_on(block, rows, ends, tasks, n, orders):
+    if ends.ndim == 1:
+        return lambda block, rows, ends, tasks, n, orders: serial_on(block, rows, ends, tasks, n, orders)
+    return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
+
+
+def shaped(ends, T, tips):
+    """Return the flat `ends` as a problem needs them: flat for one tip, T (N, 4, 4), or one row a tip, T (N, F, 4, 4)."""
+    return ends if T.ndim == 3 else ends.reshape(tips, -1)
+
+
+@overload(shaped, jit_options=INLINE)
+def _shaped(ends, T, tips):
+    if T.ndim == 3:
+        return lambda ends, T, tips: ends
+    return lambda ends, T, tips: fold(ends, np.float64, tips, ends.shape[0] // tips)
+
+
+def problem(rows, ends, tasks, n, orders):
+    """Make a problem (Serial or Tree) with scratch of its own, for code that works on arrays."""
+    return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
+
+
+@overload(problem, jit_options=BUILD)
+def _problem(rows, ends, tasks, n, orders):
+    if ends.ndim == 1:
+        return lambda rows, ends, tasks, n, orders: make_serial(rows, ends, tasks, n, orders)
+    return lambda rows, ends, tasks, n, orders: make_tree(rows, ends, tasks, n, orders)
+
+
+def evaluation(rule, p, q):
+    """Return the errors at q; a rule with an `evaluated` of its own may let `ee` rank configurations instead of summing squares."""
+    return rule.evaluated(p, q) if hasattr(rule, "evaluated") else p.evaluate(q)
+
+
+@overload(evaluation, jit_options=INLINE)
+def _evaluation(rule, p, q):
+    if hasattr(rule.instance_class, "evaluated"):
+        return lambda rule, p, q: rule.evaluated(p, q)
+    return lambda rule, p, q: p.evaluate(q)
+
+
+def aim_at(rule, p, T, orders):
+    """Take a target (by the rule's own `aimed`, if any): return by how much it is out of reach, -1 if it is not a pose."""
+    return rule.aimed(p, T, orders) if hasattr(rule, "aimed") else p.aim(T, orders)
+
+
+@overload(aim_at, jit_options=INLINE)
+def _aim_at(rule, p, T, orders):
+    if hasattr(rule.instance_class, "aimed"):
+        return lambda rule, p, T, orders: rule.aimed(p, T, orders)
+    return lambda rule, p, T, orders: p.aim(T, orders)
