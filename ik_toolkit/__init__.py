@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "Robot": "robot.robot",
     "Tree": "robot.tree",
+    "MotorMap": "robot.motors",
     "approach": "robot.pose",
     "pose": "robot.pose",
     "solve": "solvers.solve",
@@ -45,6 +46,7 @@ _NAMES = {
     "PathStatus": "paths.result",
     "Trajectory": "motion.trajectory",
     "Reference": "motion.reference",
+    "Teleop": "motion.teleop",
     "line": "motion.shapes",
     "circle": "motion.shapes",
     "lissajous": "motion.shapes",

@@ -6,6 +6,7 @@ from .motion.reference import Reference as Reference
 from .motion.shapes import circle as circle
 from .motion.shapes import line as line
 from .motion.shapes import lissajous as lissajous
+from .motion.teleop import Teleop as Teleop
 from .motion.trajectory import Trajectory as Trajectory
 from .motion.waypoints import reference_from_file as reference_from_file
 from .motion.waypoints import waypoints as waypoints
@@ -15,6 +16,7 @@ from .paths.solve_path import PathInterrupted as PathInterrupted
 from .paths.solve_path import solve_path as solve_path
 from .robot.geometry.collision import CollisionModel as CollisionModel
 from .robot.geometry.shape import Shape as Shape
+from .robot.motors import MotorMap as MotorMap
 from .robot.pose import approach as approach
 from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot

@@ -1,0 +1,126 @@
+"""Teleoperation: the motion of a hand controller becomes the motion of a target, for a `Tracker`."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidOption, InvalidTarget
+from ..robot.pose import check_target
+from ..validate import number, positive
+
+
+class Teleop:
+    """Turns the poses of a hand controller into targets: clutch, scale, dead band and bounded speed.
+
+    While the clutch is engaged, the target moves as the controller has moved since it was engaged, seen along the robot's base
+    axes and scaled. Otherwise the target stays where it is, so that the hand can be brought back: nothing jumps when the clutch
+    is engaged again.
+
+    Args:
+        T_base_tip: The pose (4, 4) or pin.SE3 at which the target starts, usually `robot.fk(q)`.
+        scale: Metres of the target per metre of the controller.
+        rotation_scale: Angle of the target per angle of the controller; 0 keeps the orientation.
+        R_base_controller: Rotation (3, 3) from the controller's world to the robot's base.
+        dead_band: Distance [m] and angle [rad] since engaging within which the target stays still.
+        speed: Largest speed of the target [m/s].
+        turn: Largest angular speed of the target [rad/s].
+
+    Attributes:
+        T_base_tip: (4, 4) The present target.
+        engaged: Whether the clutch was engaged in the last update.
+
+    Raises:
+        InvalidTarget: The pose is none.
+        InvalidOption: Another argument is out of range, or R_base_controller is no rotation.
+    """
+
+    def __init__(
+        self,
+        T_base_tip: Any,
+        *,
+        scale: float = 1.0,
+        rotation_scale: float = 1.0,
+        R_base_controller: Any = None,
+        dead_band: tuple[float, float] = (0.0, 0.0),
+        speed: float = 0.25,
+        turn: float = 1.0,
+    ) -> None:
+        """Start with the target at a pose, the clutch not engaged."""
+        self.T_base_tip, _ = _pose(T_base_tip)
+        self.scale, self.rotation_scale = number(scale, "scale"), number(rotation_scale, "rotation_scale")
+        R = np.eye(3) if R_base_controller is None else np.asarray(R_base_controller, dtype=float)
+        if R.shape != (3, 3) or not np.abs(R.T @ R - np.eye(3)).max() < 1e-6 or np.linalg.det(R) < 0:
+            raise InvalidOption("R_base_controller must be a rotation matrix (3, 3)")
+        self.R_base_controller = R
+        self.dead_band = tuple(number(value, "dead_band") for value in dead_band)
+        if len(self.dead_band) != 2 or min(self.dead_band) < 0.0:
+            raise InvalidOption(f"dead_band must be a distance and an angle of at least 0, not {dead_band!r}")
+        self.speed, self.turn = positive(speed, "speed [m/s]"), positive(turn, "turn [rad/s]")
+        self.engaged = False
+        self._anchor: tuple[np.ndarray, np.ndarray] | None = None
+
+    def update(self, T_controller: Any, engaged: bool, dt: float) -> np.ndarray:
+        """Return the target (4, 4) after dt seconds.
+
+        Args:
+            T_controller: Pose (4, 4) or pin.SE3 of the controller in its own world [m].
+            engaged: Whether the clutch is held.
+            dt: Time since the last update [s].
+
+        Raises:
+            InvalidTarget: The controller's pose is none; the target has not moved.
+            InvalidOption: dt is not above 0.
+        """
+        hand, dt = _pose(T_controller)[0], positive(dt, "dt [s]")
+        if not engaged:
+            self._anchor = None
+        elif self._anchor is None:
+            self._anchor = hand, self.T_base_tip.copy()
+        if self._anchor is not None:
+            self._approach(self._wanted(hand), dt)
+        self.engaged = bool(engaged)
+        return self.T_base_tip.copy()
+
+    def _wanted(self, hand: np.ndarray) -> np.ndarray:
+        """Return where the target would be without a bound on its speed, for a pose of the controller."""
+        from_hand, from_tip = self._anchor  # type: ignore[misc]
+        R = self.R_base_controller
+        moved = R @ (hand[:3, 3] - from_hand[:3, 3])
+        turned = R @ pin.log3(hand[:3, :3] @ from_hand[:3, :3].T)
+        wanted = from_tip.copy()
+        wanted[:3, 3] += self.scale * _beyond(moved, self.dead_band[0])
+        wanted[:3, :3] = pin.exp3(self.rotation_scale * _beyond(turned, self.dead_band[1])) @ from_tip[:3, :3]
+        return wanted
+
+    def _approach(self, wanted: np.ndarray, dt: float) -> None:
+        """Move the target towards a pose, no faster than allowed."""
+        T = self.T_base_tip = self.T_base_tip.copy()
+        T[:3, 3] += _shortened(wanted[:3, 3] - T[:3, 3], self.speed * dt)
+        T[:3, :3] = pin.exp3(_shortened(pin.log3(wanted[:3, :3] @ T[:3, :3].T), self.turn * dt)) @ T[:3, :3]
+
+    def rebase(self, T_base_tip: Any) -> None:
+        """Put the target at another pose, for example `robot.fk(step.q)` after a stop; the clutch has to be engaged anew."""
+        self.T_base_tip, _ = _pose(T_base_tip)
+        self._anchor, self.engaged = None, False
+
+
+def _pose(T: Any) -> tuple[np.ndarray, str]:
+    """Return a pose as a (4, 4) array and a notice. Raises InvalidTarget."""
+    made, notice = check_target(T)
+    if made.ndim != 2:
+        raise InvalidTarget("a pose (4, 4) is needed, not a position")
+    return np.array(made), notice
+
+
+def _shortened(v: np.ndarray, most: float) -> np.ndarray:
+    """Return a vector shortened to a length of at most `most`."""
+    size = math.sqrt(float(v @ v))
+    return v * (most / size) if size > most else v
+
+
+def _beyond(v: np.ndarray, band: float) -> np.ndarray:
+    """Return the part of a vector by which it is longer than `band`."""
+    size = math.sqrt(float(v @ v))
+    return v * (1.0 - band / size) if size > band else v * 0.0

@@ -1,0 +1,77 @@
+"""Between a robot's joint values and what its motors are told: direction, zero position, unit."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidConfiguration, InvalidOption, JointNotFound, floats, near_match
+
+SUFFIX = ".pos"  # LeRobot's observations and actions have "shoulder_pan.pos" for the joint shoulder_pan
+
+
+class MotorMap:
+    """Converts motor positions to joint values and back: q = sign * motor + offset.
+
+    Args:
+        robot: The Robot or Tree whose joints the motors move.
+        sign: {joint: 1 or -1} whether the motor turns with the joint or against it; 1 where it is left out.
+        offset: {joint: value} joint value [rad or m] where the motor is at 0; 0 where it is left out.
+        degrees: Whether motors of revolute joints are told degrees; `offset` stays in radians.
+
+    Raises:
+        JointNotFound: A name is not a joint of the robot.
+        InvalidOption: A sign is not 1 or -1, or an offset is not a finite number.
+    """
+
+    def __init__(
+        self,
+        robot: Any,
+        *,
+        sign: Mapping[str, float] | None = None,
+        offset: Mapping[str, float] | None = None,
+        degrees: bool = False,
+    ) -> None:
+        """Read the directions and zero positions."""
+        self.robot = robot
+        self.sign = _by_joint(robot, "sign", sign, 1.0)
+        self.offset = _by_joint(robot, "offset", offset, 0.0)
+        if not (np.abs(self.sign) == 1.0).all():
+            raise InvalidOption(f"sign must be 1 or -1 for each joint, not {sign!r}")
+        self.unit = np.where(robot.slides, 1.0, math.radians(1.0) if degrees else 1.0)
+
+    def to_q(self, motors: Any) -> np.ndarray:
+        """Return joint values (n,) [rad or m] for motor positions: (n,) numbers, or a dict by joint (also as "JOINT.pos").
+
+        A dict may have other entries, such as a gripper's; they are ignored. Raises InvalidConfiguration.
+        """
+        if isinstance(motors, Mapping):
+            named = {str(name).removesuffix(SUFFIX): value for name, value in motors.items()}
+            missing = [joint for joint in self.robot.joint_names if joint not in named]
+            if missing:
+                raise InvalidConfiguration(f"no motor position for joint {', '.join(missing)}.{near_match(missing[0], named)}")
+            motors = [named[joint] for joint in self.robot.joint_names]
+        values = floats(motors, "motor positions must be numbers", InvalidConfiguration)
+        if values.shape != (self.robot.n,) or not np.isfinite(values).all():
+            names = ", ".join(self.robot.joint_names)
+            raise InvalidConfiguration(f"motor positions must be {self.robot.n} finite numbers ({names}), not {motors!r:.80}")
+        return self.sign * values * self.unit + self.offset
+
+    def to_motors(self, q: Any) -> dict[str, float]:
+        """Return the motor position of each joint, by name, at joint values q (n,) [rad or m]. Raises InvalidConfiguration."""
+        values = self.sign * (self.robot.check_q(q, "q") - self.offset) / self.unit
+        return dict(zip(self.robot.joint_names, values.tolist(), strict=True))
+
+
+def _by_joint(robot: Any, name: str, given: Mapping[str, float] | None, default: float) -> np.ndarray:
+    """Return a value (n,) for each joint from a dict that may leave joints out. Raises JointNotFound, InvalidOption."""
+    made = np.full(robot.n, default)
+    for joint, value in (given or {}).items():
+        if joint not in robot.joint_names:
+            raise JointNotFound(f"{name}: the robot has no joint '{joint}'.{near_match(joint, robot.joint_names)}")
+        number = floats(value, f"{name} of {joint} must be a number", InvalidOption)
+        if number.shape != () or not np.isfinite(number):
+            raise InvalidOption(f"{name} of {joint} must be a finite number, not {value!r}")
+        made[robot.joint_names.index(joint)] = float(number)
+    return made

@@ -1,0 +1,42 @@
+"""Motor positions and joint values, both ways."""
+
+import math
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption, JointNotFound
+
+
+def test_sign_offset_and_degrees_both_ways():
+    robot = ik.Robot.load("scara")
+    motors = ik.MotorMap(robot, sign={"elbow": -1}, offset={"shoulder": 0.5, "slide": -0.1}, degrees=True)
+    q = motors.to_q([10.0, 20.0, 0.05, -30.0])
+    assert q == pytest.approx([0.5 + math.radians(10), -math.radians(20), -0.05, -math.radians(30)])
+    back = motors.to_motors(q)
+    assert list(back) == list(robot.joint_names) and list(back.values()) == pytest.approx([10.0, 20.0, 0.05, -30.0])
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        q = robot.random_q(rng)
+        assert motors.to_q(motors.to_motors(q)) == pytest.approx(q, abs=1e-12)
+
+
+def test_names_of_lerobot_and_other_entries():
+    robot = ik.Robot.load("scara")
+    observed = {"elbow.pos": 0.2, "shoulder.pos": 0.1, "spin.pos": 0.3, "slide.pos": -0.1, "gripper.pos": 50.0}
+    assert ik.MotorMap(robot).to_q(observed) == pytest.approx([0.1, 0.2, -0.1, 0.3])
+
+
+def test_mistakes_name_the_joint():
+    robot = ik.Robot.load("scara")
+    with pytest.raises(JointNotFound, match="elbow"):
+        ik.MotorMap(robot, sign={"elbw": -1})
+    with pytest.raises(InvalidOption, match="1 or -1"):
+        ik.MotorMap(robot, sign={"elbow": 2})
+    with pytest.raises(InvalidOption, match="elbow"):
+        ik.MotorMap(robot, offset={"elbow": math.nan})
+    with pytest.raises(InvalidConfiguration, match="slide"):
+        ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow": 0.0, "spin": 0.0})
+    with pytest.raises(InvalidConfiguration, match="4 finite numbers"):
+        ik.MotorMap(robot).to_q([0.0, 0.0, math.nan, 0.0])
