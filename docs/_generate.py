@@ -12,7 +12,7 @@ ROOMS = {  # how the public names are grouped in the API page, by the module the
     "Robots and targets": ("robot.",),
     "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch.", "solvers.result", "solvers.status"),
     "Solvers and their parameters": ("solvers.protocol", "solvers.rules.", "solvers.closed_form."),
-    "Tracking": ("servo.", "motion.reference", "motion.shapes", "motion.waypoints"),
+    "Tracking": ("servo.", "motion.reference", "motion.shapes", "motion.waypoints", "motion.teleop"),
     "Paths": ("paths.", "motion.trajectory"),
     "Studies": ("study.", "papers."),
     "Pictures": ("show.",),

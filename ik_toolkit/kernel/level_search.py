@@ -163,7 +163,8 @@ def conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess):
         for i in range(q.shape[0]):
             if q[i] <= job.near.lower(i) or q[i] >= job.near.upper(i):
                 status = LIMIT_BLOCKED
-    if limits and not o.follow > 0.0 and face(q, s.start, job.box):
+    affordable = evaluations < o.evaluations
+    if affordable and limits and not o.follow > 0.0 and face(q, s.start, job.box):
         s.spent[2] = float(PHASE.constrained)
         e = evaluation(rule, p, q)
         evaluations += 1

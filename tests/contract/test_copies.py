@@ -60,12 +60,24 @@ def doubled(t):
     return made
 
 
+def held(hands):
+    """A target that a hand has moved."""
+    hands.update(np.eye(4), True, 0.01)
+    hands.update(np.eye(4) + 0.01 * np.eye(4, k=3), True, 0.01)
+    return hands
+
+
 # What is made of each public class, and what it does next: numbers, names and sentences that are compared.
 HELD = {
     "Robot": (hydrolek, lambda arm: (arm.fk(arm.home).homogeneous, arm.joint_names, ik.solve(arm, AT).q)),
     "Tree": (lambda: robots.load("two_arms"), lambda tree: [tree.fk(tree.home)[tip].homogeneous for tip in tree.tips]),
     "Solver": (lambda: ik.Solver(hydrolek()), lambda solver: [solver(AT).q, solver(AT, solver.robot.home).message]),
     "CollisionModel": (world, lambda model: (model.collisions((0.6, 0.1)), model.distance((0.2, 0.5)).distance)),
+    "MotorMap": (
+        lambda: ik.MotorMap(hydrolek(), sign={hydrolek().joint_names[1]: -1}, degrees=True),
+        lambda motors: (motors.to_q(np.arange(6.0)), motors.to_motors(np.arange(6.0))),
+    ),
+    "Teleop": (lambda: held(ik.Teleop(hydrolek().fk(hydrolek().home))), lambda hands: hands.update(np.eye(4), False, 0.01)),
     "Shape": (lambda: ik.Shape.box((0.1, 0.2, 0.3)), repr),
     "Result": (solved, facts_of),
     "Status": (lambda: ik.Status.LIMITS if hasattr(ik.Status, "LIMITS") else next(iter(ik.Status)), lambda one: one),

@@ -14,7 +14,7 @@ from ik_toolkit.robot.formats.dh import dh_fk, dh_table, read_dh_table, to_urdf
 from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.library import shipped_robots
 
-TABLED = [name for name, entry in shipped_robots().items() if entry.tip]
+TABLED = [name for name, entry in shipped_robots().items() if entry.tip and entry.dh_file]
 
 
 def largest_difference(table, text, count, rng):

@@ -222,8 +222,13 @@ def test_mistakes_are_named():
     ):
         with pytest.raises(InvalidOption, match=words):
             ik.solve(robot, T, q0=robot.home, priority="position", **options)
-    with pytest.raises(InvalidOption, match="say which come first"):
-        ik.solve(robot, T, solver="sqp")
+
+
+def test_without_a_priority_it_solves_as_lm_does():
+    robot, rng = ik.Robot.load("hydrolek_7w"), np.random.default_rng(13)
+    T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(50)])
+    done = ik.solve_batch(robot, T, solver="sqp")
+    assert done.success.all() and done.position_error.max() <= 1e-6 and done.orientation_error.max() <= 1e-6
 
 
 def test_a_path_leads_through_the_nearest_poses():

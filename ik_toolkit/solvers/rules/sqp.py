@@ -65,6 +65,8 @@ class LevelStep(NamedTuple):
 class SQP(NamedTuple):
     """Sequential quadratic programming with exact second derivatives, for errors in order of priority (option `priority`).
 
+    Without a priority all errors are of one level, and its steps are those of `lm`.
+
     Source: Nocedal and Wright, Numerical Optimization, chapter 18; the null-space hierarchy is that of Nakamura and
     Hanafusa, J. Dynamic Systems 108 (1986).
     """
@@ -83,9 +85,7 @@ class SQP(NamedTuple):
     def refuses(self, asked: Asked) -> str:
         """Return why the rule cannot solve what is asked, or ''."""
         o = asked.options
-        if o.priority is None:
-            return "solves errors in order; say which come first, as priority='position'"
-        if o.closest or o.objective is not None:
+        if o.priority is not None and (o.closest or o.objective is not None):
             return f"takes no {'closest' if o.closest else 'objective'} with a priority"
         return ""
 
