@@ -14,9 +14,10 @@ singular, so its null space would move the tip.
 import math
 from typing import NamedTuple
 
-from ..compile.jit import inner
+from ..compile.jit import compiled, inline, inner
+from .limits import hold
 from .linalg import cholesky, cholesky_solve, eigen, null_basis
-from .records import copy
+from .records import Array, copy
 from .search import AT_MINIMUM
 
 
@@ -45,53 +46,76 @@ class LevelSteps(NamedTuple):
 QUADRATIC = LevelSteps()
 
 
+@compiled
+class Bench(NamedTuple):
+    """Scratch of a step: matrices (k, k) with room for n joints and m errors, and vectors (k,)."""
+
+    hessian: Array  # (n, n) second derivatives of a level's Lagrangian
+    basis: Array  # (n, .) basis of the null space that the levels so far have left, one vector a column
+    work: Array
+    turned: Array  # rotation of `null_basis`, or eigenvectors of `reduced`
+    reduced: Array  # second derivatives in the basis, then its eigenvalues on the diagonal
+    border: Array  # (., r) rows of the Jacobian of the free joints, for the r errors of level 0
+    triangle: Array  # (r, r) Cholesky factor of border' border, for the multipliers
+    gradient: Array  # (n,) of half the squared errors of a level
+    rhs: Array  # right side of a system
+    pull: Array  # (m,) factors of the second derivatives of the errors, see `curvature.add_curvature`
+    counted: Array  # (2 F,) 1 if a group is of the level
+    asked: Array  # (n,) joint weights from before joints were held
+    dz: Array  # (n,) step of a level in the null space
+    free: Array  # index of each free joint
+    multiplier: Array  # (m,) minus the multipliers of level 0
+
+
+@inline
+def bench_of(s):
+    """Return the Bench in the tables of the working memory s (Desk)."""
+    t = s.tables
+    v = t[7]
+    return Bench(t[0], t[1], t[2], t[3], t[4], t[5], t[6], v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7])
+
+
 @inner
 def slope_of_level(p, c, level, out):
     """Write to out (n,) the gradient of half the squared errors of level c, whose errors `stack` has written."""
     s = p.desk
-    for i in range(out.shape[0]):
+    for i in range(s.q.shape[0]):
         out[i] = 0.0
     for g in range(level.shape[0]):
         if level[g] == c:
             factor = p.tilt(g)
-            for i in range(out.shape[0]):
+            for i in range(s.q.shape[0]):
                 for k in range(3 * g, 3 * g + 3):
                     out[i] -= factor * s.J[i, k] * s.y[k]
 
 
 @inner
-def hessian_of_level(p, c, level, multiplier, least, factors, H):
-    """Write to H (n, n) the second derivatives of the Lagrangian of level c, with multipliers (m,) of the levels above it.
-
-    least (2 F,) and factors (m,) are scratch.
-    """
-    for i in range(H.shape[0]):
-        for j in range(H.shape[0]):
-            H[i, j] = 0.0
+def hessian_of_level(p, c, level, bench):
+    """Write the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it, to bench.hessian."""
+    n = p.desk.q.shape[0]
+    for i in range(n):
+        for j in range(n):
+            bench.hessian[i, j] = 0.0
     for g in range(level.shape[0]):
-        least[g] = 1.0 if level[g] == c else 0.0
+        bench.counted[g] = 1.0 if level[g] == c else 0.0
         for k in range(3 * g, 3 * g + 3):
-            factors[k] = -p.desk.y[k] if level[g] == c else multiplier[k] if level[g] < c else 0.0
-    p.curvature(factors, least, H)
+            above = bench.multiplier[k] if level[g] < c else 0.0
+            bench.pull[k] = -p.desk.y[k] if level[g] == c else above
+    p.curvature(bench.pull, bench.counted, bench.hessian)
 
 
 @inner
-def onto_constraint(s, level, k, value, free, B, M):
-    """Write to s.dq the damped step onto level 0, and replace the basis in s.tables[1] by one of its null space.
+def onto_constraint(s, level, k, value, bench):
+    """Write to s.dq the damped step onto level 0, and make bench.basis one of its null space; return the number of its columns.
 
     Args:
         s: Working memory; the errors are in s.y.
         level: (2 F,) level of each group.
-        k: Number of free joints; s.tables[1] has a column for each.
+        k: Number of free joints.
         value: Squared error of level 0.
-        free: (k,) index of each free joint.
-        B: Receives the rows of the Jacobian (k, r) of the free joints, for the r errors of level 0.
-        M: Receives the Cholesky factor of B'B, for the multipliers.
-
-    Returns:
-        The number of columns of the new basis.
+        bench: Scratch; `border` and `triangle` are filled for `multipliers`.
     """
-    Z, A, Q, b = s.tables[1], s.tables[2], s.tables[3], s.tables[7][1]
+    A, B, M, b, free = bench.work, bench.border, bench.triangle, bench.rhs, bench.free
     r = 0
     for g in range(level.shape[0]):
         if level[g] == 0.0:
@@ -100,7 +124,7 @@ def onto_constraint(s, level, k, value, free, B, M):
                     A[i, r] = B[i, r] = s.J[int(free[i]), h]
                 b[r] = s.y[h]
                 r += 1
-    rank = null_basis(A, k, r, QUADRATIC.pivot, Q)
+    rank = null_basis(A, k, r, QUADRATIC.pivot, bench.turned)
     for x in range(r):
         for z in range(x + 1):
             total = 0.0
@@ -123,45 +147,34 @@ def onto_constraint(s, level, k, value, free, B, M):
         for i in range(s.dq.shape[0]):
             s.dq[i] *= QUADRATIC.longest_along / most
     for j in range(rank, k):
-        for i in range(k):
-            Z[int(free[i]), j - rank] = Q[i, j]
         for i in range(s.dq.shape[0]):
-            if not s.w[i] > 0.0:
-                Z[i, j - rank] = 0.0
+            bench.basis[i, j - rank] = 0.0
+        for i in range(k):
+            bench.basis[int(free[i]), j - rank] = bench.turned[i, j]
     return k - rank
 
 
 @inner
-def down_level(s, k, slope, flattest, last, box):
+def down_level(s, k, flattest, last, bench, box):
     """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
 
-    The Hessian is in s.tables[0], the basis (n, k) of the null space in s.tables[1]. Directions whose curvature is below
-    `flattest` are left to the next level: the basis is replaced by them, unless this is the last level. The step is
-    shortened so that it ends inside the limits (box); the part that reaches level 0 is not.
+    Directions whose curvature is below `flattest` are left to the next level: the basis (n, k) is replaced by them, unless this
+    is the last level. The step is shortened so that it ends inside the limits (box); the part that reaches level 0 is not.
 
     Returns:
-        The number of columns of the new basis, and the squared norm of the gradient `slope` (n,) in the old one.
+        The number of columns of the new basis, and the squared norm of the gradient in the old one.
     """
-    n = s.q.shape[0]
-    H, Z, A, V, W, b, dz = (
-        s.tables[0],
-        s.tables[1],
-        s.tables[2],
-        s.tables[3],
-        s.tables[4],
-        s.tables[7][1],
-        s.tables[7][5],
-    )
-    steep = 0.0
+    n, H, Z, A, V, W = s.q.shape[0], bench.hessian, bench.basis, bench.work, bench.turned, bench.reduced
+    b, dz, steep = bench.rhs, bench.dz, 0.0
     for x in range(k):
         here, ahead = 0.0, 0.0
         for i in range(n):
-            product, total = 0.0, slope[i]
+            product, total = 0.0, bench.gradient[i]
             for j in range(n):
                 product += H[i, j] * Z[j, x]
                 total += H[i, j] * s.dq[j]
             A[i, x] = product
-            here += Z[i, x] * slope[i]
+            here += Z[i, x] * bench.gradient[i]
             ahead += Z[i, x] * total
         steep += here * here
         b[x] = -ahead
@@ -209,41 +222,40 @@ def down_level(s, k, slope, flattest, last, box):
 
 
 @inner
-def multipliers(s, level, k, slope, free, B, M, out):
-    """Write to out (m,) minus the multipliers of level 0 for the gradient `slope` (n,) of another level; see `onto_constraint`."""
-    b, r = s.tables[7][1], 0
+def multipliers(level, k, bench):
+    """Write minus the multipliers of level 0 for the gradient of another level to bench.multiplier; see `onto_constraint`."""
+    b, r = bench.rhs, 0
     for g in range(level.shape[0]):
         if level[g] == 0.0:
             for _ in range(3):
                 b[r] = 0.0
                 for i in range(k):
-                    b[r] += B[i, r] * slope[int(free[i])]
+                    b[r] += bench.border[i, r] * bench.gradient[int(bench.free[i])]
                 r += 1
-    cholesky_solve(M, r, b)
+    cholesky_solve(bench.triangle, r, b)
     r = 0
     for g in range(level.shape[0]):
         for h in range(3 * g, 3 * g + 3):
-            out[h] = 0.0
+            bench.multiplier[h] = 0.0
             if level[g] == 0.0:
-                out[h] = -b[r]
+                bench.multiplier[h] = -b[r]
                 r += 1
 
 
 @inner
-def inverse_multipliers(p, level, k, slope, out):
-    """Write to out (m,) what stands for the multipliers of level 0 where that is minimised: J' mu with mu = -H^+ slope.
+def inverse_multipliers(s, level, k, bench):
+    """Write what stands for the multipliers of level 0 where that is minimised to bench.multiplier: J' mu with mu = -H^+ gradient.
 
     The eigenvalues and eigenvectors of H are those that `down_level` found for level 0, whose basis was the free joints.
     """
-    s = p.desk
-    V, W, free = s.tables[3], s.tables[4], s.tables[7][6]
-    for h in range(out.shape[0]):
+    V, W, free, out = bench.turned, bench.reduced, bench.free, bench.multiplier
+    for h in range(s.J.shape[1]):
         out[h] = 0.0
     for z in range(k):
         if abs(W[z, z]) >= QUADRATIC.flat_reach:
             along = 0.0
             for x in range(k):
-                along += V[x, z] * slope[int(free[x])]
+                along += V[x, z] * bench.gradient[int(free[x])]
             for x in range(k):
                 mu = -V[x, z] * along / abs(W[z, z])
                 for g in range(level.shape[0]):
@@ -253,18 +265,14 @@ def inverse_multipliers(p, level, k, slope, out):
 
 
 @inner
-def wrongly_held(p, level, slope, multiplier, asked, box):
-    """Return the joint at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none.
-
-    slope (n,): gradient of what is minimised; asked (n,): the weights from before joints were held.
-    """
-    s = p.desk
+def wrongly_held(s, bench, box):
+    """Return the joint at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none."""
     worst, most = -1, 10.0 * QUADRATIC.first_order
     for i in range(s.q.shape[0]):
-        if asked[i] > 0.0 and not s.w[i] > 0.0:
-            z = slope[i]
-            for h in range(multiplier.shape[0]):
-                z += s.J[i, h] * multiplier[h]
+        if bench.asked[i] > 0.0 and not s.w[i] > 0.0:
+            z = bench.gradient[i]
+            for h in range(s.J.shape[1]):
+                z += s.J[i, h] * bench.multiplier[h]
             inwards = -z if s.q[i] <= box.lower(i) else z
             if inwards > most:
                 worst, most = i, inwards
@@ -278,62 +286,51 @@ def step_by_levels(p, e, level, far):
     level (2 F,): level of each group; far: whether level 0 is minimised, because it is out of reach. Joints at a limit that the
     step pushes outwards are held; at a minimum the multipliers of held joints must push outwards, or the worst is released.
     """
-    s = p.desk
-    n, m = s.J.shape
-    top, value, box = 0.0, 0.0, p.bounds_of_step()
-    rows, B, M = s.tables[7], s.tables[5], s.tables[6]
-    slope, factors, least, free, asked = rows[0], rows[2], rows[3], rows[6], rows[4]
-    multiplier = s.A[0]
+    s, bench, box = p.desk, bench_of(p.desk), p.bounds_of_step()
+    n, top, value = s.q.shape[0], 0.0, 0.0
     for g in range(level.shape[0]):
         top = max(top, level[g])
         value += p.group(e, g) if level[g] == 0.0 else 0.0
     p.stack(e)
-    copy(s.w, asked)
-    released, first = -1, 0 if far else 1  # The limits bear against the first level that is minimised.
+    copy(s.w, bench.asked)
+    released, first = False, 0 if far else 1  # The limits bear against the first level that is minimised.
     for _ in range(2 * n + 2):
         k = 0
         for i in range(n):
             s.dq[i] = 0.0
+            for j in range(n):
+                bench.basis[i, j] = 0.0
             if s.w[i] > 0.0:
-                free[k] = i
+                bench.free[k], bench.basis[i, k] = i, 1.0
                 k += 1
-        for i in range(n):
-            for j in range(k):
-                s.tables[1][i, j] = 1.0 if int(free[j]) == i else 0.0
         steep, count, inward = 0.0, k, -1
-        for h in range(m):
-            multiplier[h] = 0.0
+        for h in range(s.J.shape[1]):
+            bench.multiplier[h] = 0.0
         for c in range(int(top) + 1):
             if c == 0 and not far:
-                k = onto_constraint(s, level, k, value, free, B, M)
+                k = onto_constraint(s, level, k, value, bench)
                 continue
-            slope_of_level(p, c, level, slope)
+            slope_of_level(p, c, level, bench.gradient)
             if c > 0 and not far:
-                multipliers(s, level, count, slope, free, B, M, multiplier)
+                multipliers(level, count, bench)
             if c == first:
-                inward = wrongly_held(p, level, slope, multiplier, asked, box)
+                inward = wrongly_held(s, bench, box)
             if k == 0:
                 break
-            hessian_of_level(p, c, level, multiplier, least, factors, s.tables[0])
-            k, one = down_level(s, k, slope, QUADRATIC.flat if c > 0 else QUADRATIC.flat_reach, c == int(top), box)
+            hessian_of_level(p, c, level, bench)
+            k, one = down_level(s, k, QUADRATIC.flat if c > 0 else QUADRATIC.flat_reach, c == int(top), bench, box)
             steep += one
             if c == 0:
-                slope_of_level(p, 1, level, slope)
-                inverse_multipliers(p, level, count, slope, multiplier)
-        held = False
-        for i in range(n):
-            outwards = (s.q[i] <= box.lower(i) and s.dq[i] < 0.0) or (s.q[i] >= box.upper(i) and s.dq[i] > 0.0)
-            if s.w[i] > 0.0 and outwards:
-                s.w[i] = 0.0
-                held = True
-        if held:
+                slope_of_level(p, 1, level, bench.gradient)
+                inverse_multipliers(s, level, count, bench)
+        if hold(s.q, s.dq, s.w, box):
             continue
         if (e.ee < 0.0 or far) and steep <= QUADRATIC.first_order * QUADRATIC.first_order:
             if inward < 0:
                 return AT_MINIMUM
-            if released < 0:
-                released = inward
-                s.w[inward] = asked[inward]
+            if not released:
+                released = True
+                s.w[inward] = bench.asked[inward]
                 continue
         break
     return 0
