@@ -60,7 +60,7 @@ class Bench(NamedTuple):
     gradient: Array  # (n,) of half the squared errors of a level
     rhs: Array  # right side of a system
     pull: Array  # (m,) factors of the second derivatives of the errors, see `curvature.add_curvature`
-    counted: Array  # (2 F,) 1 if a group is of the level
+    chosen: Array  # (2 F,) 1 if a group is of the level
     asked: Array  # (n,) joint weights from before joints were held
     dz: Array  # (n,) step of a level in the null space
     free: Array  # index of each free joint
@@ -97,11 +97,11 @@ def hessian_of_level(p, c, level, bench):
         for j in range(n):
             bench.hessian[i, j] = 0.0
     for g in range(level.shape[0]):
-        bench.counted[g] = 1.0 if level[g] == c else 0.0
+        bench.chosen[g] = 1.0 if level[g] == c else 0.0
         for k in range(3 * g, 3 * g + 3):
             above = bench.multiplier[k] if level[g] < c else 0.0
             bench.pull[k] = -p.desk.y[k] if level[g] == c else above
-    p.curvature(bench.pull, bench.counted, bench.hessian)
+    p.curvature(bench.pull, bench.chosen, bench.hessian)
 
 
 @inner
