@@ -5,6 +5,7 @@ import json
 import re
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from folders import ROOT
 from hostile import EVIL, arm
@@ -156,6 +157,27 @@ def test_out_of_reach_the_closest_pose(hydrolek, tmp_path, solver, share):
     assert not found["good"]
     assert found["position"] == pytest.approx(0.5 * robot.reach, rel=share)
     assert robot.outside(np.array(found["q"])) == []
+
+
+def test_position_first_ends_where_the_toolkit_does(hydrolek, tmp_path):
+    robot = load("hydrolek_7w")
+    robot = robot.locked({robot.joint_names[3]: 0.3})
+    data, rng = data_of(robot, tmp_path), np.random.default_rng(3)
+    run = """([data, T]) => {
+      const robot = new arm.robot.constructor(data);
+      return arm.solve(robot, "lm", robot.home, [{ T, turn: true, first: true }], { attempts: 30 });
+    }"""
+    for _ in range(5):
+        T = robot.fk(robot.random_q(rng)).homogeneous.copy()
+        T[:3, :3] = T[:3, :3] @ pin.exp3(np.array([0.15, 0.1, 0.0]))
+        found = hydrolek.evaluate(run, [data, rows(T)])
+        ours = ik.solve(robot, T, priority="position")
+        assert found["good"] and found["position"] <= 1e-6
+        assert (
+            found["angle"] >= ours.orientation_error * 0.99 - 1e-6
+        )  # the page stops at the first minimum that it finds
+        near = ik.solve(robot, T, q0=np.array(found["q"]), priority="position", restarts=0)
+        assert found["angle"] <= near.orientation_error + 2e-3
 
 
 def state(page):

@@ -11,7 +11,7 @@ const { size, centre, floor } = data.room, camera = new Camera(canvas, centre, s
 let q = robot.home, shown = robot.fk(q), result = null, race = null, chosen = 0, held = null, motion = 0, seed = 1, renderer = null;
 const random = randoms(2026); // of targets; restarts begin at seed 1, and must not start where a random target was made
 let along = q.map((_, k) => Math.cos(k)); // in the null space; unlikely to be at right angles to it
-const pointers = new Map(), targets = shown.tips.map((T) => ({ T, turn: robot.n >= 6 * robot.tips.length }));
+const pointers = new Map(), targets = shown.tips.map((T) => ({ T, turn: robot.n >= 6 * robot.tips.length, first: false }));
 const follow = (tips) => tips.forEach((T, tip) => { targets[tip].T = T; });
 const apart = (a, b) => Math.max(...plus(a, b, -1).map(Math.abs));
 const grip = ({ T, turn }, tip) => ({ T: times(shown.base, T), turn, size: 0.16 * robot.reach, chosen: tip === chosen });
@@ -66,6 +66,7 @@ function tell() { // curves, table and status line
   $("status").className = race || !result ? "" : good ? "good" : "bad";
   $("status").textContent = race ? (race.some((one) => one.good) ? "All solvers from home, with restarts"
     : "No solver reached the target; it may be out of reach") : !result ? "Drag the target, or move a joint"
+    : good && angle > 1e-3 ? `Position reached, orientation ${degrees(angle)} off: the nearest from here`
     : good ? `Reached: ${iterations} iterations${which > 1 ? ` in attempt ${which}` : ""}, ${ms.toFixed(1)} ms`
       : `Off by ${metres(position)}${angle > 1e-3 ? ` and ${degrees(angle)}` : ""}: closest pose ${attempts > 1 ? `of ${attempts} attempts` : "from here"}`;
 }
@@ -74,7 +75,7 @@ function tell() { // curves, table and status line
 function show(to, found = null) {
   [q, result, race, shown] = [to, found, null, robot.fk(to)];
   if (!found) follow(shown.tips);
-  $("turn").checked = targets[chosen].turn;
+  [$("turn").checked, $("first").checked, $("first").disabled] = [targets[chosen].turn, targets[chosen].first, !targets[chosen].turn];
   $("null").disabled = !loose(robot, q, targets);
   for (const step of [...bars, tell, paint]) step();
   return true;
@@ -160,7 +161,7 @@ canvas.onpointerup = canvas.onpointercancel = ({ pointerId }) => {
 };
 canvas.onwheel = (event) => { event.preventDefault(); camera.zoom(Math.exp(0.001 * event.deltaY)); paint(); };
 $("solver").onchange = () => reach();
-$("turn").onchange = () => { targets[chosen].turn = $("turn").checked; reach(); };
+for (const what of ["turn", "first"]) $(what).onchange = () => { targets[chosen][what] = $(what).checked; reach(); };
 $("home").onclick = () => go(robot.home, null);
 $("random").onclick = () => { follow(robot.fk(robot.random(random)).tips); reach(); };
 $("other").onclick = () => reach({ seed: ++seed, other: (there) => apart(there, q) < 0.2 });

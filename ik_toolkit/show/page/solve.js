@@ -1,32 +1,33 @@
 // Five iterative solvers over one view of the error, attempts from other starts, and motion inside the null space.
 import { length, plus, point, turnBetween } from "./robot.js";
 
-const TOLERANCE = 1e-6, RADIAN = 1; // [m] and [rad], and the reaches that weigh as much as a radian, as in the toolkit
+const TOLERANCE = 1e-6, RADIAN = 1, SECOND = 1e-3; // [m] and [rad]; the reaches that weigh as much as a radian, alone and after the position
 const PRIME = 2147483647, ATTEMPTS = 100, LOOKS = 20000, DRAWN = 12; // most of each in all; random starts drawn, of which the nearest is used
+const weight = ({ first }) => (first ? SECOND : RADIAN);
 const inner = (a, b) => a.reduce((sum, x, k) => sum + x * b[k], 0);
 
 // Numbers in 0..1, the same for the same seed (Park and Miller 1988, with the multiplier of 1993).
 export const randoms = (seed, state = { x: 1 + (seed % (PRIME - 1)) }) => () => (state.x = (48271 * state.x) % PRIME) / PRIME;
 
-// The arm at q against targets (by tip: null, or T and turn, whether the orientation counts): e, with lengths over the reach, and
-// the largest errors [m], [rad].
+// The arm at q against targets (by tip: null, or T, turn, whether the orientation counts, and first, whether the position comes
+// before it): e, with lengths over the reach, and the largest errors [m], [rad].
 export function look(robot, q, targets) {
-  const now = { q, e: [], position: 0, angle: 0, ...robot.fk(q) };
+  const now = { q, e: [], position: 0, angle: 0, held: 0, ...robot.fk(q) };
   targets.forEach((target, tip) => {
     if (!target) return;
     const gap = plus(point(target.T), point(now.tips[tip]), -1), turn = target.turn ? turnBetween(now.tips[tip], target.T) : [];
-    now.e.push(...gap.map((x) => x / robot.reach), ...turn.map((x) => x * RADIAN));
+    now.e.push(...gap.map((x) => x / robot.reach), ...turn.map((x) => x * weight(target)));
     now.position = Math.max(now.position, length(gap));
-    now.angle = Math.max(now.angle, length(turn));
+    [now.angle, now.held] = [Math.max(now.angle, length(turn)), target.first ? now.held : Math.max(now.held, length(turn))];
   });
-  return Object.assign(now, { ee: inner(now.e, now.e), good: now.position <= TOLERANCE && now.angle <= TOLERANCE });
+  return Object.assign(now, { ee: inner(now.e, now.e), good: now.position <= TOLERANCE && now.held <= TOLERANCE });
 }
 
 // Columns of the stacked Jacobian in the units of e.
 function columns(robot, now, targets) {
   const J = robot.joints.map(() => []);
   targets.forEach((target, tip) => target && robot.jacobian(now, tip).forEach((six, k) => {
-    J[k].push(...six.slice(0, target.turn ? 6 : 3).map((x, r) => (r < 3 ? x / robot.reach : x * RADIAN)));
+    J[k].push(...six.slice(0, target.turn ? 6 : 3).map((x, r) => (r < 3 ? x / robot.reach : x * weight(target))));
   }));
   return J;
 }
@@ -111,7 +112,7 @@ export function attempt(robot, name, q0, targets) {
     history.push({ q: now.q, error: Math.sqrt(now.ee) * robot.reach });
     still = now.ee < (best?.ee ?? Infinity) * (1 - 1e-6) ? 0 : still + 1; // some rules may go up for a while
     if (!best || now.ee < best.ee) best = now;
-    if (best.good || still > 20 || history.length > most) break;
+    if ((best.good && best.angle <= TOLERANCE) || still > 20 || history.length > most) break;
   }
   return { ...best, name, history, looks, iterations: history.length - 1 };
 }
