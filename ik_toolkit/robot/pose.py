@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
 
@@ -264,12 +264,20 @@ def as_matrix(pose: Any) -> np.ndarray:
 
 
 def as_array(target: Any, base: str = "") -> Any:
-    """Return the array of a pin.SE3 or ROS message (see `ros.read_pose`), other values as is. Raises InvalidTarget."""
+    """Return the array of a pin.SE3 or ROS message, also as a dict (see `ros.read_pose`), other values as is.
+
+    Raises InvalidTarget, also for a dict with other fields.
+    """
     if isinstance(target, np.ndarray | list | tuple):
         return target
     if hasattr(target, "homogeneous"):
         return target.homogeneous
     found = read_pose(target, base)
+    if found is None and isinstance(target, Mapping):
+        raise InvalidTarget(
+            "a target that is a dict has the fields of a ROS message, position (x, y, z) and orientation (x, y, z, w), not "
+            f"{' '.join(repr(target).split())[:120]}"
+        )
     if found is None:
         return target
     position, quat = found

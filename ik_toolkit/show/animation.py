@@ -4,7 +4,6 @@ import base64
 import copy
 import csv
 import io
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..files import as_path, check_arrays, read_json, whole_file, without_mark, write_whole
 from ..robot.joints import Joints
 from ..robot.pose import LAST
+from ..robot.ros import is_by_name
 from ..solvers.collision_free import collision_model
 from ..text import angle as in_words
 from ..text import figure, length
@@ -139,7 +139,7 @@ def thin_rows(count: int, most: int) -> np.ndarray:
 
 def each_target(robot: Joints, target: Any) -> dict[str, Any]:
     """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
-    if isinstance(target, Mapping):
+    if is_by_name(target):
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
     if not robot.by_tip:
