@@ -6,7 +6,7 @@ from typing import Any
 
 import typer
 
-from ..errors import InvalidOption, InvalidTarget
+from ..errors import InvalidOption
 from ..text import angle, duration, figure, length, numbers
 from .command import PLOTS, REQUIRED, command, flag, option, options, same
 from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
@@ -133,7 +133,7 @@ def path(
 
     arm = robot.load(robot.choose_tips())
     _, blocks = read_poses(asked.poses, "poses", given=file.convention(robot.deg), tips=arm.tips if arm.by_tip else ())
-    targets = _joined([block.poses for block in blocks], asked.poses.name)
+    targets = _joined([block.poses for block in blocks])
     options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
     options |= collisions.read(arm) | given(random)
     result = made = None
@@ -171,12 +171,10 @@ def path(
         raise typer.Exit(1)
 
 
-def _joined(parts: list[Any], name: str) -> Any:
-    """Poses of the blocks of a file as one array, or a dict of these by tip. Raises InvalidTarget where there are none."""
+def _joined(parts: list[Any]) -> Any:
+    """Poses of the blocks of a file as one array, or a dict of these by tip."""
     import numpy as np
 
-    if not parts:
-        raise InvalidTarget(f"'{name}' has no pose")
     if isinstance(parts[0], dict):
         return {tip: np.concatenate([part[tip] for part in parts]) for tip in parts[0]}
     return np.concatenate(parts)

@@ -75,6 +75,65 @@ def test_a_longer_row_far_down_a_large_file_is_found(tmp_path):
         poses_of(tmp_path, "x,y,z\n" + "\n".join(rows))
 
 
+def test_blank_lines_between_rows_are_skipped_and_said(tmp_path, caplog):
+    """Of those that a spreadsheet leaves below a table nothing is said."""
+    rows = [[0.5, 1.0, -2.0], [0.5, 1.0, -3.0]]
+    for text, said in (
+        ("x,y,z\n0.5,1,-2\n0.5,1,-3\n\n,,\n", ""),
+        ("\n\nx;y;z\n0,5;1;-2\n0,5;1;-3\n;;\n", ""),
+        ("x,y,z\n0.5,1,-2\n\n0.5,1,-3\n", "1 blank line skipped, at line 3; the answers have no rows for it"),
+        (
+            "x,y,z\n\n0.5,1,-2\n,,\n\n0.5,1,-3\n\n",
+            "3 blank lines skipped, at lines 2 and 4; the answers have no rows for",
+        ),
+    ):
+        caplog.clear()
+        assert poses_of(tmp_path, text).tolist() == rows
+        assert said in caplog.text and bool(said) == bool(caplog.records)
+
+
+def test_many_rows_without_numbers_are_counted(tmp_path):
+    rows = ["0.1,0.2,0.3"] * 30
+    rows[3::3] = ["0.1,nan,"] * 9
+    with pytest.raises(
+        InvalidTarget, match=r"line 5: 'nan' is not .*; lines 8, 11, 14, 17, 20 and 3 more lack a number"
+    ):
+        poses_of(tmp_path, "x,y,z\n" + "\n".join(rows))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "'poses.json' is empty; JSON has a list of positions"),
+        ("[]", "targets has no rows; JSON has a list of positions"),
+        ('{"xyz": []}', "xyz has no rows; JSON has"),
+        ("{}", "no array 'targets' or 'xyz', and no other. JSON has"),
+        (
+            "[[1, 2, 3], [null, 2, 3], [1, 2, 3], [4, 5]]",
+            r"row 1 of targets .* is \[null, 2, 3\], not 3 numbers; so is row 3",
+        ),
+        ("[[1, 2, 3], [NaN, 2, 3]]", "row 1 of targets .* has numbers that are not finite"),
+        ('{"xyz": [[1, 2, 3]], "quat_xyzw": [[0, 0, 0, 2]]}', "row 0 .*: the quaternion .* has length 2, not 1$"),
+    ],
+)
+def test_rows_of_json_are_named(tmp_path, text, said):
+    (tmp_path / "poses.json").write_text(text)
+    with pytest.raises(InvalidTarget, match=said):
+        read_poses(tmp_path / "poses.json", "targets")
+
+
+def test_arrays_of_several_tips_are_named(tmp_path):
+    T = np.tile(np.eye(4), (3, 1, 1))
+    np.savez(tmp_path / "a.npz", left=T, right=np.array([[0.0, 0, 0], [0, np.nan, 0], [0, 0, 0]]))
+    with pytest.raises(
+        InvalidTarget, match=r"'a\.npz': row 1 of right \(counted from 0\) has numbers that are not finite"
+    ):
+        read_poses(tmp_path / "a.npz", "targets", tips=("left", "right"))
+    (tmp_path / "a.csv").write_text("")
+    with pytest.raises(InvalidTarget, match=r"'a\.csv' is empty; .* such as left\.x,left\.y,left\.z,right\.x"):
+        read_poses(tmp_path / "a.csv", "targets", tips=("left", "right"))
+
+
 # --------------------------------------------------------------------------------------------------------------- formulas
 NAMES = ["=1+1", "+a", "-a", "@sum", "\tx", "\rx", "'=1", "''+a", "'", "'a", "a=b", "", "q_=1", "-", "- 0.5"]
 NUMBERS = ["-0.5", "+1", "-inf", "1e-3", "-1e300"]
