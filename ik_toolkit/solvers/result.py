@@ -98,7 +98,7 @@ class Result(ReadOnly):
     def raw_errors(self) -> dict[str, np.ndarray]:
         """Errors (6,) of each tip at q by Pinocchio: target - tip [m] and the rotation vector left [rad], in the axes of `frame`.
 
-        They are before slack, free turn and mask; NaN if a tip has no target, and in a row of a batch, which keeps no
+        They are before slack, free turn and mask; NaN if a tip has no target, and in a solved row of a batch, which keeps no
         targets.
         """
         of = self._of
@@ -152,7 +152,7 @@ class Result(ReadOnly):
         """Joint that moved farthest from q0, and how far [rad or m].
 
         To compare prismatic with revolute joints, lengths are divided by the size of the robot. None if no q0 was given,
-        and in a row of a batch, which keeps no q0.
+        and in a solved row of a batch, which keeps no q0.
         """
         of = self._of
         if not of.given:
@@ -237,7 +237,7 @@ class Result(ReadOnly):
             An Explanation, which `print` shows as text, a notebook with formulas.
 
         Raises:
-            InvalidTarget: The result is a row of a batch, which keeps no target.
+            InvalidTarget: The result is a solved row of a batch, which keeps no target.
             MissingExtra: A closed form has formulas to show, and SymPy is not installed.
         """
         from .explain.explain import explain_result  # That module imports this one.

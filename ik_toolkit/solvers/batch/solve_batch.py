@@ -20,7 +20,7 @@ from ..options import BatchOptions
 from ..plan import Plan
 from ..solve import Solver, require_robot
 from .parts import Job, Tables, check_executor, on_executor, on_threads
-from .result import BatchCheckFailed, BatchInterrupted, BatchResult
+from .result import BatchCheckFailed, BatchInterrupted, BatchResult, joined_failures
 from .targets import Block, blocks, doubt_far, known, with_free_turns
 
 PART, REMOTE_PART = 2048, 4096  # largest number of targets given to a thread at a time, and to a worker of an executor
@@ -101,8 +101,8 @@ def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
     """Yield parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
     done = 0
     with closing(tables):
-        for table in tables:
-            part = BatchResult(table, kinds, plan)
+        for table, failures in tables:
+            part = BatchResult(table, kinds, plan, failures)
             failed = np.flatnonzero(table[:, AT.status] == CHECK_FAILED)
             if len(failed):
                 table[:, AT.status] = CHECK_FAILED
@@ -190,7 +190,7 @@ def solve_batch(
         **options,
     )
     total = None if given is None else _length(given)
-    table, done, part = np.empty((0, 0)), 0, None
+    table, done, part, lost = np.empty((0, 0)), 0, None, []
     try:
         for part in parts:
             end = done + len(part)
@@ -198,13 +198,14 @@ def solve_batch(
                 size = total if total is not None else max(end, len(table) + len(table) // 4)
                 table.resize((size, part.table.shape[1]), refcheck=False)
             table[done:end] = part.table
+            lost.append((done, part.failures))
             done = end
             if progress is not None:
                 progress(done)
     except KeyboardInterrupt:
         if part is None:
             raise
-        raise BatchInterrupted(part.of(table[:done])) from None
+        raise BatchInterrupted(part.of(table[:done], joined_failures(lost))) from None
     # The rows up to the one that failed are kept; all rows after it are emptied, whether they were solved or not.
     except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
@@ -222,4 +223,4 @@ def solve_batch(
         plan = solver.plan_for(kinds)
         return BatchResult(np.empty((0, plan.width)), kinds, plan)
     table.resize((done, table.shape[1]), refcheck=False)
-    return part.of(table)
+    return part.of(table, joined_failures(lost))
