@@ -95,7 +95,7 @@ def _cause(result: Any) -> str:
 
 def _left(result: Any) -> str:
     """Say in words which errors are left at q; of several tips the largest."""
-    each, unit = _unweighted(result)
+    each, unit = unweighted(result)
     turned = [angle for _, angle in each if angle is not None]
     return _said(max(position for position, _ in each), max(turned, default=None), unit)
 
@@ -107,7 +107,7 @@ def _said(position: float, turned: float | None, unit: bool) -> str:
     return length(position) + ("" if turned is None else f", {angle(turned)}")
 
 
-def _unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
+def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
     """Return the counted errors of each tip, and whether they are in [m] and [rad], without the weights of the tip's mask.
 
     In a solved row of a batch, which keeps no target, weights that are not 0 or 1 cannot be taken out.
@@ -134,7 +134,7 @@ def _at_each_tip(result: Any) -> str:
     """Say the errors left at each of several tips that have a target, or return ''."""
     if len(result.robot.tips) == 1:
         return ""
-    each, unit = _unweighted(result)
+    each, unit = unweighted(result)
     left = [
         f"{tip} {_said(*errors, unit).replace(',', '')}"
         for tip, kind, errors in zip(result.robot.tips, result._of.kinds, each, strict=True)

@@ -28,8 +28,8 @@ class Result(ReadOnly):
     Attributes:
         q: Joint values (n,) [rad or m], evaluated and inside the limits.
         success, status, message: Whether and how the solve succeeded, and one sentence on it, with what to try.
-        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest; the second is None if
-            the target leaves orientation free.
+        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest, times the weights of the
+            mask if it has any; the second is None if the target leaves orientation free.
         position_errors, orientation_errors: The same errors of each tip, by its name.
         raw_error, raw_errors: All six errors of the tip, and of each tip by its name, before slack, free turn and mask.
         iterations, restarts, fk_evaluations: Counts of steps, of attempts after the first, and of FK evaluations (all
