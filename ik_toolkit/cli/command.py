@@ -14,6 +14,7 @@ import typer
 import typer.core
 
 from ..errors import IKError, InvalidOption, MissingExtra
+from ..files import require_place
 from ..text import comma_hint, numbers
 from .usage import UsageError, help_text, in_flags
 
@@ -138,13 +139,7 @@ def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
             raise InvalidOption(f"'{file}' must end in {' or '.join(suffixes)}")
         if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
             raise MissingExtra("matplotlib", "plots")
-        if file.is_dir():
-            raise InvalidOption(f"'{file}' is a folder, not a file")
-        if not file.parent.is_dir():
-            raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
-        for place in (file, Path(os.path.realpath(file)).parent):  # the folder gets a temporary file
-            if place.exists() and not os.access(place, os.W_OK):
-                raise InvalidOption(f"cannot write '{file}': no permission")
+        require_place(file)
         return file
 
     return check
