@@ -56,7 +56,7 @@ def _unit(value: Any, name: str) -> np.ndarray:
 def _near_unit(quat: Any, name: str) -> np.ndarray:
     """Return a quaternion (4,) of length 1 within PROJECT_WITHIN; a warning names one that has lost more than its last digits."""
     q = finite_numbers(quat, 4, name)
-    length = float(np.linalg.norm(q))
+    length = math.hypot(*q.tolist())  # numpy's norm would overflow for 1e200
     if not abs(length - 1.0) <= PROJECT_WITHIN:
         mend = f"normalise it if it is right otherwise, in the order {', '.join(name[-4:])}"
         raise InvalidTarget(f"{name} has length {length:.4g}: not a rotation, which has length 1; {mend}")
