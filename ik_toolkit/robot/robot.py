@@ -391,4 +391,4 @@ class Robot(Joints):
         return f"Robot('{self.name}', {self.base} -> {self.tip}, {self.n} joints: {', '.join(self.joint_names)})"
 
     def _route(self) -> str:
-        return f"{self.base} → {self.tip}, reach {self.reach:.3g} m"
+        return f"{self.base} → {self.tip}, reach at most {self.reach:.3g} m"

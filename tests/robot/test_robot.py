@@ -281,7 +281,7 @@ def test_example_files_are_found_by_path(tmp_path, monkeypatch):
 def test_representations_name_the_joints():
     robot = robots.load("hydrolek_7w")
     assert "azimuth_yaw" in repr(robot) and "azimuth_yaw" in robot._repr_html_()
-    assert "base_link → tool" in robot._repr_html_()
+    assert "base_link → tool, reach at most 1.44 m" in robot._repr_html_()
 
 
 def test_a_slide_as_long_as_a_country_keeps_its_limits():
