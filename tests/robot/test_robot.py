@@ -321,9 +321,7 @@ def test_lengths_that_look_like_millimetres_are_doubted_when_a_robot_is_loaded(c
         caplog.clear()
         robot = ik.Robot.load(text)
         (note,) = robot.notes
-        assert (
-            f"00 m long and {weight}: were millimetres meant?" in note.replace("701 m", "700 m") and note in caplog.text
-        )
+        assert f" m long and {weight}: were millimetres meant?" in note and note in caplog.text
         joint = robot.joint_names[0]
         assert robot.locked({joint: 0.0}).notes[0] == robot.narrowed({joint: (0.0, 0.1)}).notes[0] == note
     crane = millimetres(90, 30_000)  # 63 m
