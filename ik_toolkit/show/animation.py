@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..files import as_path, check_arrays, read_json, whole_file, without_mark, write_whole
+from ..files import as_path, check_arrays, read_json, require_place, whole_file, without_mark, write_whole
 from ..robot.joints import Joints
 from ..robot.pose import LAST
 from ..robot.ros import is_by_name
@@ -277,14 +277,17 @@ def _coloured(
 
 # ------------------------------------------------------------------------------------------------------------- pictures
 def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> Path:
-    """Write a Window as a .png file of a size [pixels], or its animation as a .gif file of at most `most` pictures."""
-    from .picture import picture
+    """Write a Window as a .png file of a size [pixels], or its animation as a .gif or .mp4 file of at most `most` pictures."""
+    from .picture import encoder, film, picture
 
     with drawing():  # says what to install
         from PIL import Image
-    file, suffix, made = as_path(path, "path"), ".gif" if most else ".png", window.about["animation"]
-    if file.suffix.lower() != suffix:
-        raise InvalidOption(f"the picture is written as {suffix}, not '{file.suffix or file.name}'")
+    file, known, made = as_path(path, "path"), (".gif", ".mp4") if most else (".png",), window.about["animation"]
+    kind = file.suffix.lower()
+    if kind not in known:
+        raise InvalidOption(f"the picture is written as {' or '.join(known)}, not '{file.suffix or file.name}'")
+    coder = encoder() if kind == ".mp4" else ""  # says what to install before the pictures are made
+    require_place(file)
     pixels = floats(size, "size must be width and height [pixels]", InvalidOption)
     if pixels.shape != (2,) or not ((pixels >= 16) & (pixels <= 4000) & (pixels % 1 == 0)).all():
         raise InvalidOption(f"size must be width and height of 16 to 4000 pixels, not {size!r:.60}")
@@ -306,6 +309,9 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
         frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
     lasts = np.diff(rows, append=rows[-1] + 1) / made["fps"] * 1e3  # [ms]
     lasts[-1] = 1500.0  # [ms] the end is shown for longer
+    if coder:
+        write_whole(file, film(coder, frames, lasts))
+        return file
     with whole_file(file) as stream:
         frames[0].save(stream, "gif", save_all=True, append_images=frames[1:], duration=lasts.round().tolist(), loop=0)
     return file
