@@ -132,7 +132,7 @@ def path(
     from ..robot.pose_files import read_poses
 
     arm = robot.load(robot.choose_tips())
-    _, blocks = read_poses(asked.poses, "poses", given=file.convention(robot.deg), tips=arm.tips if arm.by_tip else ())
+    _, blocks = read_poses(asked.poses, "poses", given=file.convention(robot.deg), tips=arm.named_tips)
     targets = _joined([block.poses for block in blocks])
     options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
     options |= collisions.read(arm) | given(random)

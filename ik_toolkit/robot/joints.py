@@ -154,6 +154,11 @@ class Joints(ReadOnly):
         return found
 
     @property
+    def named_tips(self) -> tuple[str, ...]:
+        """Names of the tips if targets are given by tip, as for a Tree; a Robot's one tip needs no name: ()."""
+        return ()
+
+    @property
     def pose_shape(self) -> tuple[int, ...]:
         """Shape of the poses of all tips as the kernel takes them: (4, 4), of several tips (F, 4, 4)."""
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)

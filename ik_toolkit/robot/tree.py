@@ -74,6 +74,7 @@ class Tree(Joints):
     """
 
     by_tip = True
+    named_tips = property(lambda self: self.tips)
 
     def __init__(self, arms: Sequence[Robot], home: Sequence[float] | np.ndarray | None = None) -> None:
         """Join robots that differ only in their tip. home (n,) is by default the arms' own. Raises ModelError, FrameNotFound."""
