@@ -61,13 +61,30 @@ def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | No
     if found is None:
         return None
     header, at, by = found
+    _require_frame(header, base)
+    return _numbers(at, POINT), None if by is None else _numbers(by, QUATERNION)
+
+
+def listed_poses(message: Any, base: str = "") -> list[Any] | None:
+    """Return the poses in a geometry_msgs/PoseArray or nav_msgs/Path as messages; None if it is no such message.
+
+    Raises InvalidTarget if it is given in another frame than `base` (as in `read_pose`).
+    """
+    header, poses = _field(message, "header"), _field(message, "poses")
+    if header is None or not isinstance(poses, Sequence):
+        return None
+    _require_frame(header, base)
+    return list(poses)
+
+
+def _require_frame(header: Any, base: str) -> None:
+    """Raise InvalidTarget if the frame of a header is not `base`; an empty one is not checked."""
     frame = str(_field(header, "frame_id") or "").lstrip("/")
     if base and frame and frame != base:
         raise InvalidTarget(
             f"the target is given in the frame '{frame}', and the robot's base is '{base}'; transform it to that frame, or "
             f"load the robot with base='{frame}' where the description has it"
         )
-    return _numbers(at, POINT), None if by is None else _numbers(by, QUATERNION)
 
 
 def _numbers(message: Any, names: str) -> np.ndarray:

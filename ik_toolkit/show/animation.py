@@ -4,6 +4,7 @@ import base64
 import copy
 import csv
 import io
+import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -339,11 +340,18 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
     keep = np.isfinite(Q).all(axis=1)
     if not keep.any():
         raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
+    if not keep.all():
+        count = int((~keep).sum())
+        logging.getLogger("ik_toolkit").warning(
+            "'%s': %d of %d rows lack joint values and are left out", path.name, count, len(Q)
+        )
     return None if t is None else t[keep], Q[keep]
 
 
 def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     suffix = path.suffix.lower()
+    if not path.stat().st_size:
+        raise ValueError("it is empty")
     if suffix == ".npz":
         check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
         with np.load(path, allow_pickle=False) as arrays:
@@ -355,6 +363,8 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
             return names, arrays["q"], arrays["t"]
     if suffix == ".json":
         content = read_json(path, InvalidConfiguration)
+        if not isinstance(content, dict):
+            raise ValueError("it is no object with joint_names, as ik path writes it")
         if "points" not in content:
             return content["joint_names"], np.array(content["curve"], dtype=float), None
         stamps = [point["time_from_start"] for point in content["points"]]
@@ -363,11 +373,26 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     if suffix != ".csv":
         raise ValueError("the file must be .csv, .npz or .json")
     with path.open(newline="", encoding="utf-8") as stream:
-        rows = csv.reader(stream)
-        head, cells = [without_mark(name) for name in next(rows)], list(rows)
-    for k, row in enumerate(cells, 2):
-        if len(row) != len(head):
-            raise ValueError(f"line {k} has {len(row)} columns, and the header {len(head)}")
-    values = np.array([[float(x) if x else np.nan for x in row] for row in cells]).reshape(-1, len(head))
+        reader = csv.reader(stream)
+        rows = dict((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+    if len(rows) < 2:
+        found = "it has a header and no rows below it" if rows else "it has no rows"
+        raise ValueError(
+            f"{found}; the first line names the columns, t,q_JOINT,... or JOINT,..., each other line has numbers"
+        )
+    first, *lines = rows
+    head = [without_mark(name) for name in rows[first]]
+    for k in lines:
+        if len(rows[k]) != len(head):
+            raise ValueError(f"line {k} has {len(rows[k])} columns, and the header {len(head)}")
+    values = np.array([[_cell(cell, k) for cell in rows[k]] for k in lines])
     t = values[:, head.index("t")] if head[0] == "t" else None
     return [name.removeprefix("q_") if t is not None else name for name in head], values, t
+
+
+def _cell(text: str, line: int) -> float:
+    """Return the number in a cell, NaN if it is empty. Raises ValueError, which names the line."""
+    try:
+        return float(text) if text.strip() else np.nan
+    except ValueError:
+        raise ValueError(f"line {line}: {text[:80]!r} is not a number") from None

@@ -182,6 +182,29 @@ def test_a_motion_of_ragged_rows_is_refused(tmp_path):
         read_motion(robots.load("planar_2r"), tmp_path / "m.csv")
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("m.csv", "", "it is empty"),
+        ("m.csv", "\n,,\n", "it has no rows; the first line names the columns"),
+        ("m.csv", "joint_1,joint_2\n\n", "a header and no rows below it; the first line names the columns"),
+        ("m.csv", "joint_1,joint_2\n0,1\n\n0,one\n", "line 4: 'one' is not a number"),
+        ("m.csv", "joint_1,joint_2\n0,\n", "no row in which every joint has a value"),
+        ("m.json", "[]", "no object with joint_names"),
+    ],
+)
+def test_a_motion_without_rows_says_what_is_missing(tmp_path, name, text, said):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InvalidConfiguration, match=rf"'{name}'.*{said}"):
+        read_motion(robots.load("planar_2r"), tmp_path / name)
+
+
+def test_rows_of_a_motion_that_lack_values_are_said(tmp_path, caplog):
+    (tmp_path / "m.csv").write_text("joint_1,joint_2\n0,1\n\n0,\nnan,2\n0,3\n")
+    assert read_motion(robots.load("planar_2r"), tmp_path / "m.csv")[1].tolist() == [[0.0, 1.0], [0.0, 3.0]]
+    assert "'m.csv': 2 of 4 rows lack joint values and are left out" in caplog.text
+
+
 def test_a_header_of_gigabytes_is_not_taken_into_memory(tmp_path):
     """numpy takes the whole header of an array before it looks at its size: 0.3 MB of file would be 0.3 GB of memory."""
     file = tmp_path / "header.npz"

@@ -32,6 +32,8 @@ TRANSFORM = ("translation", "rotation")
 
 def plain(one):
     """A message as a dict of plain numbers, as JSON has it."""
+    if isinstance(one, list):
+        return [plain(value) for value in one]
     return {name: plain(value) for name, value in vars(one).items()} if isinstance(one, Message) else one
 
 
@@ -77,6 +79,25 @@ def test_plain_dicts_are_the_same_targets_in_every_call(arm):
         line = ik.line(arm.fk(arm.home), given, duration=1.0) if expected.orientation_error is not None else None
         assert line is None or np.allclose(line.at(np.array([1.0]))[0][0], M.homogeneous)
     assert np.allclose(ik.approach(plain(objects[1]), 0.1), ik.approach(M, 0.1))
+
+
+@pytest.mark.parametrize("form", [lambda x: x, lambda x: plain(x)], ids=["object", "dict"])
+def test_a_message_of_many_poses_is_a_batch_and_a_path(arm, form):
+    """geometry_msgs/PoseArray and nav_msgs/Path."""
+    poses = [message(arm.fk(q)) for q in np.linspace(arm.home, arm.home + 0.05, 3)]
+    header = Message(frame_id=arm.base)
+    array = Message(header=header, poses=poses)
+    path = Message(header=Message(frame_id=""), poses=[Message(header=header, pose=pose) for pose in poses])
+    for one in (array, path):
+        assert np.array_equal(ik.solve_batch(arm, form(one)).q, ik.solve_batch(arm, poses).q)
+        assert np.array_equal(ik.solve_path(arm, form(one)).q, ik.solve_path(arm, poses).q)
+    for one in (
+        Message(header=Message(frame_id="map"), poses=poses),
+        Message(header=header, poses=[Message(header=Message(frame_id="map"), pose=poses[0])]),
+    ):
+        for call in (ik.solve_batch, ik.solve_path):
+            with pytest.raises(InvalidTarget, match="frame 'map', and the robot's base is"):
+                call(arm, form(one))
 
 
 def test_plain_dicts_for_several_tips():

@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
 from ...kernel.counted_error import FREE, POSE, POSITION
 from ...robot.pose import AxisTarget, as_array, check_target
-from ...robot.ros import is_by_name, read_pose
+from ...robot.ros import is_by_name, listed_poses, read_pose
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
@@ -112,6 +112,8 @@ def known(targets: Any, base: str = "") -> Any:
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
         return targets
+    if not isinstance(targets, list | tuple) and (poses := listed_poses(targets, base)) is not None:
+        targets = poses
     if read_pose(targets) is not None:
         raise InvalidTarget(f"targets must be many, and this is one ROS message; give a list of them, {STACKED}")
     if isinstance(targets, Mapping):
