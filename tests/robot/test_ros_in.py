@@ -183,6 +183,8 @@ def test_a_start_by_joint_or_by_name(arm):
         assert np.array_equal(
             ik.solve_batch(arm, M.homogeneous[None], q0=start).q[0], ik.solve_batch(arm, M.homogeneous[None], q0=q).q[0]
         )
+        each = ik.solve_batch(arm, [M, M], q0=[start, start])
+        assert np.array_equal(each.q, ik.solve_batch(arm, [M, M], q0=[q, q]).q)
         assert np.array_equal(ik.Tracker(arm, q0=start).q, q) and np.array_equal(
             arm.fk(start).homogeneous, M.homogeneous
         )
@@ -197,6 +199,8 @@ def test_a_start_that_lacks_a_joint_is_refused(arm):
     renamed = {(joint + "s" if joint == last else joint): x for joint, x in values.items()}
     with pytest.raises(InvalidConfiguration, match=rf"q0 has no value for joint {last}\. Did you mean '{last}s'"):
         ik.solve(arm, M, q0=renamed)
+    with pytest.raises(InvalidConfiguration, match=rf"q0 of target 1 has no value for joint {last}"):
+        ik.solve_batch(arm, [M, M], q0=[values, renamed])
     for form in (lambda x: x, plain):
         with pytest.raises(InvalidConfiguration, match="2 names and 1 positions"):
             ik.solve(arm, M, q0=form(Message(name=["a", "b"], position=[0.0])))

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from itertools import chain as joined
@@ -90,6 +90,10 @@ def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarra
     n = robot.n
     if not isinstance(q0, np.ndarray | list | tuple):
         return robot.read_q(q0, "q0")[0]
+    if not isinstance(q0, np.ndarray) and any(
+        not np.isscalar(row) and not isinstance(row, Sequence | np.ndarray) for row in q0
+    ):
+        q0 = [robot.read_q(row, f"q0 of target {k}")[0] for k, row in enumerate(q0)]  # values by joint, JointStates
     starts = floats(q0, "q0 must be numbers", InvalidConfiguration)
     if starts.shape not in ((n,), (len(starts) if rows is None else rows, n)):
         wanted = f"({n},)" if rows == 1 else f"({n},) or ({'N' if rows is None else rows}, {n})"
@@ -158,7 +162,8 @@ def solve_batch(
         targets: Poses (N, 4, 4) or positions (N, 3) [m] in the base frame, a list of poses, or an iterator of arrays of
             these shapes. For a Tree, (N, F, 4, 4), (N, F, 3), or a dict by tip, where a tip that is left out is free.
         solver: Name of a solver, a rule class or an instance of one.
-        q0: Start (n,) for all, (N, n) for each, or None for home and the table of starts [rad or m].
+        q0: Start (n,) for all in any form (as for `solve`), (N, n) or a list of N for each, or None for home and the table of
+            starts [rad or m].
         threads: Number of threads; by default one for each core.
         executor: Anything with the interface of concurrent.futures (a process pool, a Dask client's `get_executor()`),
             to use instead of threads.
