@@ -178,12 +178,16 @@ class _Tally:
     """Totals over the parts of a batch."""
 
     def __init__(self) -> None:
-        self.done, self.solver = 0, ""
+        self.done, self.solver, self.failed = 0, "", ""
         self.statuses: dict[str, int] = {}
 
     def add(self, part: BatchResult) -> None:
         for status, number in part.counts().items():
             self.statuses[status] = self.statuses.get(status, 0) + number
+        if not self.failed and not part.success.all():
+            k = int(part.success.argmin())
+            first = part[k]
+            self.failed = f"target {self.done + k + 1}, the first not solved: {first.status.name}: {first.message}"
         self.done, self.solver = self.done + len(part), part.solver
 
 
@@ -269,4 +273,5 @@ def solve_file(
         }
         show(facts(facing))
     if solved < done:
+        notice(tally.failed)
         raise typer.Exit(1)

@@ -93,7 +93,10 @@ def test_unsolved_targets_are_a_status_and_code_1(tmp_path, capsys):
     write(tmp_path / "far.csv", "x,y,z", [[1.0, 0.1, 0.2], [9, 9, 9]])
     assert run("--targets", tmp_path / "far.csv", "-o", tmp_path / "out.csv") == 1
     assert [row["status"] for row in solved(tmp_path / "out.csv")[1]] == ["CONVERGED", "UNREACHABLE"]
-    assert "1 UNREACHABLE" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "1 UNREACHABLE" in said.out
+    alone = ik.solve(load(ARM), (9, 9, 9), "lm")
+    assert f"target 2, the first not solved: UNREACHABLE: {alone.message}\n" in said.err
 
 
 def test_options_reach_the_batch(tmp_path):
