@@ -248,7 +248,7 @@ def solve_file(
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    count, blocks = read_poses(path, "targets", given=given, tips=arm.named_tips)
+    count, blocks = read_poses(path, "targets", given=given, tips=arm.named_tips, base=arm.arms[0].base)
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()
     with _cluster(cluster) as executor, progress("solving", count) as show_done:

@@ -132,7 +132,9 @@ def path(
     from ..robot.pose_files import read_poses
 
     arm = robot.load(robot.choose_tips())
-    _, blocks = read_poses(asked.poses, "poses", given=file.convention(robot.deg), tips=arm.named_tips)
+    _, blocks = read_poses(
+        asked.poses, "poses", given=file.convention(robot.deg), tips=arm.named_tips, base=arm.arms[0].base
+    )
     targets = _joined([block.poses for block in blocks])
     options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
     options |= collisions.read(arm) | given(random)

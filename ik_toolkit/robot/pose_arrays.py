@@ -11,6 +11,8 @@ import numpy as np
 
 from ..errors import InvalidTarget, near_match
 from ..files import NAMES, NUMBERS, check_arrays, read_json
+from .pose import as_array
+from .ros import listed_poses
 
 QUAT = ("qx", "qy", "qz", "qw")
 FORMS = {  # what the files look like, for messages
@@ -33,14 +35,20 @@ def row_numbers(word: str, numbers: Sequence[int]) -> str:
 
 
 @contextmanager
-def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
-    """Yield the arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
+def _arrays(path: Path, names: Sequence[str], base: str) -> Iterator[Any]:
+    """Yield the arrays of an NPZ or JSON file by name; only those in `names` are checked and converted.
+
+    base: frame in which ROS messages of a JSON file must be given, as in `ros.read_pose`. Raises InvalidTarget.
+    """
     if not path.stat().st_size:
         raise InvalidTarget(f"'{path.name}' is empty; {FORMS[path.suffix.lower()]}")
     if path.suffix.lower() == ".json":
         content = read_json(path, InvalidTarget)
-        content = content if isinstance(content, dict) else {"targets": content}
-        yield {name: _array(path, name, content[name]) if name in names else None for name in content}
+        poses = listed_poses(content, base)
+        content = (
+            content if isinstance(content, dict) and poses is None else {"targets": content if poses is None else poses}
+        )
+        yield {name: _array(path, name, content[name], base) if name in names else None for name in content}
         return
     if not zipfile.is_zipfile(path):  # numpy's own error would suggest unpickling the file, which is unsafe.
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
@@ -49,8 +57,8 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
         yield file
 
 
-def _array(path: Path, name: str, value: Any) -> np.ndarray:
-    """Return numbers (or names) from JSON as an array."""
+def _array(path: Path, name: str, value: Any, base: str) -> np.ndarray:
+    """Return numbers (or names, or ROS messages of poses) from JSON as an array."""
     if name == "tips":
         if not isinstance(value, list) or not all(isinstance(one, str) and len(one) < NAMES // 4 for one in value):
             raise InvalidTarget(f"'{path.name}': tips must be a list of names")
@@ -59,14 +67,24 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
     if array is not None:
         return array
     if isinstance(value, list) and value:
-        rows = [_as_numbers(row) for row in value]
+        rows = [_as_numbers(_of_message(path, k, row, base)) for k, row in enumerate(value)]
         shape = next((row.shape for row in rows if row is not None), ())
         wrong = [k for k, row in enumerate(rows) if row is None or row.shape != shape]
+        if not wrong:  # messages
+            return np.array(rows)
         more = f"; so {'are' if wrong[2:] else 'is'} {row_numbers('row', wrong[1:])}" if wrong[1:] else ""
         many = f" {shape[0]}" if len(shape) == 1 else ""
         at, found = f"row {wrong[0]} of {name} (counted from 0)", short(json.dumps(value[wrong[0]]))
         raise InvalidTarget(f"'{path.name}': {at} is {found}, not{many} numbers{more}")
     raise InvalidTarget(f"'{path.name}': {name} must be lists of numbers, not {' '.join(repr(value).split())[:120]}")
+
+
+def _of_message(path: Path, k: int, row: Any, base: str) -> Any:
+    """Return the array of a ROS message with a pose or point, and any other row as it is."""
+    try:
+        return as_array(row, base) if isinstance(row, dict) else row
+    except InvalidTarget as error:
+        raise InvalidTarget(f"'{path.name}', row {k} (counted from 0): {error}") from None
 
 
 def _as_numbers(value: Any) -> np.ndarray | None:
@@ -87,9 +105,9 @@ def _require_rows(path: Path, name: str, array: np.ndarray) -> None:
         raise InvalidTarget(f"'{path.name}': {at} numbers that are not finite; fill them in, or leave the rows out")
 
 
-def read_arrays(path: Path, times: bool) -> tuple[np.ndarray | None, np.ndarray]:
+def read_arrays(path: Path, times: bool, base: str) -> tuple[np.ndarray | None, np.ndarray]:
     """Read an NPZ or JSON file: return t (N,) [s] (None unless `times`) and poses (N, 4, 4) or positions (N, 3)."""
-    with _arrays(path, ("targets", "t", "xyz", *ORDERS)) as file:
+    with _arrays(path, ("targets", "t", "xyz", *ORDERS), base) as file:
         if "targets" in file and not times:
             targets = file["targets"]
             _require_rows(path, "targets", targets)
@@ -135,9 +153,9 @@ def require_increasing(t: np.ndarray, numbers: Sequence[int], name: str, word: s
         )
 
 
-def read_tip_arrays(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
+def read_tip_arrays(path: Path, tips: Sequence[str], base: str) -> dict[str, np.ndarray]:
     """Read the targets (N, 4, 4) or (N, 3) [unit of the file] of each tip from an NPZ or JSON file."""
-    with _arrays(path, ("targets", "tips", *tips)) as file:
+    with _arrays(path, ("targets", "tips", *tips), base) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
         order = file["tips"].tolist() if "tips" in file else list(tips)
         targets = file["targets"] if "targets" in file and not named else None

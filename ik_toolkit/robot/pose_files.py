@@ -5,7 +5,7 @@ Other columns are ignored, unless they have names of a rotation. The angles are 
 rx,ry,rz), or a,b,c one after another; see `Convention`. Columns are separated by commas, semicolons or tabs; where not by commas,
 decimals may be written with a comma. Blank lines are skipped; a warning names those that rows follow. NPZ: `xyz` (N, 3), optionally
 `quat_xyzw` or `quat_wxyz` (N, 4), and `t` (N,); without times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists under
-these names, or just a list of targets.
+these names, or just a list of targets, which may be ROS messages (see `ros.read_pose`), or a PoseArray or nav_msgs/Path.
 
 For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or (N,
 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without data
@@ -69,12 +69,19 @@ class PoseRows(NamedTuple):
 
 
 def read_poses(
-    path: Path, what: str, *, times: bool = False, given: Convention = Convention(), tips: Sequence[str] = ()
+    path: Path,
+    what: str,
+    *,
+    times: bool = False,
+    given: Convention = Convention(),
+    tips: Sequence[str] = (),
+    base: str = "",
 ) -> tuple[int, Iterator[PoseRows]]:
     """Read a file of poses: return its number of rows and its blocks of rows, one for NPZ and JSON, many for CSV.
 
     what: name of the contents, for messages. times: whether the file must have times t. given: units and angles of the
-    file. tips: names of the tips whose poses the file holds; without names it holds poses of one tip. Raises
+    file. tips: names of the tips whose poses the file holds; without names it holds poses of one tip. base: frame in which
+    ROS messages in it must be given, "" for any. Raises
     InvalidTarget, which names the line (for a CSV also while blocks are read), and InvalidOption.
     """
     scale = LENGTHS[given.check().length_unit]
@@ -83,10 +90,10 @@ def read_poses(
     try:
         if path.suffix.lower() in (".npz", ".json"):
             if tips:
-                poses = read_tip_arrays(path, tips)
+                poses = read_tip_arrays(path, tips, base)
                 made = {tip: _scaled(array, scale) for tip, array in poses.items()}
                 return len(next(iter(poses.values()))), iter([PoseRows(None, made)])
-            t, poses = read_arrays(path, times)
+            t, poses = read_arrays(path, times, base)
             return len(poses), iter([PoseRows(t, _scaled(poses, scale))])
         if path.suffix.lower() != ".csv":
             raise InvalidTarget(f"a {what} file is .csv, .npz or .json, not '{path.name}'")

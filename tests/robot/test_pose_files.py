@@ -1,6 +1,7 @@
 """CSV files of poses as spreadsheets write them: what cannot be read is refused with its line, and names run nothing."""
 
 import csv
+import json
 import tracemalloc
 import zipfile
 
@@ -120,6 +121,46 @@ def test_rows_of_json_are_named(tmp_path, text, said):
     (tmp_path / "poses.json").write_text(text)
     with pytest.raises(InvalidTarget, match=said):
         read_poses(tmp_path / "poses.json", "targets")
+
+
+def test_ros_messages_in_json_are_read(tmp_path):
+    """As rosbridge logs them: a list of poses, a PoseArray, a nav_msgs/Path; in the frame asked for."""
+    file = tmp_path / "poses.json"
+    pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}}
+    stamped = {"header": {"frame_id": "base"}, "pose": pose}
+    T = np.diag([-1.0, -1.0, 1.0, 1.0])
+    T[:3, 3] = 1, 2, 3
+    for content in (
+        [pose, stamped],
+        {"targets": [stamped, T.tolist()]},
+        {"header": {"frame_id": "base"}, "poses": [pose, pose]},
+        {"header": {"frame_id": ""}, "poses": [stamped, stamped]},
+    ):
+        file.write_text(json.dumps(content))
+        (block,) = read_poses(file, "targets", base="base")[1]
+        assert np.allclose(block.poses, [T, T])
+    file.write_text(json.dumps([pose["position"], pose["position"]]))
+    assert read_poses(file, "targets")[1].__next__().poses.tolist() == [[1.0, 2.0, 3.0]] * 2
+    for content, said in (
+        (
+            [pose, stamped],
+            r"row 1 \(counted from 0\): the target is given in the frame 'base', and the robot's base is 'arm'",
+        ),
+        ({"header": {"frame_id": "map"}, "poses": [pose]}, "given in the frame 'map'"),
+        ([pose, {"position": [1, 2, 3]}], r"row 1 \(counted from 0\): a target that is a dict has the fields"),
+        ([pose, pose["position"]], r"row 1 of targets \(counted from 0\) is \{"),
+        (
+            [pose, {**pose, "position": {"x": None, "y": 0, "z": 0}}],
+            "row 1 of targets .* has numbers that are not finite",
+        ),
+    ):
+        file.write_text(json.dumps(content))
+        with pytest.raises(InvalidTarget, match=said):
+            read_poses(file, "targets", base="arm")
+    both = {"left": [pose, pose], "right": [pose["position"]] * 2}
+    file.write_text(json.dumps(both))
+    (block,) = read_poses(file, "targets", tips=("left", "right"))[1]
+    assert block.poses["left"].shape == (2, 4, 4) and block.poses["right"].shape == (2, 3)
 
 
 def test_arrays_of_several_tips_are_named(tmp_path):
