@@ -84,6 +84,7 @@ class BatchResult(ReadOnly):
         position_errors, orientation_errors: The errors of each tip, by its name.
         iterations, restarts, fk_evaluations: Counts (N,).
         table: The rows (N, width) of the kernel.
+        failures: Targets and starts of the rows that failed (`Failures`), from which their sentences are made; or None.
     """
 
     def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan, failures: Failures | None = None) -> None:
