@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from .errors import IKError, InvalidOption
+from .errors import IKError, InvalidOption, nearest
 
 PARTIAL = ".partial"  # suffix of the file that keeps an incomplete result
 FORMULA = re.compile(r"'*[=+\-@\t\r]")  # beginning of a cell that a spreadsheet would run, also after quotes
@@ -35,6 +35,28 @@ def as_path(value: Any, what: str = "it") -> Path:
     return Path(value)
 
 
+def require_place(path: str | Path) -> None:
+    """Raise InvalidOption, which names the folder, where no file can be written at a path: its folder is missing, or not ours."""
+    file, place = Path(path), Path(os.path.realpath(path))
+    if place.is_dir():
+        raise InvalidOption(f"'{file}' is a folder, not a file")
+    if file.exists() and not file.is_file():
+        return  # a device or a pipe, which is written to itself
+    missing = next((one for one in reversed(place.parents) if not one.is_dir()), None)
+    if missing is not None:
+        shown = missing if file.is_absolute() else Path(os.path.relpath(missing))
+        if missing.exists():
+            raise InvalidOption(f"cannot write '{file}': '{shown}' is a file, not a folder")
+        beside = missing.parent
+        folders = [one.name for one in beside.iterdir() if one.is_dir()] if os.access(beside, os.R_OK) else []
+        close = nearest(missing.name, folders)
+        meant = f". Did you mean '{shown.with_name(close)}'?" if close else ""
+        raise InvalidOption(f"cannot write '{file}': there is no folder '{shown}'{meant}")
+    for one in (place, place.parent) if place.is_file() else (place.parent,):  # the folder gets a temporary file
+        if not os.access(one, os.W_OK):
+            raise InvalidOption(f"cannot write '{file}': no permission to write '{one}'")
+
+
 class WholeFile:
     """A file that gets its name when `finish` is called.
 
@@ -42,11 +64,12 @@ class WholeFile:
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open a temporary file beside `path`, or the device or pipe itself. Raises OSError."""
+        """Open a temporary file beside `path`, or the device or pipe itself. Raises InvalidOption, OSError."""
+        require_place(path)
         self.path = Path(path)
         place = Path(os.path.realpath(path))  # a symbolic link is kept, and the file it points to replaced
-        self._place = place if place.is_file() or not place.exists() else None
-        self.part = place if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
+        self._place = place if self.path.is_file() or not self.path.exists() else None
+        self.part = self.path if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
         self._good = 0
         with self.named():
             self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")

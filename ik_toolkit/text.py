@@ -85,11 +85,31 @@ def numbers(text: str) -> list[float] | None:
         return None
 
 
+def with_points(text: str) -> str:
+    """Return a text whose commas look like those of decimals ('0,5 0 0,3', '1,5;0') with points instead, or ''.
+
+    In '1,1,1 0,0,0' they do not: a word with two commas is no number.
+    """
+    words = text.replace(";", " ").split()
+    decimals = [word for word in words if "," in word]
+    if not decimals or not all(re.fullmatch(r"[-+]?\d*,\d+(e[-+]?\d+)?", word, re.IGNORECASE) for word in decimals):
+        return ""
+    pointed = " ".join(word.replace(",", ".") for word in words)
+    return "" if numbers(pointed) is None else pointed
+
+
+def comma_hint(text: str, what: str, sizes: Sequence[int]) -> str:
+    """Return what to write if a text has as many numbers as allowed once its commas are read as decimal points, or ''."""
+    pointed = with_points(text)
+    fits = pointed and len(numbers(pointed) or []) in sizes
+    return f" (a comma separates numbers); write decimals with a point: {what} {pointed}" if fits else ""
+
+
 def vector(text: str, what: str, size: int | None = None) -> list[float]:
     """Return the numbers in a text.
 
     Raises:
-        InvalidOption: There are none; the message names `what`.
+        InvalidOption: There are none, or it cannot be told whether a comma is a decimal one; the message names `what`.
         InvalidTarget: There are not `size` of them.
     """
     values = numbers(text)
@@ -97,7 +117,10 @@ def vector(text: str, what: str, size: int | None = None) -> list[float]:
         raise InvalidOption(f"{what} takes numbers, not '{text.strip()}'")
     if size is not None and (values is None or len(values) != size):
         found = f", not '{text.strip()}'" if values is None else f"; got {len(values)}"
-        raise InvalidTarget(f"{what} takes {size} numbers{found}")
+        raise InvalidTarget(f"{what} takes {size} numbers{found}{comma_hint(text, what, (size,))}")
+    if len(text.split()) > 1 and "." not in text and (pointed := with_points(text)):
+        plain = " ".join(figure(x) for x in values or ())
+        raise InvalidOption(f"{what} '{text.strip()}' can be read as {plain} or as {pointed}; write one of them")
     return values or []
 
 
@@ -112,7 +135,8 @@ def parameter(name: str, text: str) -> Any:
         except ValueError:
             continue
     if not text.replace("_", "").replace("-", "").isalnum():
-        raise InvalidOption(f"parameter '{name}' takes a number or a list like [1, 2], not '{text}'")
+        hint = comma_hint(text, f"{name} =", (1,))
+        raise InvalidOption(f"parameter '{name}' takes a number or a list like [1, 2], not '{text}'{hint}")
     return text
 
 

@@ -68,7 +68,7 @@ class NpzWriter(Writer):
     def add(self, part: BatchResult) -> None:
         """Write the arrays."""
         robot = part.plan.robot
-        tips: dict[str, Any] = {"tips": np.array(robot.tips)} if robot.by_tip else {}
+        tips: dict[str, Any] = {"tips": np.array(robot.tips)} if robot.named_tips else {}
         np.savez(self.file.stream, **part.to_dict(), joint_names=np.array(self.names), **tips)
         self.file.mark()
 
@@ -178,12 +178,16 @@ class _Tally:
     """Totals over the parts of a batch."""
 
     def __init__(self) -> None:
-        self.done, self.solver = 0, ""
+        self.done, self.solver, self.failed = 0, "", ""
         self.statuses: dict[str, int] = {}
 
     def add(self, part: BatchResult) -> None:
         for status, number in part.counts().items():
             self.statuses[status] = self.statuses.get(status, 0) + number
+        if not self.failed and not part.success.all():
+            k = int(part.success.argmin())
+            first = part[k]
+            self.failed = f"target {self.done + k + 1}, the first not solved: {first.status.name}: {first.message}"
         self.done, self.solver = self.done + len(part), part.solver
 
 
@@ -244,7 +248,7 @@ def solve_file(
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    count, blocks = read_poses(path, "targets", given=given, tips=arm.tips if arm.by_tip else ())
+    count, blocks = read_poses(path, "targets", given=given, tips=arm.named_tips, base=arm.arms[0].base)
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()
     with _cluster(cluster) as executor, progress("solving", count) as show_done:
@@ -255,7 +259,7 @@ def solve_file(
     notice(f"wrote {output}")
     solved = tally.statuses.get("CONVERGED", 0)
     payload = {"robot": arm.name, "solver": tally.solver, "targets": done, "solved": solved, "statuses": tally.statuses}
-    payload |= {"tips": arm.tips} if arm.by_tip else {}
+    payload |= {"tips": arm.tips} if arm.named_tips else {}
     payload |= {"joint_names": arm.joint_names, "elapsed": elapsed, "output": output, "seed": options["seed"]}
     write_json(payload, as_json)
     if not as_json:
@@ -269,4 +273,5 @@ def solve_file(
         }
         show(facts(facing))
     if solved < done:
+        notice(tally.failed)
         raise typer.Exit(1)

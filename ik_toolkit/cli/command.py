@@ -4,8 +4,9 @@ import functools
 import importlib.util
 import inspect
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, dataclass_transform, get_type_hints
 
@@ -13,7 +14,8 @@ import typer
 import typer.core
 
 from ..errors import IKError, InvalidOption, MissingExtra
-from ..text import numbers
+from ..files import require_place
+from ..text import comma_hint, numbers
 from .usage import UsageError, help_text, in_flags
 
 TIP = ("--tip", "--ee")  # both names of the option for a tip
@@ -137,13 +139,7 @@ def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
             raise InvalidOption(f"'{file}' must end in {' or '.join(suffixes)}")
         if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
             raise MissingExtra("matplotlib", "plots")
-        if file.is_dir():
-            raise InvalidOption(f"'{file}' is a folder, not a file")
-        if not file.parent.is_dir():
-            raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
-        for place in (file, Path(os.path.realpath(file)).parent):  # the folder gets a temporary file
-            if place.exists() and not os.access(place, os.W_OK):
-                raise InvalidOption(f"cannot write '{file}': no permission")
+        require_place(file)
         return file
 
     return check
@@ -180,9 +176,12 @@ class Command(typer.core.TyperCommand):
             if one.name in TARGET and sum(word.partition("=")[0] in one.opts for word in args) > 1:
                 raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
         try:
-            return super().parse_args(ctx, args)
+            return super().parse_args(ctx, [*args])  # the parser empties its list
         except UsageError as error:
             error.ctx = ctx  # type: ignore[attr-defined]  # a missing value comes without: whose help to see
+            for name, text in _given(args, getattr(getattr(error, "param", None), "opts", ())):
+                if hint := comma_hint(text, name, (1,)):
+                    raise InvalidOption(f"{name} takes a number, not '{text}'{hint}") from None
             raise
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -212,6 +211,14 @@ class Command(typer.core.TyperCommand):
             raise
 
 
+def _given(words: Sequence[str], names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield each option among `names` in the words of a command with the value that follows it."""
+    for word, after in pairwise([*words, ""]):
+        name, equals, value = word.partition("=")
+        if name in names:
+            yield name, value if equals else after
+
+
 def _joined(words: Sequence[str], several: set[str]) -> list[str]:
     """Join the numbers that follow one of these options into one argument (the parser takes one, and reads -1 as an option)."""
     joined: list[str] = []
@@ -223,7 +230,7 @@ def _joined(words: Sequence[str], several: set[str]) -> list[str]:
             joined[-1] += word
             continue
         if collecting and numbers(word):
-            joined[-1] += f",{word}"
+            joined[-1] += f" {word}"
             continue
         after = words[position + 1] if position + 1 < len(words) else ""
         collecting = word in several and numbers(after.rpartition(":")[2]) is not None

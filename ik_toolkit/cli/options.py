@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 from ..errors import FrameNotFound, IKError, InvalidConfiguration, InvalidOption
-from ..text import numbers, vector
+from ..text import comma_hint, numbers, vector, with_points
 from .command import TIP, argument, flag, option, options
 from .output import turns
 
@@ -137,7 +137,8 @@ class RobotOptions:
             for joint, text in assignments(self.lock, "--lock").items():
                 value = numbers(text)
                 if value is None or len(value) != 1:
-                    raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
+                    hint = comma_hint(text, f"--lock {joint}", (1,)).replace(f"{joint} ", f"{joint}=")
+                    raise InvalidOption(f"--lock {joint} takes one number, not '{text}'{hint}")
                 values[joint] = self._value(robot, joint, value[0])
             robot = robot.locked(values)
         if not self.limit:
@@ -149,7 +150,8 @@ class RobotOptions:
             joint, *ends = text.rsplit(":", 2)
             read: list[Any] = [numbers(end) or [] if end.strip() else [None] for end in ends]
             if len(ends) != 2 or any(len(value) != 1 for value in read):
-                raise InvalidOption(f"--limit takes JOINT:LOWER:UPPER, two numbers or one of them, not '{text}'")
+                hint = "; write decimals with a point" if any(map(with_points, ends)) else ""
+                raise InvalidOption(f"--limit takes JOINT:LOWER:UPPER, two numbers or one of them, not '{text}'{hint}")
             if joint in ranges:
                 raise InvalidOption(f"--limit names joint '{joint}' twice")
             ranges[joint] = [x if x is None else self._value(robot, joint, x) for x, *_ in read]
@@ -268,6 +270,7 @@ def joint_vector(robot: Any, text: str | None, name: str, deg: bool) -> Any:
     if len(values) != robot.n:
         raise InvalidConfiguration(
             f"{name} takes {robot.n} values, one per joint ({', '.join(robot.joint_names)}); got {len(values)}"
+            f"{comma_hint(text, name, (robot.n,))}"
         )
     pairs = zip(values, robot.joint_kinds, strict=True)
     return robot.check_q([math.radians(x) if deg and turns(kind) else x for x, kind in pairs], name)

@@ -6,8 +6,8 @@ from typing import Any
 
 import typer
 
-from ..errors import InvalidOption, InvalidTarget
-from ..text import angle, duration, figure, length, numbers
+from ..errors import InvalidOption
+from ..text import angle, comma_hint, duration, figure, length, vector
 from .command import PLOTS, REQUIRED, command, flag, option, options, same
 from .options import CollisionOptions, FileOptions, RobotOptions, SceneOutput, ToleranceOptions, given, joint_vector
 from .output import facts, notice, partial, progress, show, table, write_json
@@ -132,16 +132,18 @@ def path(
     from ..robot.pose_files import read_poses
 
     arm = robot.load(robot.choose_tips())
-    _, blocks = read_poses(asked.poses, "poses", given=file.convention(robot.deg), tips=arm.tips if arm.by_tip else ())
-    targets = _joined([block.poses for block in blocks], asked.poses.name)
+    _, blocks = read_poses(
+        asked.poses, "poses", given=file.convention(robot.deg), tips=arm.named_tips, base=arm.arms[0].base
+    )
+    targets = _joined([block.poses for block in blocks])
     options = counts.read(robot.deg, counts.relative) | given(tolerances) | asked.read(arm, robot.deg)
     options |= collisions.read(arm) | given(random)
+    bounds = [_numbers(getattr(asked, name), f"--{name}", arm.n) for name in ("velocity", "acceleration")]
     result = made = None
     try:
         with progress("searching", 100) as bar:
             result = solve_path(arm, targets, progress=lambda share, words: bar(100.0 * share, words), **options)
         if asked.retime and result.success:
-            bounds = _numbers(asked.velocity, "--velocity"), _numbers(asked.acceleration, "--acceleration")
             made = result.retime(*bounds, rate=asked.rate, seed=random.seed, tip_speed=asked.tip_speed)
     except KeyboardInterrupt as stop:
         found = stop.result if isinstance(stop, PathInterrupted) else result
@@ -171,24 +173,23 @@ def path(
         raise typer.Exit(1)
 
 
-def _joined(parts: list[Any], name: str) -> Any:
-    """Poses of the blocks of a file as one array, or a dict of these by tip. Raises InvalidTarget where there are none."""
+def _joined(parts: list[Any]) -> Any:
+    """Poses of the blocks of a file as one array, or a dict of these by tip."""
     import numpy as np
 
-    if not parts:
-        raise InvalidTarget(f"'{name}' has no pose")
     if isinstance(parts[0], dict):
         return {tip: np.concatenate([part[tip] for part in parts]) for tip in parts[0]}
     return np.concatenate(parts)
 
 
-def _numbers(text: str | None, option: str) -> Any:
+def _numbers(text: str | None, option: str, joints: int) -> Any:
     """One number, or one per joint."""
     if text is None:
         return None
-    found = numbers(text)
-    if found is None:
-        raise InvalidOption(f"{option} takes numbers, not '{text}'")
+    found = vector(text, option)
+    if len(found) not in (1, joints):
+        hint = comma_hint(text, option, (1, joints))
+        raise InvalidOption(f"{option} takes one number, or {joints}, one per joint; got {len(found)}{hint}")
     return found[0] if len(found) == 1 else found
 
 

@@ -131,7 +131,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
     show(facts({"robot": entry.description or None, "source": _source(entry.paper, entry.table), "file": entry.path}))
     show(facts(_srdf_facts(arms[0])))
     for arm in arms:
-        reach = f"{arm.reach:.4g} m (longest distance of the tip from the first joint)"
+        reach = f"at most {arm.reach:.4g} m from the first joint (a bound; limits may allow less)"
         kinds = {joint: kind_of(arm, joint) for joint in arm.locked_joints}
         locked = ", ".join(
             f"{joint} = {number(value, kinds[joint], deg)} {unit(kinds[joint], deg)}"
@@ -188,7 +188,7 @@ def _show_tips(entry: Any, arms: list[Any], out: TableOutput) -> None:
     write_json({**source, "tips": [arm.tip for arm in arms], "arms": rows}, out.as_json)
     if out.as_json:
         return
-    made = table("<tip", ">joints", ">reach [m]", "moved by")
+    made = table("<tip", ">joints", ">reach at\nmost [m]", "moved by")
     for arm in arms:
         made.add_row(arm.tip, str(arm.n), f"{arm.reach:.4g}", ", ".join(arm.joint_names))
     show(heading(entry.name), facts({"file": entry.path, "tips": f"{len(arms)}; --tip NAME shows one"}), made)

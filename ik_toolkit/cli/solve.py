@@ -344,8 +344,10 @@ def _solutions(found: Any, deg: bool) -> list[Any]:
 
 def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     from ..robot.configuration import joint_values
+    from ..solvers.message import unweighted
 
     robot = result.robot
+    left = dict(zip(robot.tips, unweighted(result)[0], strict=True))  # as the sentence about a failure says them
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
@@ -359,12 +361,13 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     if robot.by_tip:
         relative = options.get("relative_to") or {}
         tips = table("<tip", "<target in", ">position\nerror", ">orientation\nerror")
-        for tip, position in result.position_errors.items():
-            given = (relative.get(tip, robot.base), length(position), _angle(result.orientation_errors[tip], deg))
+        for tip, (position, turned) in left.items():
+            given = (relative.get(tip, robot.base), length(position), _angle(turned, deg))
             tips.add_row(tip, *(given if tip in target else ("no target", "free", "free")))
         show(tips)
     counts = f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}"
-    errors = {"position error": length(result.position_error), "orientation error": _angle(result.orientation_error)}
+    position, turned = left[robot.tips[0]]
+    errors = {"position error": length(position), "orientation error": _angle(turned)}
     if result.success and len(result.level_errors) > 1:
         errors["in short"] = result.message
     status = {"status": f"{result.status.name}, solver {result.solver}"}

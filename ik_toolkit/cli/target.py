@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import InvalidOption, InvalidTarget
-from ..text import numbers, vector
+from ..text import comma_hint, numbers, vector
 from .command import MANY, option, options
 from .options import joint_vector
 
@@ -107,7 +107,9 @@ class TargetOptions:
             tip, _, rest = text.rpartition(":")
             x = numbers(rest) or []
             if not tip or len(x) not in (3, 6, 7, *MATRIX):
-                raise InvalidTarget(f"--target takes {FORMS}, not '{text}'")
+                hint = comma_hint(rest, f"--target {tip}:", (3, 6, 7, *MATRIX))
+                raise InvalidTarget(f"--target takes {FORMS}, not '{text}'{hint}")
+            x = vector(rest, f"--target {tip}:")
             if tip in made:
                 raise InvalidTarget(f"--target gives '{tip}' twice; {MANY}")
             rpy = [math.radians(a) if deg else a for a in x[3:]] if len(x) == 6 else None

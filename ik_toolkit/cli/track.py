@@ -99,7 +99,7 @@ def track(
     except KeyboardInterrupt as stop:  # the run is finished; only its output was interrupted
         stopped = stop
     more = {"path_chosen": path.words} if path.words else {"works": tried} if result.reach is not None else {}
-    tips = {"tips": [*arm.tips]} if arm.by_tip else {"tip": arm.tip}
+    tips = {"tips": [*arm.tips]} if arm.named_tips else {"tip": arm.tip}
     write_json({**result.to_dict(), "path": path.shown, **more, "base": arm.base, **tips}, out.as_json)
     if result.reach is not None and (tried or not result.reach.whole):
         works = f"; works with {' or '.join(tried)}" if tried else ""

@@ -100,7 +100,7 @@ class DiskCache(FunctionCache):
         key = self._index_key(sig, data.codegen)
         try:
             self._impl.locator.ensure_cache_path()
-            write_whole(self.path(key), dumps((key, self._impl.reduce(data))))
+            write_body(self.path(key), dumps((key, self._impl.reduce(data))))
         except OSError as error:
             not_kept(str(self._cache_path), error.strerror or str(error))
 
@@ -177,7 +177,7 @@ def _is_own_group(group: int) -> bool:
 
 
 def content(path: Path) -> bytes:
-    """Return the body that `write_whole` wrote to a file. Raises ValueError if it is damaged or others may have written it."""
+    """Return the body that `write_body` wrote to a file. Raises ValueError if it is damaged or others may have written it."""
     with path.open("rb") as file:
         if why := _open_to_others(os.fstat(file.fileno())):
             raise ValueError(why)
@@ -205,7 +205,7 @@ def _whole(path: Path) -> bool:
         return False
 
 
-def write_whole(path: Path, body: bytes) -> None:
+def write_body(path: Path, body: bytes) -> None:
     """Write a file whole or not at all, and remove files that were made from older kernel sources."""
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:

@@ -47,7 +47,7 @@ QUADRATIC = LevelSteps()
 
 
 @compiled
-class Bench(NamedTuple):
+class StepTables(NamedTuple):
     """Scratch of a step: matrices (k, k) with room for n joints and m errors, and vectors (k,)."""
 
     hessian: Array  # (n, n) second derivatives of a level's Lagrangian
@@ -68,11 +68,11 @@ class Bench(NamedTuple):
 
 
 @inline
-def bench_of(s):
-    """Return the Bench in the tables of the working memory s (Desk)."""
+def tables_of(s):
+    """Return the StepTables in the tables of the working memory s (Desk)."""
     t = s.tables
     v = t[7]
-    return Bench(t[0], t[1], t[2], t[3], t[4], t[5], t[6], v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7])
+    return StepTables(t[0], t[1], t[2], t[3], t[4], t[5], t[6], v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7])
 
 
 @inner
@@ -286,7 +286,7 @@ def step_by_levels(p, e, level, far):
     level (2 F,): level of each group; far: whether level 0 is minimised, because it is out of reach. Joints at a limit that the
     step pushes outwards are held; at a minimum the multipliers of held joints must push outwards, or the worst is released.
     """
-    s, bench, box = p.desk, bench_of(p.desk), p.bounds_of_step()
+    s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
     for g in range(level.shape[0]):
         top = max(top, level[g])

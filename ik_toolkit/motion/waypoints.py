@@ -161,9 +161,5 @@ def reference_from_file(path: str | Path) -> Reference:
         raise InvalidTarget(f"'{file.name}' has {count} row(s); a path needs at least 2")
     poses = np.concatenate([block.poses for block in blocks])
     t = np.concatenate([block.t for block in blocks if block.t is not None])
-    t = _check_times(t, count, f"'{file.name}': t")
     xyz = poses if poses.ndim == 2 else poses[:, :3, 3]
-    if not np.isfinite(xyz).all():
-        row = int(np.argmin(np.isfinite(xyz).all(axis=1)))
-        raise InvalidTarget(f"'{file.name}': xyz of row {row} is not finite")
-    return _spline(t, xyz, None if poses.ndim == 2 else poses[:, :3, :3], "not-a-knot", file.name)
+    return _spline(t - t[0], xyz, None if poses.ndim == 2 else poses[:, :3, :3], "not-a-knot", file.name)

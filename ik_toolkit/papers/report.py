@@ -10,7 +10,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..errors import MissingExtra, Portable
+from ..errors import InvalidOption, MissingExtra, Portable
 from ..files import PARTIAL, write_whole
 from ..style import PRINTED
 from ..text import plain
@@ -101,7 +101,10 @@ class Report:
             pictures = importlib.util.find_spec("matplotlib") is not None
         elif pictures and importlib.util.find_spec("matplotlib") is None:
             raise MissingExtra("matplotlib", "plots")
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidOption(f"cannot make the folder '{folder}': {error.strerror}") from None
         files = [folder / "report.md", folder / "report.json"]
         text = self.markdown()
         if not pictures:

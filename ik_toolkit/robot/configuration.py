@@ -35,8 +35,8 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
 
     Args:
         robot: whose joints they are, a Robot or a Tree.
-        q: numbers (n,); the name of a configuration (see `robot.named`); or values by joint, as a dict or a ROS JointState, of
-            which other joints are ignored.
+        q: numbers (n,); the name of a configuration (see `robot.named`); or values by joint, as a dict or a ROS JointState (or a
+            dict of its fields), of which other joints are ignored.
         name: of the argument, for messages.
 
     Returns:
@@ -50,7 +50,9 @@ def read_configuration(robot: Any, q: Any, name: str = "q") -> tuple[np.ndarray,
     if isinstance(q, str):
         q = robot.named[q]
     elif not isinstance(q, np.ndarray | list | tuple):
-        by_joint = q if isinstance(q, Mapping) else read_joint_state(q, name)
+        by_joint = read_joint_state(q, name)
+        if by_joint is None and isinstance(q, Mapping):
+            by_joint = q
         if by_joint is not None:
             missing = [joint for joint in robot.joint_names if joint not in by_joint]
             others = [str(joint) for joint in by_joint if joint not in robot.joint_names]

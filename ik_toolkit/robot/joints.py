@@ -127,7 +127,11 @@ class Joints(ReadOnly):
 
     @property
     def reach(self) -> float:
-        """Longest distance [m] of a tip from its first joint: path offsets plus finite strokes (1 m where unbounded)."""
+        """Upper bound [m] of the distance of a tip from its first joint, which joints and limits may keep it from coming near.
+
+        It is the sum of the offsets along the path and of finite strokes (1 m where unbounded), the scale of lengths in this
+        package; `ik.workspace` samples what is reached.
+        """
         return max(arm.chain.reach for arm in self.arms)
 
     @property
@@ -148,6 +152,11 @@ class Joints(ReadOnly):
                 found[name] = self.home.copy()
                 found[name][[self.joint_names.index(joint) for joint in given]] = list(given.values())
         return found
+
+    @property
+    def named_tips(self) -> tuple[str, ...]:
+        """Names of the tips if targets are given by tip, as for a Tree; a Robot's one tip needs no name: ()."""
+        return ()
 
     @property
     def pose_shape(self) -> tuple[int, ...]:

@@ -1,10 +1,11 @@
 """Reads anything a user may name as a robot into its URDF text and Pinocchio model."""
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError, RobotNotFound
@@ -177,3 +178,26 @@ def folders_of(given: Iterable[str | Path]) -> list[Path]:
         return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
     except TypeError:
         raise InvalidOption(f"package_dirs must be a list of folders, not {given!r:.60}") from None
+
+
+def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.ndarray) -> list[str]:
+    """Return a note if a description seems to be in millimetres: longer than any arm with links as light as these; or none.
+
+    Cranes and concrete pumps over 50 m long weigh hundreds of kilograms a metre, table-top arms described in millimetres grams.
+
+    Args:
+        model: of the robot.
+        joints: ids of the joints from base to tip; the place of the first may be far from the base, as in the frame of a map.
+        tip: id of the tip's frame.
+        strokes: (2, k) limits [m] of the joints that slide, without those of a moving base.
+    """
+    places = [model.jointPlacements[j] for j in joints[1:]] + [model.frames[tip].placement]
+    travel = np.where(np.isfinite(strokes), np.abs(strokes), 0.0).max(axis=0).sum()
+    long = sum(float(np.linalg.norm(place.translation)) for place in places) + float(travel)
+    mass = sum(inertia.mass for inertia in model.inertias)
+    if not (long > 50.0 and mass < 100.0 * long):  # [m], [kg/m]
+        return []
+    weight = f"weigh {mass:.3g} kg" if mass else "have no mass"
+    return [
+        f"the links are {long:.4g} m long and {weight}: were millimetres meant? Lengths of a description are in metres"
+    ]

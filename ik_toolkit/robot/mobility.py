@@ -29,7 +29,7 @@ class Mobility:
         normals: base axes (3 - moves, 3) along which the tip's position never changes, and heights (3 - moves,) [m]: where on
             them it stays.
         rotation: the tip's rotation (3, 3) where it never changes, else None.
-        reach: [m] of the arm.
+        reach: Upper bound [m] of the arm's reach.
     """
 
     joints: int

@@ -2,13 +2,13 @@
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, overload
 
 import numpy as np
 
-from ..errors import FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
+from ..errors import DOUBTED, FEW_TURNS, IKError, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
 from .ros import read_pose
 from .rotation import finite_numbers, nearest_rotation, quat_matrix, rpy_matrix, turn_onto
@@ -51,6 +51,19 @@ def _unit(value: Any, name: str) -> np.ndarray:
     if not length > 1e-9:
         raise InvalidTarget(f"{name} must not be the zero vector")
     return vector / length
+
+
+def _near_unit(quat: Any, name: str) -> np.ndarray:
+    """Return a quaternion (4,) of length 1 within PROJECT_WITHIN; a warning names one that has lost more than its last digits."""
+    q = finite_numbers(quat, 4, name)
+    length = math.hypot(*q.tolist())  # numpy's norm would overflow for 1e200
+    if not abs(length - 1.0) <= PROJECT_WITHIN:
+        mend = f"normalise it if it is right otherwise, in the order {', '.join(name[-4:])}"
+        raise InvalidTarget(f"{name} has length {length:.4g}: not a rotation, which has length 1; {mend}")
+    if abs(length - 1.0) > 1e-3 and name not in DOUBTED:  # Four written digits are off by 1e-4 at most.
+        DOUBTED.add(name)
+        logging.getLogger("ik_toolkit").warning("%s has length %.4g and was normalised", name, length)
+    return q
 
 
 def named_axis(value: Any, name: str, error: type[IKError]) -> Any:
@@ -108,8 +121,9 @@ def pose(
     Args:
         xyz: Position [m] of the tip in the base frame, by default the origin.
         rpy: Roll, pitch and yaw [rad] in URDF's order: Rz(yaw) Ry(pitch) Rx(roll).
-        quat_xyzw: Quaternion with the scalar last.
-        quat_wxyz: Quaternion with the scalar first.
+        quat_xyzw: Quaternion with the scalar last. One whose length is off 1 by at most 1 % is normalised, above 0.1 % with a
+            warning.
+        quat_wxyz: The same with the scalar first.
         rotation: Rotation matrix (3, 3), T_base_tip.
         axis: Axis (3,) in the tip frame that points along `direction`, by default z.
         direction: Direction (3,) in the base frame; rotation about it is free.
@@ -140,9 +154,9 @@ def pose(
             doubt_angles("rpy", {"": float(angles[np.abs(angles).argmax()])})
         R = rpy_matrix(angles)
     elif quat_xyzw is not None:
-        R = quat_matrix(quat_xyzw)
+        R = quat_matrix(_near_unit(quat_xyzw, "quat_xyzw"))
     elif quat_wxyz is not None:
-        R = quat_matrix(quat_wxyz, "wxyz")
+        R = quat_matrix(_near_unit(quat_wxyz, "quat_wxyz"), "wxyz")
     elif rotation is not None:
         R = floats(rotation, "rotation must be 3x3 numbers", InvalidTarget)
         if R.shape != (3, 3):
@@ -264,12 +278,20 @@ def as_matrix(pose: Any) -> np.ndarray:
 
 
 def as_array(target: Any, base: str = "") -> Any:
-    """Return the array of a pin.SE3 or ROS message (see `ros.read_pose`), other values as is. Raises InvalidTarget."""
+    """Return the array of a pin.SE3 or ROS message, also as a dict (see `ros.read_pose`), other values as is.
+
+    Raises InvalidTarget, also for a dict with other fields.
+    """
     if isinstance(target, np.ndarray | list | tuple):
         return target
     if hasattr(target, "homogeneous"):
         return target.homogeneous
     found = read_pose(target, base)
+    if found is None and isinstance(target, Mapping):
+        raise InvalidTarget(
+            "a target that is a dict has the fields of a ROS message, position (x, y, z) and orientation (x, y, z, w), not "
+            f"{' '.join(repr(target).split())[:120]}"
+        )
     if found is None:
         return target
     position, quat = found

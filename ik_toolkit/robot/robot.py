@@ -25,7 +25,7 @@ from .formats.urdf_model import build_model
 from .geometry.link_shapes import light
 from .geometry.shape import Shape, is_shape
 from .joints import Joints
-from .load import default_base, folders_of, given_models, read_both, require_text_or_file, text_and_file
+from .load import default_base, doubted_size, folders_of, given_models, read_both, require_text_or_file, text_and_file
 from .pose import as_matrix, check_target
 from .probe import AGREE, chain_deviation, find_path, good_start, kinds, limits, mid_range, probe, speed_limits
 from .tips import one_word, only_tip, root_link
@@ -248,6 +248,8 @@ class Robot(Joints):
         self.joint_kinds = kinds(self.chain)
         self._local = threading.local()
         self._compare()
+        strokes = np.array([lower, upper])[:, self.slides & ~based]
+        self._note(doubted_size(model, path.joints, tip_id, strokes))
         # A home without the coordinates of a moving base is completed by the base's start.
         if home is not None and len(home) == self.n - based.sum():
             home = np.concatenate([start[based], home])
@@ -391,4 +393,4 @@ class Robot(Joints):
         return f"Robot('{self.name}', {self.base} -> {self.tip}, {self.n} joints: {', '.join(self.joint_names)})"
 
     def _route(self) -> str:
-        return f"{self.base} → {self.tip}, reach {self.reach:.3g} m"
+        return f"{self.base} → {self.tip}, reach at most {self.reach:.3g} m"

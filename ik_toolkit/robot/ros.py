@@ -1,11 +1,11 @@
-"""ROS messages as dicts of plain numbers, field by field, without importing ROS."""
+"""ROS messages, as objects or as dicts of plain numbers (JSON, rosbridge), field by field, without importing ROS."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidTarget
+from ..errors import InvalidConfiguration, InvalidTarget, floats
 
 LARGEST_NANOSEC = 999_999_999  # largest valid nanosec of a ROS time; rounding must not reach a whole second
 
@@ -13,53 +13,92 @@ LARGEST_NANOSEC = 999_999_999  # largest valid nanosec of a ROS time; rounding m
 POINT, QUATERNION = "xyz", "xyzw"  # fields of geometry_msgs/Point, Vector3 and Quaternion
 
 
+def _field(message: Any, name: str) -> Any:
+    """Return the field of a message, or of a dict with the fields of one; None if there is none."""
+    return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
+
+
 def has_fields(message: Any, names: Sequence[str]) -> bool:
-    """Return whether an object has all attributes in `names`, which is how messages are recognised without ROS."""
+    """Return whether an object or dict has all fields in `names`, which is how messages are recognised without ROS."""
+    if isinstance(message, Mapping):
+        return all(name in message for name in names)
     return all(hasattr(message, name) for name in names)
+
+
+def is_by_name(value: Any) -> bool:
+    """Return whether a value is a dict by name (of tips), and not one target as a dict: a ROS message, or part of one."""
+    fields = ("header", "position", "orientation", "translation", "rotation")
+    return isinstance(value, Mapping) and not has_fields(value, POINT) and not any(name in value for name in fields)
+
+
+def _inner(message: Any) -> tuple[Any, Any, Any] | None:
+    """Return a message's header (None without one), point and quaternion (None for a point); None if it is no such message."""
+    header = _field(message, "header")
+    if header is not None:
+        stamped = (_field(message, inner) for inner in ("pose", "transform", "point"))
+        message = next((inner for inner in stamped if inner is not None), message)
+    for point, turn in (("position", "orientation"), ("translation", "rotation")):
+        at, by = _field(message, point), _field(message, turn)
+        if has_fields(at, POINT) and has_fields(by, QUATERNION):
+            return header, at, by
+    return (header, message, None) if has_fields(message, POINT) and not has_fields(message, "w") else None
 
 
 def read_pose(message: Any, base: str = "") -> tuple[np.ndarray, np.ndarray | None] | None:
     """Return position (3,) [m] and quaternion x, y, z, w (4,) of a ROS message; None if it is no such message.
 
     Args:
-        message: a geometry_msgs Pose, PoseStamped, Transform, TransformStamped, Point, PointStamped or Vector3, or an object with
-            the same fields. The quaternion of a point is None.
+        message: a geometry_msgs Pose, PoseStamped, Transform, TransformStamped, Point, PointStamped or Vector3, or an object or
+            dict with the same fields. The quaternion of a point is None. A number that is None (null in JSON, which has no NaN)
+            is NaN.
         base: the robot's base frame, in which a stamped message must be given; "" checks nothing, and neither does an empty
             frame_id.
 
     Raises:
-        InvalidTarget: the message is given in another frame.
+        InvalidTarget: the message is given in another frame, or a field holds no number.
     """
-    frame = str(getattr(getattr(message, "header", None), "frame_id", "")).lstrip("/")
-    for inner in ("pose", "transform", "point"):
-        if hasattr(message, "header") and hasattr(message, inner):
-            if base and frame and frame != base:
-                raise InvalidTarget(
-                    f"the target is given in the frame '{frame}', and the robot's base is '{base}'; transform it to that frame, or "
-                    f"load the robot with base='{frame}' where the description has it"
-                )
-            message = getattr(message, inner)
-            break
-    for point, turn in (("position", "orientation"), ("translation", "rotation")):
-        if has_fields(message, (point, turn)):
-            at, by = getattr(message, point), getattr(message, turn)
-            if has_fields(at, POINT) and has_fields(by, QUATERNION):
-                return _numbers(at, POINT), _numbers(by, QUATERNION)
-    if has_fields(message, POINT) and not hasattr(message, "w"):
-        return _numbers(message, POINT), None
-    return None
+    found = _inner(message)
+    if found is None:
+        return None
+    header, at, by = found
+    _require_frame(header, base)
+    return _numbers(at, POINT), None if by is None else _numbers(by, QUATERNION)
+
+
+def listed_poses(message: Any, base: str = "") -> list[Any] | None:
+    """Return the poses in a geometry_msgs/PoseArray or nav_msgs/Path as messages; None if it is no such message.
+
+    Raises InvalidTarget if it is given in another frame than `base` (as in `read_pose`).
+    """
+    header, poses = _field(message, "header"), _field(message, "poses")
+    if header is None or not isinstance(poses, Sequence):
+        return None
+    _require_frame(header, base)
+    return list(poses)
+
+
+def _require_frame(header: Any, base: str) -> None:
+    """Raise InvalidTarget if the frame of a header is not `base`; an empty one is not checked."""
+    frame = str(_field(header, "frame_id") or "").lstrip("/")
+    if base and frame and frame != base:
+        raise InvalidTarget(
+            f"the target is given in the frame '{frame}', and the robot's base is '{base}'; transform it to that frame, or "
+            f"load the robot with base='{frame}' where the description has it"
+        )
 
 
 def _numbers(message: Any, names: str) -> np.ndarray:
     """Return the fields `names` of a message as an array."""
-    try:
-        return np.array([float(getattr(message, name)) for name in names])
-    except (TypeError, ValueError):
-        raise InvalidTarget(f"the fields {', '.join(names)} of {type(message).__name__} must be numbers") from None
+    given = [_field(message, name) for name in names]
+    what = f"the fields {', '.join(names)} of a ROS message must be numbers"
+    array = floats([np.nan if value is None else value for value in given], what, InvalidTarget)
+    if array.shape != (len(names),):
+        raise InvalidTarget(f"{what}, not {given!r:.120}")
+    return array
 
 
 def read_joint_state(message: Any, name: str) -> dict[str, float] | None:
-    """Return joint values by name of a sensor_msgs/JointState or an object with its fields; None for anything else.
+    """Return joint values by name of a sensor_msgs/JointState or an object or dict with its fields; None for anything else.
 
     Args:
         message: what may be a JointState: parallel lists `name` and `position`.
@@ -68,9 +107,13 @@ def read_joint_state(message: Any, name: str) -> dict[str, float] | None:
     Raises:
         InvalidConfiguration: the lists differ in length, or a joint is named twice.
     """
-    if not has_fields(message, ("name", "position")):
+    names, values = _field(message, "name"), _field(message, "position")
+    try:
+        if isinstance(names, str):
+            return None
+        names, values = [str(joint) for joint in names], list(values)
+    except TypeError:  # A dict by joint may have joints of these names; their values are numbers.
         return None
-    names, values = [str(joint) for joint in message.name], list(message.position)
     if len(names) != len(values):
         raise InvalidConfiguration(f"{name}: the JointState has {len(names)} names and {len(values)} positions")
     twice = sorted({joint for joint in names if names.count(joint) > 1})

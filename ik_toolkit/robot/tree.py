@@ -70,10 +70,11 @@ class Tree(Joints):
     q (n,) has every joint of the paths once: those of the first tip's path, base to tip, then those the next tip's path
     adds, and so on. The arms share model, base and resting joints (otherwise ModelError); each may have its own tool.
     Attributes are those of `Joints`, and as in `Robot` base, locked_joints, urdf, path, package_dirs, on_base and
-    base_limits; reach [m] is the largest of the arms'.
+    base_limits; reach [m] is the largest bound of the arms'.
     """
 
     by_tip = True
+    named_tips = property(lambda self: self.tips)
 
     def __init__(self, arms: Sequence[Robot], home: Sequence[float] | np.ndarray | None = None) -> None:
         """Join robots that differ only in their tip. home (n,) is by default the arms' own. Raises ModelError, FrameNotFound."""

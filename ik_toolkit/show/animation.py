@@ -4,16 +4,17 @@ import base64
 import copy
 import csv
 import io
-from collections.abc import Mapping
+import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..files import as_path, check_arrays, read_json, whole_file, without_mark, write_whole
+from ..files import as_path, check_arrays, read_json, require_place, whole_file, without_mark, write_whole
 from ..robot.joints import Joints
 from ..robot.pose import LAST
+from ..robot.ros import is_by_name
 from ..solvers.collision_free import collision_model
 from ..text import angle as in_words
 from ..text import figure, length
@@ -139,7 +140,7 @@ def thin_rows(count: int, most: int) -> np.ndarray:
 
 def each_target(robot: Joints, target: Any) -> dict[str, Any]:
     """Return targets by tip, from a dict, a list in the order of the tips, or one. Raises FrameNotFound, InvalidTarget."""
-    if isinstance(target, Mapping):
+    if is_by_name(target):
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
     if not robot.by_tip:
@@ -277,14 +278,17 @@ def _coloured(
 
 # ------------------------------------------------------------------------------------------------------------- pictures
 def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> Path:
-    """Write a Window as a .png file of a size [pixels], or its animation as a .gif file of at most `most` pictures."""
-    from .picture import picture
+    """Write a Window as a .png file of a size [pixels], or its animation as a .gif or .mp4 file of at most `most` pictures."""
+    from .picture import encoder, film, picture
 
     with drawing():  # says what to install
         from PIL import Image
-    file, suffix, made = as_path(path, "path"), ".gif" if most else ".png", window.about["animation"]
-    if file.suffix.lower() != suffix:
-        raise InvalidOption(f"the picture is written as {suffix}, not '{file.suffix or file.name}'")
+    file, known, made = as_path(path, "path"), (".gif", ".mp4") if most else (".png",), window.about["animation"]
+    kind = file.suffix.lower()
+    if kind not in known:
+        raise InvalidOption(f"the picture is written as {' or '.join(known)}, not '{file.suffix or file.name}'")
+    coder = encoder() if kind == ".mp4" else ""  # says what to install before the pictures are made
+    require_place(file)
     pixels = floats(size, "size must be width and height [pixels]", InvalidOption)
     if pixels.shape != (2,) or not ((pixels >= 16) & (pixels <= 4000) & (pixels % 1 == 0)).all():
         raise InvalidOption(f"size must be width and height of 16 to 4000 pixels, not {size!r:.60}")
@@ -306,6 +310,9 @@ def write_pictures(path: str | Path, window: Any, size: Any, most: int = 0) -> P
         frames.append(Image.open(io.BytesIO(picture(seen, (wide, high)))))
     lasts = np.diff(rows, append=rows[-1] + 1) / made["fps"] * 1e3  # [ms]
     lasts[-1] = 1500.0  # [ms] the end is shown for longer
+    if coder:
+        write_whole(file, film(coder, frames, lasts))
+        return file
     with whole_file(file) as stream:
         frames[0].save(stream, "gif", save_all=True, append_images=frames[1:], duration=lasts.round().tolist(), loop=0)
     return file
@@ -333,11 +340,18 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
     keep = np.isfinite(Q).all(axis=1)
     if not keep.any():
         raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
+    if not keep.all():
+        count = int((~keep).sum())
+        logging.getLogger("ik_toolkit").warning(
+            "'%s': %d of %d rows lack joint values and are left out", path.name, count, len(Q)
+        )
     return None if t is None else t[keep], Q[keep]
 
 
 def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     suffix = path.suffix.lower()
+    if not path.stat().st_size:
+        raise ValueError("it is empty")
     if suffix == ".npz":
         check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
         with np.load(path, allow_pickle=False) as arrays:
@@ -349,6 +363,8 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
             return names, arrays["q"], arrays["t"]
     if suffix == ".json":
         content = read_json(path, InvalidConfiguration)
+        if not isinstance(content, dict):
+            raise ValueError("it is no object with joint_names, as ik path writes it")
         if "points" not in content:
             return content["joint_names"], np.array(content["curve"], dtype=float), None
         stamps = [point["time_from_start"] for point in content["points"]]
@@ -357,11 +373,26 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     if suffix != ".csv":
         raise ValueError("the file must be .csv, .npz or .json")
     with path.open(newline="", encoding="utf-8") as stream:
-        rows = csv.reader(stream)
-        head, cells = [without_mark(name) for name in next(rows)], list(rows)
-    for k, row in enumerate(cells, 2):
-        if len(row) != len(head):
-            raise ValueError(f"line {k} has {len(row)} columns, and the header {len(head)}")
-    values = np.array([[float(x) if x else np.nan for x in row] for row in cells]).reshape(-1, len(head))
+        reader = csv.reader(stream)
+        rows = dict((reader.line_num, row) for row in reader if any(cell.strip() for cell in row))
+    if len(rows) < 2:
+        found = "it has a header and no rows below it" if rows else "it has no rows"
+        raise ValueError(
+            f"{found}; the first line names the columns, t,q_JOINT,... or JOINT,..., each other line has numbers"
+        )
+    first, *lines = rows
+    head = [without_mark(name) for name in rows[first]]
+    for k in lines:
+        if len(rows[k]) != len(head):
+            raise ValueError(f"line {k} has {len(rows[k])} columns, and the header {len(head)}")
+    values = np.array([[_cell(cell, k) for cell in rows[k]] for k in lines])
     t = values[:, head.index("t")] if head[0] == "t" else None
     return [name.removeprefix("q_") if t is not None else name for name in head], values, t
+
+
+def _cell(text: str, line: int) -> float:
+    """Return the number in a cell, NaN if it is empty. Raises ValueError, which names the line."""
+    try:
+        return float(text) if text.strip() else np.nan
+    except ValueError:
+        raise ValueError(f"line {line}: {text[:80]!r} is not a number") from None

@@ -67,12 +67,22 @@ def chain_points(arm: Any) -> list[ChainPoint]:
     return [*points, ChainPoint(tip.parentJoint, (tip.placement * arm.tool).translation)]
 
 
+def joint_frames(robot: Any, q: Any, data: Any = None) -> np.ndarray:
+    """Return the poses (njoints, 4, 4) [m] of all joints of the model in the base frame at q (n,) [rad or m], by Pinocchio.
+
+    Joints that mimic others and locked ones are included; number 0 is the world. Everything that is drawn stands on these
+    frames. data: Pinocchio's workspace, by default a new one.
+    """
+    data = robot.model.createData() if data is None else data
+    pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
+    base = pin.updateFramePlacement(robot.model, data, robot.arms[0]._ids[0])
+    return base.inverse().homogeneous @ np.array([M.homogeneous for M in data.oMi])
+
+
 def skeleton(arm: Any, q: np.ndarray) -> np.ndarray:
     """Return the chain of a Robot at q (n,) [rad or m] as points (K, 3) [m] in the base frame; the last one is that of fk(q)."""
-    model, data = arm.model, arm.model.createData()
-    pin.forwardKinematics(model, data, arm._fill(arm.rest.copy(), q))
-    base = pin.updateFramePlacement(model, data, arm._ids[0])
-    return np.array([base.actInv(data.oMi[joint].act(place)) for joint, place in chain_points(arm)])
+    frames = joint_frames(arm, q)
+    return np.array([frames[joint, :3, :3] @ place + frames[joint, :3, 3] for joint, place in chain_points(arm)])
 
 
 @dataclass(frozen=True)
@@ -129,11 +139,7 @@ class Body:
 
         The base stays at T_world_base. The poses (njoints, 4, 4) of all joints of the model are then in `frames`.
         """
-        pin.forwardKinematics(self.model, self.data, self.robot._fill(self.robot.rest.copy(), q))
-        self.frames = np.array([M.homogeneous for M in self.data.oMi])
-        base = pin.updateFramePlacement(self.model, self.data, self.arms[0]._ids[0]).homogeneous
-        if not np.array_equal(base, self.T_world_base):  # a joint above the base follows one below it
-            self.frames = self.T_world_base @ np.linalg.inv(base) @ self.frames
+        self.frames = self.T_world_base @ joint_frames(self.robot, q, self.data)
         poses = self.frames[[part.joint for part in self.parts]] @ self.mounts
         for k in self.bars:
             joint, place = self.parts[k].end or (0, np.zeros(3))

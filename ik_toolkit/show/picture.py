@@ -4,11 +4,16 @@ It stands in a notebook where the scene itself cannot run: before it is opened, 
 """
 
 import io
-from collections.abc import Iterator
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..errors import InvalidOption, MissingExtra
 from ..style import GREY, MUTED
 from .body import DrawnShape
 from .feed import ROOT
@@ -251,3 +256,53 @@ def _chart(figure: Any, curves: Any) -> None:
     axes.set_title("error [m]", fontsize=8)
     axes.tick_params(labelsize=7)
     axes.legend(fontsize=7, loc="upper right")
+
+
+# ------------------------------------------------------------------------------------------------------------------ films
+def encoder() -> str:
+    """Return the path of ffmpeg, that of the package imageio-ffmpeg or one on the PATH. Raises MissingExtra."""
+    try:
+        import imageio_ffmpeg  # pyright: ignore[reportMissingImports]
+
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):  # RuntimeError: the package is there without its program
+        found = shutil.which("ffmpeg")
+    if found is None:
+        raise MissingExtra("imageio-ffmpeg", "mp4")
+    return found
+
+
+def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
+    """Return pictures (PIL) as an MP4 file in H.264; lasts (N,) [ms]: how long each is shown, but for the last all about equally.
+
+    Raises InvalidOption if ffmpeg fails, with what it says.
+    """
+    first, *_ = rgb = [frame.convert("RGB") for frame in frames]
+    rate = 1000.0 / float(lasts[:-1].mean()) if len(lasts) > 1 else 1.0
+    rgb += rgb[-1:] * max(0, round(float(lasts[-1]) / 1000.0 * rate) - 1)
+    with tempfile.TemporaryDirectory() as folder:  # an MP4 file is not written from front to back
+        made = Path(folder) / "film.mp4"
+        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # which this form of colour needs
+        words = [
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "rgb24",
+            "-s",
+            f"{first.width}x{first.height}",
+            "-r",
+            f"{rate:.6g}",
+            "-i",
+            "-",
+        ]
+        words += ["-vf", even, "-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(made)]
+        data = b"".join(one.tobytes() for one in rgb)
+        done = subprocess.run(
+            [ffmpeg, "-y", "-loglevel", "error", *words], input=data, capture_output=True, check=False
+        )
+        if done.returncode or not made.is_file():
+            said = done.stderr.decode(errors="replace").strip().splitlines()
+            raise InvalidOption(
+                f"ffmpeg could not write the film: {said[-1] if said else done.returncode}; a .gif needs no ffmpeg"
+            )
+        return made.read_bytes()

@@ -299,10 +299,11 @@ class Scene(InCell, SceneState):
         return animation.write_pictures(path, self._aimed(), size)
 
     def record(self, path: str | Path, size: tuple[int, int] = (640, 400), pictures: int = 48) -> Path:
-        """Write the animation as a .gif file of at most so many pictures, in its own time; no browser is needed.
+        """Write the animation as a .gif or .mp4 file of at most so many pictures, in its own time; no browser is needed.
 
-        A picture takes about a second. Raises InvalidOption if there is no animation, the name does not end in .gif or another
-        argument is wrong; MissingExtra without matplotlib.
+        A picture takes about a second. An .mp4 file (H.264) is made by ffmpeg: that of the package imageio-ffmpeg, else one on the
+        PATH. Raises InvalidOption if there is no animation, the name ends in something else or another argument is wrong;
+        MissingExtra without matplotlib or ffmpeg.
         """
         return animation.write_pictures(path, self._aimed(), size, whole(pictures, "pictures", 2))
 

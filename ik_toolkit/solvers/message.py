@@ -119,7 +119,7 @@ def _cause(result: Any) -> str:
 
 def _left(result: Any) -> str:
     """Say in words which errors are left at q; of several tips the largest."""
-    each, unit = _unweighted(result)
+    each, unit = unweighted(result)
     turned = [angle for _, angle in each if angle is not None]
     return _said(max(position for position, _ in each), max(turned, default=None), unit)
 
@@ -131,16 +131,16 @@ def _said(position: float, turned: float | None, unit: bool) -> str:
     return length(position) + ("" if turned is None else f", {angle(turned)}")
 
 
-def _unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
+def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
     """Return the counted errors of each tip, and whether they are in [m] and [rad], without the weights of the tip's mask.
 
-    In a row of a batch, which keeps no target, weights that are not 0 or 1 cannot be taken out.
+    In a solved row of a batch, which keeps no target, weights that are not 0 or 1 cannot be taken out.
     """
     of = result._of
     masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]
     if all(weight in (0.0, 1.0) for mask in masks for weight in mask):
         return of.left(), True
-    if not of.T.size:  # a row of a batch keeps no target
+    if not of.T.size:  # a solved row of a batch keeps no target
         return of.left(), False
     mask = {
         tip: None if one.mask is None else tuple(float(weight > 0.0) for weight in one.mask)
@@ -158,7 +158,7 @@ def _at_each_tip(result: Any) -> str:
     """Say the errors left at each of several tips that have a target, or return ''."""
     if len(result.robot.tips) == 1:
         return ""
-    each, unit = _unweighted(result)
+    each, unit = unweighted(result)
     left = [
         f"{tip} {_said(*errors, unit).replace(',', '')}"
         for tip, kind, errors in zip(result.robot.tips, result._of.kinds, each, strict=True)
@@ -217,7 +217,7 @@ def _failure(result: Any, left: str, starts: int) -> str:
 def impossible(result: Any) -> list[str]:
     """Return sentences on the part of each tip's target that no joint values can meet."""
     of = result._of
-    if not of.T.size:  # a row of a batch keeps no target
+    if not of.T.size:  # a solved row of a batch keeps no target
         return []
     found, o = [], of.plan.options
     given = zip(result.robot.arms, of.kinds, of.T.reshape(-1, 4, 4), what_counts(result.robot, o), strict=True)

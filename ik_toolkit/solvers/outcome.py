@@ -19,7 +19,7 @@ class SolveRecord(NamedTuple):
 
     # The target and q0 are kept as bytes, a copy at a quarter of an array's cost: the caller may change both arrays later.
     plan: Plan
-    target: bytes  # the targets (1, 4, 4), of several tips (1, F, 4, 4), or b"" in a row of a batch
+    target: bytes  # the targets (1, 4, 4), of several tips (1, F, 4, 4), or b"" in a solved row of a batch
     kinds: tuple
     q0: bytes  # the configuration (n,) given as the start, or b""
     row: np.ndarray  # the kernel's result row: an Answer, q, and for several tips each tip's errors (Miss)
@@ -37,7 +37,7 @@ class SolveRecord(NamedTuple):
 
     @property
     def T(self) -> np.ndarray:
-        """Targets (1, 4, 4), of several tips (1, F, 4, 4); empty in a row of a batch."""
+        """Targets (1, 4, 4), of several tips (1, F, 4, 4); empty in a solved row of a batch."""
         return np.frombuffer(self.target).reshape(-1, *self.plan.robot.pose_shape).copy()
 
     @property

@@ -29,8 +29,8 @@ class Result(ReadOnly):
     Attributes:
         q: Joint values (n,) [rad or m], evaluated and inside the limits.
         success, status, message: Whether and how the solve succeeded, and one sentence on it, with what to try.
-        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest; the second is None if
-            the target leaves orientation free.
+        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest, times the weights of the
+            mask if it has any; the second is None if the target leaves orientation free.
         position_errors, orientation_errors: The same errors of each tip, by its name.
         level_errors: The errors by level of priority, most important first.
         raw_error, raw_errors: All six errors of the tip, and of each tip by its name, before slack, free turn and mask.
@@ -115,7 +115,7 @@ class Result(ReadOnly):
     def raw_errors(self) -> dict[str, np.ndarray]:
         """Errors (6,) of each tip at q by Pinocchio: target - tip [m] and the rotation vector left [rad], in the axes of `frame`.
 
-        They are before slack, free turn and mask; NaN if a tip has no target, and in a row of a batch, which keeps no
+        They are before slack, free turn and mask; NaN if a tip has no target, and in a solved row of a batch, which keeps no
         targets.
         """
         of = self._of
@@ -169,7 +169,7 @@ class Result(ReadOnly):
         """Joint that moved farthest from q0, and how far [rad or m].
 
         To compare prismatic with revolute joints, lengths are divided by the size of the robot. None if no q0 was given,
-        and in a row of a batch, which keeps no q0.
+        and in a solved row of a batch, which keeps no q0.
         """
         of = self._of
         if not of.given:
@@ -254,7 +254,7 @@ class Result(ReadOnly):
             An Explanation, which `print` shows as text, a notebook with formulas.
 
         Raises:
-            InvalidTarget: The result is a row of a batch, which keeps no target.
+            InvalidTarget: The result is a solved row of a batch, which keeps no target.
             MissingExtra: A closed form has formulas to show, and SymPy is not installed.
         """
         from .explain.explain import explain_result  # That module imports this one.

@@ -10,6 +10,7 @@ from ..errors import InvalidOption, InvalidTarget, near_match
 from ..kernel.counted_error import AXIS, FREE, PART, POSE, POSITION
 from ..kernel.records import Task
 from ..robot.pose import AxisTarget, check_target, errors
+from ..robot.ros import is_by_name
 from .options import COUNTING, FRAMES, GROUPS, Options
 
 POSES = (POSE,)  # kinds of the target of one tip that is a pose
@@ -184,7 +185,7 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
     or a list in the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a
     dict. Raises FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """
-    if not robot.by_tip and (isinstance(target, AxisTarget) or not isinstance(target, Mapping)):
+    if not robot.by_tip and not is_by_name(target):
         T, kind, notice = read_one(target, robot.base)
         return T[None], (kind,), notice
     tips = robot.tips
@@ -200,7 +201,7 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
 def _in_order(robot: Any, targets: Any) -> list[Any]:
     """Return a target or None for each tip."""
     tips = robot.tips
-    if isinstance(targets, Mapping):
+    if is_by_name(targets):
         robot.check_tips(targets)
         return [targets.get(tip) for tip in tips]
     expected = f"robot '{robot.name}' takes one target for each of {', '.join(tips)}"

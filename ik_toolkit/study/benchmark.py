@@ -1,5 +1,6 @@
 """A benchmark of solvers on the same targets: success rates with their intervals, times and iterations."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -18,7 +19,6 @@ from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status, count_statuses
 from ..text import TextTable, duration
 from ..validate import one_of, solver_list
-from .targets import wilson
 
 BLOCKS = 10  # number of blocks of targets, on which the solvers take turns so that background load affects all alike
 NEAR = 0.1  # largest difference, in each joint [rad or m], between start 'near' and a solution
@@ -360,3 +360,18 @@ def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> B
         seconds=seconds,
         iteration_counts=table[:, 2],
     )
+
+
+def wilson(successes: int, trials: int, z: float = 1.959963984540054) -> tuple[float, float]:
+    """Return the Wilson score interval (low, high) of a success probability; it is (0, 1) without trials.
+
+    z is the quantile of the normal distribution, by default for 95 %. Source: Wilson (1927); Brown, Cai, DasGupta (2001), eq. (4).
+    """
+    if trials == 0:
+        return 0.0, 1.0
+    share, zz = successes / trials, z * z
+    middle = (share + zz / (2 * trials)) / (1 + zz / trials)
+    half = z / (1 + zz / trials) * math.sqrt(share * (1 - share) / trials + zz / (4 * trials * trials))
+    low = 0.0 if successes == 0 else middle - half
+    high = 1.0 if successes == trials else middle + half
+    return low, high

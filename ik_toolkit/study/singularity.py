@@ -11,7 +11,7 @@ from ..robot.tree import require_one_tip
 from ..solvers.batch.solve_batch import solve_batch
 from ..solvers.registry import find_row
 from ..solvers.solve import Solver
-from .targets import wilson
+from .benchmark import wilson
 
 STUCK = 1e-9  # A run that never moves a joint farther than this [rad, or share of the reach] counts as stuck.
 

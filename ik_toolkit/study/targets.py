@@ -1,6 +1,5 @@
-"""Random reachable targets for studies, uniform in joints or in the volume reached, and intervals of what is counted on them."""
+"""Random reachable targets for studies, uniform in joints or in the volume reached."""
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -15,7 +14,6 @@ from ..validate import one_of, switch
 HOW = ("joints", "volume")
 CELLS = 40  # number of voxels along the reach; each 'volume' target is in a random voxel
 POOL = 200_000  # number of random configurations whose tips fill the voxels
-Z95 = 1.959963984540054  # quantile of the normal distribution for a two-sided interval of 95 %
 
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
@@ -100,18 +98,3 @@ def stream_targets(
     count = whole(count, "the number of targets")
     for k, done in enumerate(range(0, count, chunk)):
         yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)
-
-
-def wilson(successes: int, trials: int, z: float = Z95) -> tuple[float, float]:
-    """Return the Wilson score interval (low, high) of a success probability; it is (0, 1) without trials.
-
-    z is the quantile of the normal distribution, by default for 95 %. Source: Wilson (1927); Brown, Cai, DasGupta (2001), eq. (4).
-    """
-    if trials == 0:
-        return 0.0, 1.0
-    share, zz = successes / trials, z * z
-    middle = (share + zz / (2 * trials)) / (1 + zz / trials)
-    half = z / (1 + zz / trials) * math.sqrt(share * (1 - share) / trials + zz / (4 * trials * trials))
-    low = 0.0 if successes == 0 else middle - half
-    high = 1.0 if successes == trials else middle + half
-    return low, high

@@ -22,8 +22,9 @@ from ..solvers.registry import Row, find_row, make_rule
 from ..solvers.solve import require_robot
 from ..solvers.tuning_space import Space
 from ..validate import number, one_of
+from .benchmark import wilson
 from .engines import Evolution, Swarm, make_space
-from .targets import sample_targets, wilson
+from .targets import sample_targets
 
 METHODS = ("cma", "pso")
 JUDGED_SOON = 1  # number of held-out target sets for the final comparison after Ctrl-C, so that it ends soon

@@ -22,7 +22,8 @@ from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import count_statuses
 from ..text import TextTable, duration, length
 from ..validate import solver_list
-from .targets import one_tip, sample_targets, stream_targets, wilson
+from .benchmark import wilson
+from .targets import one_tip, sample_targets, stream_targets
 
 GRID = 24  # number of cells along the longest side of the success map
 ENVELOPE = 100_000  # number of random configurations whose tip positions give the envelope

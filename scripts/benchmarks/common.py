@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ik_toolkit import Robot, __version__
-from ik_toolkit.study.targets import wilson
+from ik_toolkit.study.benchmark import wilson
 
 ROBOTS = ("panda", "ur5", "xarm7", "kinova", "z1", "hydrolek_7w")
 TOLERANCES = {"loose": (1e-4, 1e-3), "strict": (1e-6, 1e-6)}  # m, rad

@@ -39,7 +39,7 @@ def test_info_shows_joints_limits_and_the_dh_table(run):
     info = json.loads(run("info", "hydrolek_7w", "--json")[1])
     robot = ik.Robot.load("hydrolek_7w")
     assert [joint["upper"] for joint in info["joints"]] == robot.upper.tolist() and info["reach"] == robot.reach
-    assert info["dh"]["rows"][1]["a"] == 0.5234
+    assert info["dh"]["rows"][1]["a"] == 0.5234 and "at most 1.44" in out
 
 
 def test_info_of_a_robot_with_two_tips_shows_both(run):

@@ -76,6 +76,29 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         (["dh", "nothing.toml"], "cannot read"),
         (["check", "nothing.urdf"], "there is no file"),
         (["gains", "planar_2r", "--rate", "0"], "--rate must be positive"),
+        (
+            ["solve", "hydrolek_7w", "--xyz", "1,5", "0", "0.3"],
+            "got 4 (a comma separates numbers); write decimals with a point: ",
+        ),
+        (["solve", "hydrolek_7w", "--xyz", "1,5", "-0,5", ".3"], "write decimals with a point: --xyz 1.5 -0.5 .3"),
+        (["solve", "hydrolek_7w", "--xyz", "0,5;0;0,3"], "write decimals with a point: --xyz 0.5 0 0.3"),
+        (
+            ["solve", "hydrolek_7w", "--xyz", "1,5", "0"],
+            "--xyz '1,5 0' can be read as 1 5 0 or as 1.5 0; write one of them",
+        ),
+        ([*SOLVE, "--mask", "0,5", *"11000"], "--mask 0.5 1 1 0 0 0"),
+        ([*SOLVE, "--q0", "0,5", *"0000"], "--q0 '0,5 0 0 0 0' can be read as 0 5 0 0 0 0 or as 0.5 0 0 0 0"),
+        ([*SOLVE, "--q0", "0,5", *"00000"], "can be read as 0 5 0 0 0 0 0 or as 0.5 0 0 0 0 0; write one of them"),
+        ([*SOLVE, "--q0", "0,5", "0.1", *"0000"], "--q0 0.5 0.1 0 0 0 0"),
+        (
+            [*SOLVE, "--tolerance", "0,001"],
+            "--tolerance takes a number, not '0,001' (a comma separates numbers); write dec",
+        ),
+        ([*SOLVE, "-p", "damping=0,1"], "write decimals with a point: damping = 0.1"),
+        ([*SOLVE, "--lock", "wrist_roll=0,5"], "write decimals with a point: --lock wrist_roll=0.5"),
+        ([*SOLVE, "--limit", "wrist_roll:-0,5:0,5"], "not 'wrist_roll:-0,5:0,5'; write decimals with a point"),
+        ([*SOLVE[:2], "--target", "tool:1,5", "0", "0,3"], "write decimals with a point: --target tool: 1.5 0 0.3"),
+        (["track", "planar_2r", "--duration", "1,5"], "write decimals with a point: --duration 1.5"),
     ],
     ids=lambda value: " ".join(value[-4:]) if isinstance(value, list) else None,
 )
@@ -83,6 +106,12 @@ def test_a_mistake_is_one_sentence_and_exit_code_two(run, arguments, says):
     code, out, err = run(*arguments)
     assert code == 2 and not out
     assert err.startswith("ik: ") and err.count("\n") == 1 and says in err
+
+
+def test_numbers_may_be_separated_by_commas_or_grouped(run):
+    grouped = run("solve", "hydrolek_7w", "--xyz", "1.0,0.1,0.2", "--mask", "1,1,1", "0,0,0")
+    apart = run("solve", "hydrolek_7w", "--xyz", "1.0,", "0.1,", "0.2", "--mask", *"111000")
+    assert grouped[0] == apart[0] == 0 and grouped[1].partition("computed")[0] == apart[1].partition("computed")[0]
 
 
 def test_a_missing_extra_is_exit_code_three(run, monkeypatch):

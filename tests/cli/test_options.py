@@ -56,7 +56,7 @@ def test_a_command_gets_the_records_of_its_command_line(tmp_path):
     one(["arm", "--limit", "-1", "2", "--count", "5", "-o", str(tmp_path / "x.csv")], standalone_mode=False)
     own, arm = got
     assert (own.count, own.limits, own.file) == (5, True, tmp_path / "x.csv") and own.extra == "1 2"
-    assert (arm.robot, arm.limit) == ("arm", "-1,2")
+    assert (arm.robot, arm.limit) == ("arm", "-1 2")
     assert one.help == "Move it." and one.epilog == "ik move arm"
     assert [p.name for p in one.params] == ["count", "limits", "file", "extra", "robot", "tip", "limit"]
     assert [p.rich_help_panel for p in one.params[:2]] == ["Solver", "Options"]

@@ -110,7 +110,7 @@ def test_mistakes_are_said_before_the_search(run, files, words, said):
 def test_files_that_hold_no_poses_are_named(run, tmp_path):
     for text, said in (
         ("{", "cannot read"),
-        ('{"xyz": [["a", 1, 2]]}', "xyz must be lists of numbers"),
+        ('{"xyz": [["a", 1, 2]]}', 'row 0 of xyz (counted from 0) is ["a", 1, 2], not numbers'),
         ("[]", "targets"),
     ):
         (tmp_path / "in.json").write_text(text)
@@ -118,7 +118,7 @@ def test_files_that_hold_no_poses_are_named(run, tmp_path):
         assert code == 2 and said in err and "in.json" in err
     (tmp_path / "in.csv").write_text("x,y,z\n")
     code, _, err = run("path", ARM, "--poses", tmp_path / "in.csv")
-    assert code == 2 and "no pose" in err
+    assert code == 2 and "no rows below it" in err
 
 
 def test_the_best_path_so_far_is_kept_when_it_is_stopped(run, files, tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from robots import MIMIC, have_data
+from robots import MIMIC, have_data, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
@@ -152,6 +152,8 @@ def test_commands_are_named_as_the_shell_finds_them(run, elsewhere):
     assert f"{called} --help" in run("sovle")[2]
     with pytest.raises(ModelError, match=re.escape(f"`{called} check` lists them")):
         ik.Robot.load(MIMIC.replace('type="revolute"', 'type="revolt"'))
+    degrees = [dict(kind="revolute", limits=(-120, 120), xyz="0 0 0.2") for _ in range(3)]
+    assert f"2 more, see {called} check" in ik.Robot.load(urdf(*degrees)).notes[0]
 
 
 def test_python_is_named_shortly_where_it_is_ours(monkeypatch, elsewhere):

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +11,7 @@ import typer
 
 import ik_toolkit as ik
 from ik_toolkit.cli import application
+from ik_toolkit.text import angle, length
 
 SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
 
@@ -39,8 +41,8 @@ def test_numbers_after_an_option_that_takes_several_are_joined():
         "3",
     ]
     found = read("solve", *words)
-    assert (found["q0"], found["xyz"], found["seed"]) == ("1,-2e-1,.3", "1,2,-3", 4) and found["deg"]
-    assert found["targets"] == ["a:1,2,3"]
+    assert (found["q0"], found["xyz"], found["seed"]) == ("1 -2e-1 .3", "1,2 -3", 4) and found["deg"]
+    assert found["targets"] == ["a:1 2 3"]
 
 
 @pytest.mark.parametrize(("words", "q"), [(["--q=1,2"], "1,2"), (["--q", "word"], "word"), (["--q", ""], "")])
@@ -291,3 +293,19 @@ def test_explain_shows_the_way_in_80_columns_and_as_json(run, monkeypatch):
     assert run(*line, "--all")[0] == 2
     code, out, _ = run("solve", "planar_2r", "--xyz", "3", "0", "0", "--explain")
     assert code == 1 and "1 m out of reach" in out
+
+
+@pytest.mark.parametrize("mask", ["1 1 1 0.1 0.1 0.1", "0.2 0.2 0.2 3 3 3"])
+def test_errors_stand_in_the_table_as_in_the_sentence_whatever_their_weight(run, mask):
+    words = ("--xyz", *"5 0 0".split(), "--rpy", *"0 1 0".split(), "--mask", *mask.split())
+    code, out, err = run("solve", "hydrolek_7w", *words)
+    found = json.loads(run("solve", "hydrolek_7w", *words, "--json")[1])
+    away, turned = re.search(r"closest ([\d.]+ m), ([\d.]+ deg)", err).groups()
+    assert (
+        code == 1
+        and re.search(rf"position error +{away} ", out)
+        and re.search(rf"orientation error .*\({turned}\)", out)
+    )
+    T = ik.pose((5, 0, 0), rpy=(0, 1, 0))
+    position, rotation = ik.Robot.load("hydrolek_7w").errors(found["q"], T)
+    assert (away, turned) == (length(position), angle(rotation))

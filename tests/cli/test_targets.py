@@ -93,7 +93,10 @@ def test_unsolved_targets_are_a_status_and_code_1(tmp_path, capsys):
     write(tmp_path / "far.csv", "x,y,z", [[1.0, 0.1, 0.2], [9, 9, 9]])
     assert run("--targets", tmp_path / "far.csv", "-o", tmp_path / "out.csv") == 1
     assert [row["status"] for row in solved(tmp_path / "out.csv")[1]] == ["CONVERGED", "UNREACHABLE"]
-    assert "1 UNREACHABLE" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "1 UNREACHABLE" in said.out
+    alone = ik.solve(load(ARM), (9, 9, 9), "lm")
+    assert f"target 2, the first not solved: UNREACHABLE: {alone.message}\n" in said.err
 
 
 def test_options_reach_the_batch(tmp_path):
@@ -109,7 +112,11 @@ def test_options_reach_the_batch(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no column x, y, z"),
+        ("", "is empty; its first line names the columns, such as x,y,z, and each line below it is a row"),
+        ("\n , ,\n", "has only blank lines; its first line names the columns"),
+        ("x,y,z\n,,\n\n", "has a header, x,y,z, and no rows below it"),
+        ("0.5,0.1,0.3\n", "first line must be x,y,z"),
+        ("x,y,z\n1,2,3\n1,,3\n\nnan,2,3\n", "line 3: the cell of y is empty; line 5 lacks a number as well"),
         ("x,y\n1,2\n", "no column z"),
         ("x,y,z,qx,qw\n1,2,3,0,1\n", "qx, qw"),
         ("x,y,z,qx,qy,qz,qw,roll\n1,2,3,0,0,0,1,0\n", "roll"),
@@ -132,12 +139,17 @@ def test_bad_arrays_are_named(tmp_path, capsys):
         ({"q": np.zeros(3)}, "no array 'targets' or 'xyz', only q"),
         ({"targets": np.zeros((2, 5))}, "shape (2, 5)"),
         ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.zeros((3, 4))}, "shape (N, 3)"),
-        ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.ones((2, 4))}, "row 0: the quaternion"),
+        ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.ones((2, 4))}, "row 0 (counted from 0): the quaternion"),
         (
             {"xyz": np.zeros((1, 3)), "quat_xyzw": np.ones((1, 4)), "quat_wxyz": np.ones((1, 4))},
             "give only one of them",
         ),
-        ({"targets": np.full((2, 3), np.inf)}, "target 0"),
+        (
+            {"targets": np.full((2, 3), np.inf)},
+            "rows 0 and 1 of targets (counted from 0) have numbers that are not finite",
+        ),
+        ({"targets": np.zeros((0, 3))}, "targets has no rows; NPZ has an array xyz (N, 3)"),
+        ({}, "no array 'targets' or 'xyz', and no other. NPZ has an array xyz (N, 3)"),
         ({"targets": np.array([None, None])}, "targets holds values of the type object, not real numbers"),
         ({"targets": np.array([["2020-01-01"] * 3], dtype="M8[D]")}, "datetime64[D], not real numbers"),
         ({"targets": np.array([["1", "2", "3"]])}, "targets holds values of the type <U1, not real numbers"),

@@ -232,7 +232,7 @@ def test_doctor_finds_damaged_files_and_mends_them(copy):
 
     path = copy / "ik_toolkit" / "kernel" / "__pycache__" / f"ik-one.{cache.stamp_of(*cache.STAMPED)[:12]}.two.nbc"
     path.parent.mkdir(exist_ok=True)
-    cache.write_whole(path, bytes(2000))
+    cache.write_body(path, bytes(2000))
     data = path.read_bytes()
     path.write_bytes(data[:1000] + bytes([data[1000] ^ 4]) + data[1001:])
     torn = path.with_name("ik-something.part")

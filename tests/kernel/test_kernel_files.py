@@ -87,7 +87,7 @@ def test_a_file_of_another_key_is_not_taken(double):
     double()
     (path,) = double.files()
     _, payload = pickle.loads(cache.content(path))
-    cache.write_whole(path, dumps((("another", "key"), payload)))
+    cache.write_body(path, dumps((("another", "key"), payload)))
     assert double() == [MADE]
 
 

@@ -7,7 +7,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.papers.burrell_2016 import gains, paper, speed, swarm
-from ik_toolkit.papers.burrell_2016.existence import least_distance
+from ik_toolkit.papers.burrell_2016.gains import least_distance
 from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
 from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
 from ik_toolkit.papers.patko_2019 import dynamics

@@ -1,6 +1,7 @@
 """Poses: conversions against Pinocchio, and rejected input."""
 
 import math
+import re
 
 import numpy as np
 import pinocchio as pin
@@ -140,3 +141,27 @@ def test_a_rotation_that_is_changed_is_said(caplog):
         caplog.clear()
         call()
         assert "was projected to the nearest rotation" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["quat_xyzw", "quat_wxyz"])
+def test_a_quaternion_far_from_length_1_is_refused_and_one_near_is_said(name, caplog, monkeypatch):
+    monkeypatch.setattr("ik_toolkit.errors.DOUBTED", set())
+    monkeypatch.setattr("ik_toolkit.robot.pose.DOUBTED", set())
+    quat = np.array([0.5, -0.5, 0.1, 0.7])
+    quat /= np.linalg.norm(quat)
+    T = ik.pose((0, 0, 0), **{name: quat})
+    for length in (2.0, 1.02, 0.98, 0.0, 1e200):
+        said = re.escape(f"{name} has length {length:.4g}: not a rotation, which has length 1; ")
+        with pytest.raises(InvalidTarget, match=rf"{said}.* in the order {', '.join(name[5:])}$"):
+            ik.pose((0, 0, 0), **{name: length * quat})
+    assert np.allclose(ik.pose((0, 0, 0), **{name: np.round(quat, 4)}), T, atol=1e-3) and not caplog.records
+    for length in (1.0099, 0.991, 1.005):
+        assert np.allclose(ik.pose((0, 0, 0), **{name: length * quat}), T, atol=1e-12)
+    (said,) = caplog.messages  # once, also in a loop
+    assert said == f"{name} has length 1.01 and was normalised"
+
+
+def test_a_ros_message_with_a_long_quaternion_is_refused():
+    point, turn = {"x": 0.5, "y": 0.0, "z": 0.3}, {"x": 0.0, "y": 0.0, "z": 0.0, "w": 2.0}
+    with pytest.raises(InvalidTarget, match="quat_xyzw has length 2"):
+        ik.solve(ik.Robot.load("planar_2r"), {"position": point, "orientation": turn})

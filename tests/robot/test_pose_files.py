@@ -1,6 +1,7 @@
 """CSV files of poses as spreadsheets write them: what cannot be read is refused with its line, and names run nothing."""
 
 import csv
+import json
 import tracemalloc
 import zipfile
 
@@ -75,6 +76,105 @@ def test_a_longer_row_far_down_a_large_file_is_found(tmp_path):
         poses_of(tmp_path, "x,y,z\n" + "\n".join(rows))
 
 
+def test_blank_lines_between_rows_are_skipped_and_said(tmp_path, caplog):
+    """Of those that a spreadsheet leaves below a table nothing is said."""
+    rows = [[0.5, 1.0, -2.0], [0.5, 1.0, -3.0]]
+    for text, said in (
+        ("x,y,z\n0.5,1,-2\n0.5,1,-3\n\n,,\n", ""),
+        ("\n\nx;y;z\n0,5;1;-2\n0,5;1;-3\n;;\n", ""),
+        ("x,y,z\n0.5,1,-2\n\n0.5,1,-3\n", "1 blank line skipped, at line 3; the answers have no rows for it"),
+        (
+            "x,y,z\n\n0.5,1,-2\n,,\n\n0.5,1,-3\n\n",
+            "3 blank lines skipped, at lines 2 and 4; the answers have no rows for",
+        ),
+    ):
+        caplog.clear()
+        assert poses_of(tmp_path, text).tolist() == rows
+        assert said in caplog.text and bool(said) == bool(caplog.records)
+
+
+def test_many_rows_without_numbers_are_counted(tmp_path):
+    rows = ["0.1,0.2,0.3"] * 30
+    rows[3::3] = ["0.1,nan,"] * 9
+    with pytest.raises(
+        InvalidTarget, match=r"line 5: 'nan' is not .*; lines 8, 11, 14, 17, 20 and 3 more lack a number"
+    ):
+        poses_of(tmp_path, "x,y,z\n" + "\n".join(rows))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "'poses.json' is empty; JSON has a list of positions"),
+        ("[]", "targets has no rows; JSON has a list of positions"),
+        ('{"xyz": []}', "xyz has no rows; JSON has"),
+        ("{}", "no array 'targets' or 'xyz', and no other. JSON has"),
+        (
+            "[[1, 2, 3], [null, 2, 3], [1, 2, 3], [4, 5]]",
+            r"row 1 of targets .* is \[null, 2, 3\], not 3 numbers; so is row 3",
+        ),
+        ("[[1, 2, 3], [NaN, 2, 3]]", "row 1 of targets .* has numbers that are not finite"),
+        ('{"xyz": [[1, 2, 3]], "quat_xyzw": [[0, 0, 0, 2]]}', "row 0 .*: the quaternion .* has length 2, not 1$"),
+    ],
+)
+def test_rows_of_json_are_named(tmp_path, text, said):
+    (tmp_path / "poses.json").write_text(text)
+    with pytest.raises(InvalidTarget, match=said):
+        read_poses(tmp_path / "poses.json", "targets")
+
+
+def test_ros_messages_in_json_are_read(tmp_path):
+    """As rosbridge logs them: a list of poses, a PoseArray, a nav_msgs/Path; in the frame asked for."""
+    file = tmp_path / "poses.json"
+    pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}}
+    stamped = {"header": {"frame_id": "base"}, "pose": pose}
+    T = np.diag([-1.0, -1.0, 1.0, 1.0])
+    T[:3, 3] = 1, 2, 3
+    for content in (
+        [pose, stamped],
+        {"targets": [stamped, T.tolist()]},
+        {"header": {"frame_id": "base"}, "poses": [pose, pose]},
+        {"header": {"frame_id": ""}, "poses": [stamped, stamped]},
+    ):
+        file.write_text(json.dumps(content))
+        (block,) = read_poses(file, "targets", base="base")[1]
+        assert np.allclose(block.poses, [T, T])
+    file.write_text(json.dumps([pose["position"], pose["position"]]))
+    assert read_poses(file, "targets")[1].__next__().poses.tolist() == [[1.0, 2.0, 3.0]] * 2
+    for content, said in (
+        (
+            [pose, stamped],
+            r"row 1 \(counted from 0\): the target is given in the frame 'base', and the robot's base is 'arm'",
+        ),
+        ({"header": {"frame_id": "map"}, "poses": [pose]}, "given in the frame 'map'"),
+        ([pose, {"position": [1, 2, 3]}], r"row 1 \(counted from 0\): a target that is a dict has the fields"),
+        ([pose, pose["position"]], r"row 1 of targets \(counted from 0\) is \{"),
+        (
+            [pose, {**pose, "position": {"x": None, "y": 0, "z": 0}}],
+            "row 1 of targets .* has numbers that are not finite",
+        ),
+    ):
+        file.write_text(json.dumps(content))
+        with pytest.raises(InvalidTarget, match=said):
+            read_poses(file, "targets", base="arm")
+    both = {"left": [pose, pose], "right": [pose["position"]] * 2}
+    file.write_text(json.dumps(both))
+    (block,) = read_poses(file, "targets", tips=("left", "right"))[1]
+    assert block.poses["left"].shape == (2, 4, 4) and block.poses["right"].shape == (2, 3)
+
+
+def test_arrays_of_several_tips_are_named(tmp_path):
+    T = np.tile(np.eye(4), (3, 1, 1))
+    np.savez(tmp_path / "a.npz", left=T, right=np.array([[0.0, 0, 0], [0, np.nan, 0], [0, 0, 0]]))
+    with pytest.raises(
+        InvalidTarget, match=r"'a\.npz': row 1 of right \(counted from 0\) has numbers that are not finite"
+    ):
+        read_poses(tmp_path / "a.npz", "targets", tips=("left", "right"))
+    (tmp_path / "a.csv").write_text("")
+    with pytest.raises(InvalidTarget, match=r"'a\.csv' is empty; .* such as left\.x,left\.y,left\.z,right\.x"):
+        read_poses(tmp_path / "a.csv", "targets", tips=("left", "right"))
+
+
 # --------------------------------------------------------------------------------------------------------------- formulas
 NAMES = ["=1+1", "+a", "-a", "@sum", "\tx", "\rx", "'=1", "''+a", "'", "'a", "a=b", "", "q_=1", "-", "- 0.5"]
 NUMBERS = ["-0.5", "+1", "-inf", "1e-3", "-1e300"]
@@ -121,6 +221,29 @@ def test_a_motion_of_ragged_rows_is_refused(tmp_path):
     (tmp_path / "m.csv").write_text("joint_1,joint_2\n0,1,0,2\n0,1,0,3\n")
     with pytest.raises(ik.IKError, match="line 2 has 4 columns, and the header 2"):
         read_motion(robots.load("planar_2r"), tmp_path / "m.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("m.csv", "", "it is empty"),
+        ("m.csv", "\n,,\n", "it has no rows; the first line names the columns"),
+        ("m.csv", "joint_1,joint_2\n\n", "a header and no rows below it; the first line names the columns"),
+        ("m.csv", "joint_1,joint_2\n0,1\n\n0,one\n", "line 4: 'one' is not a number"),
+        ("m.csv", "joint_1,joint_2\n0,\n", "no row in which every joint has a value"),
+        ("m.json", "[]", "no object with joint_names"),
+    ],
+)
+def test_a_motion_without_rows_says_what_is_missing(tmp_path, name, text, said):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InvalidConfiguration, match=rf"'{name}'.*{said}"):
+        read_motion(robots.load("planar_2r"), tmp_path / name)
+
+
+def test_rows_of_a_motion_that_lack_values_are_said(tmp_path, caplog):
+    (tmp_path / "m.csv").write_text("joint_1,joint_2\n0,1\n\n0,\nnan,2\n0,3\n")
+    assert read_motion(robots.load("planar_2r"), tmp_path / "m.csv")[1].tolist() == [[0.0, 1.0], [0.0, 3.0]]
+    assert "'m.csv': 2 of 4 rows lack joint values and are left out" in caplog.text
 
 
 def test_a_header_of_gigabytes_is_not_taken_into_memory(tmp_path):

@@ -281,7 +281,7 @@ def test_example_files_are_found_by_path(tmp_path, monkeypatch):
 def test_representations_name_the_joints():
     robot = robots.load("hydrolek_7w")
     assert "azimuth_yaw" in repr(robot) and "azimuth_yaw" in robot._repr_html_()
-    assert "base_link → tool" in robot._repr_html_()
+    assert "base_link → tool, reach at most 1.44 m" in robot._repr_html_()
 
 
 def test_a_slide_as_long_as_a_country_keeps_its_limits():
@@ -294,3 +294,40 @@ def test_a_slide_as_long_as_a_country_keeps_its_limits():
     assert robot.lower[0] == -999999.0 and robot.upper[0] == 999999.0
     Q = robot.random_q(np.random.default_rng(0), 50)
     assert ik.solve_batch(robot, np.array([robot.fk(q).homogeneous for q in Q])).success.all()
+
+
+def millimetres(scale, mass=0.0):
+    """An arm of three joints, 0.7 m long at scale 1."""
+    axes = ("0 0 1", "0 1 0", "0 1 0")
+    text = robots.urdf(
+        *(dict(kind="revolute", xyz=f"{0.3 * scale} 0 0", axis=axis) for axis in axes),
+        dict(kind="fixed", xyz=f"{0.1 * scale} 0 0"),
+    )
+    inertia = f'<inertial><mass value="{mass}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    return text.replace('<link name="l2"/>', f'<link name="l2">{inertia if mass else ""}</link>')
+
+
+def test_lengths_that_look_like_millimetres_are_doubted_when_a_robot_is_loaded(caplog):
+    gantry = robots.urdf(
+        dict(kind="prismatic", axis="1 0 0", limits=(0.0, 400.0)),
+        dict(kind="prismatic", axis="0 1 0", limits=(-300.0, 300.0)),
+        dict(kind="fixed", xyz="0 0 1"),
+    )
+    for text, weight in (
+        (millimetres(1000), "have no mass"),
+        (millimetres(1000, 5), "weigh 5 kg"),
+        (gantry, "have no mass"),
+    ):
+        caplog.clear()
+        robot = ik.Robot.load(text)
+        (note,) = robot.notes
+        assert f" m long and {weight}: were millimetres meant?" in note and note in caplog.text
+        joint = robot.joint_names[0]
+        assert robot.locked({joint: 0.0}).notes[0] == robot.narrowed({joint: (0.0, 0.1)}).notes[0] == note
+    crane = millimetres(90, 30_000)  # 63 m
+    far = robots.urdf(
+        dict(kind="revolute", xyz="5000 0 0"), dict(kind="revolute", xyz="1 0 0")
+    )  # in the frame of a map
+    for text in (millimetres(1), millimetres(50), crane, far):
+        assert ik.Robot.load(text).notes == ()
+    assert ik.Robot.load("panda", on_base="floating", base_limits=(-500, 500)).notes == ()

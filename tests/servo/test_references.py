@@ -118,7 +118,7 @@ def test_files_are_read_back(tmp_path):
 
 
 BAD_CSV = {
-    "": "no column t, x, y, z",
+    "": "is empty; its first line names the columns, such as t,x,y,z,",
     "x,y,z\n1,2,3\n": "no column t",
     "t,x,y,z,qx,qy\n0,0,0,0,0,0\n1,0,0,0,0,0\n": "the columns qx, qy",
     "t,x,y,z\n0,0,0,0\n": "at least 2",
@@ -127,7 +127,8 @@ BAD_CSV = {
     "t,x,y,z,X\n0,0,0,0,1\n1,0,0,0,1\n": "has the column x more than once",
     "t,x,y,z\n0,0,0,0\n1,nan,0,0\n": "line 3: 'nan' is not a finite",
     "t,x,y,z\n0,0,0,0\ninf,0,0,0\n": "line 3: 'inf' is not a finite",
-    "t,x,y,z\n0,0,0,0\n2,0,0,0\n1,0,0,0\n": "must increase: number 3",
+    "t,x,y,z\n0,0,0,0\n2,0,0,0\n1,0,0,0\n": "line 4: t must increase, and 1 comes after 2",
+    "t,x,y,z\n0,0,0,0\n2,0,0,0\n\n1,0,0,0\n": "line 5: t must increase",
     "t,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,0\n": "line 3: the quaternion qx,qy,qz,qw has length 0",
 }
 

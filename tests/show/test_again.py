@@ -332,8 +332,8 @@ def test_screenshots_and_recordings_are_files(arm, tmp_path):
             scene.screenshot(**bad)
     with pytest.raises(InvalidOption, match="pictures must be a whole number"):
         scene.record(tmp_path / "a.gif", pictures=0)
-    with pytest.raises(InvalidOption, match=r"written as \.gif"):
-        scene.record(tmp_path / "a.mp4")
+    with pytest.raises(InvalidOption, match=r"written as \.gif or \.mp4, not '\.webm'"):
+        scene.record(tmp_path / "a.webm")
 
 
 def test_a_scene_that_stands_still_in_a_cell_says_what_to_do(arm, caplog):

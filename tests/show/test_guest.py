@@ -101,6 +101,27 @@ def test_an_animation_ends_where_the_robot_is(robot, theirs, wire):
         assert np.allclose(tracks[".position"][-1]["value"], T[:3, 3], atol=1e-6), name
 
 
+@pytest.mark.parametrize("base", ["pose", "planar", "floating"])
+def test_a_robot_on_a_base_is_drawn_where_it_stands(models, theirs, wire, base):
+    """In the caller's viewer: his drawing moves as if the root joint of his model had the pose of the base."""
+    T = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.7), np.array([1.0, -2.0, 0.5 if base != "planar" else 0.0]))
+    how = {"on_base": T} if base == "pose" else {"on_base": base, "base_limits": (-3.0, 3.0)}
+    robot = ik.Robot(*models, tip=load(NAME).tip, **how)
+    q = robot.home.copy()
+    if base != "pose":
+        q[: 3 if base == "planar" else 6] = (1.0, -2.0, 0.7) if base == "planar" else (1.0, -2.0, 0.5, 0.7, 0.0, 0.0)
+    fixed = ik.Robot(*models, tip=load(NAME).tip)
+    theirs.display(fixed.to_pinocchio(q[-fixed.n :]))
+    expected = {name: T.homogeneous @ M for name, M in shown(wire, theirs).items()}
+    scene = ik.view(robot, q, target=robot.fk(q), viewer=theirs)
+    found = shown(wire, theirs)
+    assert found.keys() == expected.keys()
+    assert all(np.allclose(found[name], M, atol=1e-9) for name, M in expected.items())
+    for name in ("tip", "target"):
+        assert np.allclose(wire.transforms[f"/meshcat/ik_toolkit/{name}"], robot.fk(q).homogeneous, atol=1e-9)
+    scene.close()
+
+
 def test_shapes_without_a_file_are_drawn(wire):
     import coal
 

@@ -1,5 +1,8 @@
 """What a failure blames was tested, and what it says of the arm, the target and the errors is so."""
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -128,11 +131,10 @@ def test_errors_in_a_sentence_are_those_of_the_tip_whatever_their_weight(weight)
     assert not result.success and angle(np.radians(true)) in result.message
     weighted = angle(result.orientation_error)
     assert weighted not in result.message
-    row = ik.solve_batch(arm, T.homogeneous[None], mask=(1, 1, 1, weight, weight, weight))[0]
-    assert (
-        " deg" not in row.message
-        and f"a weighted error of {figure(row.position_error)}, {figure(row.orientation_error)}" in row.message
-    )
+    good = arm.fk(arm.random_q(rng))
+    row = ik.solve_batch(arm, [T, good], mask=(1, 1, 1, weight, weight, weight))[1]
+    assert row.success and " deg" not in row.message  # what was solved keeps no target to take the weights out with
+    assert f"a weighted error of {figure(row.position_error)}, {figure(row.orientation_error)}" in row.message
 
 
 def test_millimetres_are_doubted_at_every_entrance(caplog, monkeypatch):
@@ -205,3 +207,47 @@ def test_a_position_fixes_three_directions():
     arm = ik.Robot.load(robots.urdf(*(joint | place for place in places), dict(kind="fixed", xyz="0.4 0 0")))
     result = ik.solve(arm, (-0.5, 0.1, 0.4))
     assert not result.success and "fixes" not in result.message
+
+
+FAILING = {
+    "an axis that cannot tilt": (lambda: robots.load(SCARA), 0.6, {}),
+    "a plane that is never left": (lambda: robots.load("planar_3r"), 0.4, {}),
+    "five joints": (five_joints, 0.25, {}),
+    "weights": (five_joints, 0.25, {"mask": (1.0, 1.0, 1.0, 0.3, 0.3, 0.3)}),
+    "several tips": (lambda: robots.load("two_arms"), 0.5, {}),
+}
+
+
+@pytest.mark.parametrize("executor", [None, 2])
+@pytest.mark.parametrize("name", FAILING)
+def test_rows_of_a_batch_that_fail_say_what_a_solve_says(name, executor):
+    """Word for word, with q0 and without, also from workers; what was solved keeps nothing."""
+    make, by, options = FAILING[name]
+    arm, rng = make(), np.random.default_rng(7)
+    options = {"solver": "lm", "restarts": 20, **options}
+    good = [arm.tip_poses(q) for q in arm.random_q(rng, 6)]
+    T = np.array([[M.homogeneous for M in poses] for poses in good])
+    T[1::2, :, :3, :3] = T[1::2, :, :3, :3] @ pin.exp3(by * np.array([0.6, -0.64, 0.48]))
+    T[3::4, :, :3, 3] *= 1.8
+    T = T if arm.by_tip else T[:, 0]
+    for q0 in (None, arm.home, arm.random_q(rng, 6)):
+        starts = [None] * 6 if q0 is None else np.broadcast_to(q0, (6, arm.n))
+        with ThreadPoolExecutor(executor or 1) as pool:
+            batch = ik.solve_batch(arm, T, q0=q0, executor=pool if executor else None, **options)
+        failed = np.flatnonzero(~batch.success).tolist()
+        assert {3, 5} <= set(failed) and len(failed) < 6
+        assert batch.failures.rows.tolist() == failed and len(batch.failures.T) == len(failed)
+        for k in failed:
+            alone = ik.solve(arm, T[k], q0=starts[k], **options)
+            row = batch[k - 6]
+            assert row.message == alone.message and batch[k].status == alone.status
+            assert row.raw_error == pytest.approx(alone.raw_error, abs=1e-9, nan_ok=True)
+            again = pickle.loads(pickle.dumps(batch))[k]
+            assert again.message == alone.message
+
+
+def test_a_failed_row_explains_itself():
+    arm = robots.load(SCARA)
+    T = skewed(arm, np.random.default_rng(7), 0.6).homogeneous
+    batch = ik.solve_batch(arm, np.array([T, T]), q0=arm.home)
+    assert str(batch[1].explain()) == str(ik.solve(arm, T, "lm", q0=arm.home).explain())

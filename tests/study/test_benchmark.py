@@ -13,7 +13,8 @@ from ik_toolkit.cli import main
 from ik_toolkit.errors import FrameNotFound, InvalidOption, RobotNotFound, UnknownSolver
 from ik_toolkit.study import benchmark as study
 from ik_toolkit.study import singularity
-from ik_toolkit.study.targets import sample_targets, wilson
+from ik_toolkit.study.benchmark import wilson
+from ik_toolkit.study.targets import sample_targets
 
 
 @pytest.fixture(scope="module")

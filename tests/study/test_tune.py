@@ -12,8 +12,9 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption
+from ik_toolkit.study.benchmark import wilson
 from ik_toolkit.study.engines import Evolution, Parameter, Swarm, make_space
-from ik_toolkit.study.targets import sample_targets, wilson
+from ik_toolkit.study.targets import sample_targets
 from ik_toolkit.study.tune import Score, check_record, score, tune
 
 UNEQUAL = ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))  # A is no multiple of I

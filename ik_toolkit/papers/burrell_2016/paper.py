@@ -24,9 +24,8 @@ from ...study import singularity
 from ...study.targets import sample_targets
 from ...study.tune import score
 from ..report import Report, cell
-from .existence import existence
 from .figures import draw_planar, draw_reach, draw_response, draw_workspace
-from .gains import gains
+from .gains import existence, gains
 from .published import MISPRINTS, PAPER_OPTIONS, PLANAR_B, TABLE_1, TABLE_3, TO_PAPER
 from .speed import speed
 from .swarm import swarm

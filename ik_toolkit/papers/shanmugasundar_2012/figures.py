@@ -14,10 +14,10 @@ from ...style import COLOURS
 
 def _skeleton(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return shoulder, elbow, wrist and tip (4, 3) [m] of one configuration, and the axes of joints 3, 4 and 6 (3, 3)."""
-    tip = robot.fk(q).translation
-    joints = robot.data.oMi
-    points = [joints[3].translation, joints[5].translation, joints[7].translation, tip]
-    return np.array(points), np.array([joints[k].rotation[:, 2] for k in (3, 4, 6)])
+    from ...show.body import joint_frames
+
+    frames = joint_frames(robot, q)
+    return np.vstack([frames[[3, 5, 7], :3, 3], robot.fk(q).translation]), frames[[3, 4, 6], :3, 2]
 
 
 def gallery(robot: Robot) -> Any:

@@ -19,7 +19,7 @@ from ...robot.rotation import nearest_rotation
 from ...solvers.closed_form import inspection, reach
 from ...solvers.closed_form.inspection import Inspection
 from ...solvers.solve import Solver
-from ...study.targets import wilson
+from ...study.benchmark import wilson
 from ..report import ROUNDING, Report
 from ..timing import Work, rounds, spread
 from .figures import gallery

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from ...errors import near_match
+from ...text import in_shell
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
             kinds.setdefault(finding.advice, []).append(finding)
     said = []
     for advice, (first, *more) in kinds.items():
-        where = [f"line {first.line}"] * lines + [f"{len(more)} more, see ik check"] * bool(more)
+        where = [f"line {first.line}"] * lines + [f"{len(more)} more, see {in_shell('ik check')}"] * bool(more)
         place = f" ({'; '.join(where)})" if where else ""
         said.append(f"{first}{place}: {advice}")
     return tuple(said)

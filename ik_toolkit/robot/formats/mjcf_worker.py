@@ -124,7 +124,7 @@ def describe(m: Any) -> dict:
     }
 
 
-def main() -> None:
+def _main() -> None:
     """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
@@ -141,4 +141,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

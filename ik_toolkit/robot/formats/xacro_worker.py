@@ -336,7 +336,7 @@ def told(cause: BaseException, stack: list[str]) -> str:
     return f"{said} (in {where})" if where else said
 
 
-def main() -> None:
+def _main() -> None:
     """Read the job from stdin and write the answer to stdout."""
     job = json.load(sys.stdin)
     limit = module_at("geometry/mesh_worker").limit
@@ -349,4 +349,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

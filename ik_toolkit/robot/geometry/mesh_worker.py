@@ -222,7 +222,7 @@ def limit(what: str, value: int) -> None:
         resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
 
 
-def main() -> None:
+def _main() -> None:
     """Read the job from stdin, then read the files one by one."""
     job = json.load(sys.stdin)
     out = Path(job["out"])
@@ -250,4 +250,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

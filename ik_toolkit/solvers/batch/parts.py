@@ -21,6 +21,7 @@ from ..outcome import SolveRecord
 from ..plan import Plan
 from ..postprocess import confirmed, finish_failures, mark_open
 from ..task import counts_in_part
+from .result import Failures
 from .targets import mended
 
 # Number of parts that wait for each thread, or in total at an executor; iterators are read no further ahead.
@@ -124,8 +125,13 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
                 out[k, AT.status] = CHECK_FAILED
 
 
-def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | None = None) -> np.ndarray:
-    """Solve one part in slices and return its rows (m, width); if `stop` ends it between two slices, they are incomplete."""
+def _solve_part(
+    plan: Plan, job: "Job", share: float, stop: threading.Event | None = None
+) -> tuple[np.ndarray, Failures]:
+    """Solve one part in slices and return its rows (m, width), and what those that failed were asked.
+
+    If `stop` ends it between two slices, the rows are incomplete.
+    """
     start = plan.home if job.q0 is None else _starts(plan, job.q0, job.first)
     part = Part(job.T, job.kinds, start, job.q0 is not None, job.first)
     out = np.zeros((len(part.T), plan.width))
@@ -139,7 +145,9 @@ def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | No
         size = max(1, int(size * min(4.0, SLICE / max(perf_counter() - began, 1e-9))))
     _confirm(plan, part, out, share)
     mark_open(plan, out)
-    return out
+    lost = np.flatnonzero(out[:, AT.status] != CONVERGED)
+    q0 = np.empty((0, plan.robot.n)) if job.q0 is None else np.broadcast_to(start, (len(out), start.shape[1]))[lost]
+    return out, Failures(lost, part.T[lost], q0)
 
 
 @functools.lru_cache(4)
@@ -149,7 +157,7 @@ def _unpacked(payload: bytes) -> Plan:
     return pickle.loads(payload)  # noqa: S301
 
 
-def _solve_remote(payload: bytes, job: "Job", share: float) -> np.ndarray:
+def _solve_remote(payload: bytes, job: "Job", share: float) -> tuple[np.ndarray, Failures]:
     """Solve a part in a worker process or on another machine."""
     return _solve_part(_unpacked(payload), job, share)
 
@@ -163,11 +171,11 @@ class Job(NamedTuple):
     first: int
 
 
-Tables = Generator[np.ndarray, None, None]
+Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
 def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Yield the result tables of the jobs, in order, solved on threads of this process."""
+    """Yield the result tables and failures of the jobs, in order, solved on threads of this process."""
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
@@ -184,12 +192,12 @@ def check_executor(executor: Any) -> None:
 
 
 def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
-    """Yield the result tables of the jobs, in order, solved by the workers of an executor."""
+    """Yield the result tables and failures of the jobs, in order, solved by the workers of an executor."""
     payload = pickle.dumps(plan)
     yield from _in_order(lambda job: executor.submit(_solve_remote, payload, job, share), jobs, REMOTE_AHEAD)
 
 
-def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Iterator[np.ndarray]:
+def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Tables:
     """Yield the results in the order of the jobs, of which no more than `ahead` are in progress."""
     waiting: deque = deque()
     try:

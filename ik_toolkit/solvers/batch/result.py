@@ -1,6 +1,7 @@
 """The result of a batch: arrays with a row per target."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,6 +47,32 @@ class BatchCheckFailed(IKError):
         self.before = before
 
 
+class Failures(NamedTuple):
+    """What the rows of a batch that are no success were asked, for their sentences; solved rows keep nothing.
+
+    rows (m,): their numbers, in order; T (m, 4, 4) or (m, F, 4, 4): their targets; q0 (m, n): their starts, (0, n) if none
+    were given.
+    """
+
+    rows: np.ndarray
+    T: np.ndarray
+    q0: np.ndarray
+
+    def asked(self, k: int) -> tuple[bytes, bytes]:
+        """Return the target and start of row k as a SolveRecord keeps them, b"" where they are not known."""
+        at = int(np.searchsorted(self.rows, k))
+        if at == len(self.rows) or self.rows[at] != k:
+            return b"", b""
+        return self.T[at].tobytes(), self.q0[at].tobytes() if len(self.q0) else b""
+
+
+def joined_failures(parts: Sequence[tuple[int, Failures]]) -> Failures:
+    """Join the failures of parts, each with the number of its first row in the batch."""
+    rows = [first + failures.rows for first, failures in parts]
+    T, q0 = ([getattr(failures, name) for _, failures in parts] for name in ("T", "q0"))
+    return Failures(np.concatenate(rows), np.concatenate(T), np.concatenate(q0))
+
+
 class BatchResult(ReadOnly):
     """Answers of a batch, where row k belongs to target k, and batch[k] is the Result of target k with its sentence.
 
@@ -57,19 +84,21 @@ class BatchResult(ReadOnly):
         position_errors, orientation_errors: The errors of each tip, by its name.
         iterations, restarts, fk_evaluations: Counts (N,).
         table: The rows (N, width) of the kernel.
+        failures: Targets and starts of the rows that failed (`Failures`), from which their sentences are made; or None.
     """
 
-    def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan) -> None:
+    def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan, failures: Failures | None = None) -> None:
         """Wrap the kernel's rows (N, width) of targets of these kinds, one kind per tip."""
         self.table = table
+        self.failures = failures
         self.kinds = kinds
         self.plan = plan
         self.solver = plan.row.name
         self._seal()
 
-    def of(self, table: np.ndarray) -> "BatchResult":
+    def of(self, table: np.ndarray, failures: Failures | None = None) -> "BatchResult":
         """Return the same batch with other rows."""
-        return BatchResult(table, self.kinds, self.plan)
+        return BatchResult(table, self.kinds, self.plan, failures)
 
     def __len__(self) -> int:
         """Return the number of targets."""
@@ -83,8 +112,9 @@ class BatchResult(ReadOnly):
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
             # There is no pair if the colliding obstacle has been moved away since.
             touching = next(iter(model.collisions(self.q[k])), None)
-        # A batch keeps neither targets nor starts.
-        return Result(SolveRecord(self.plan, b"", self.kinds, b"", row, 0.0, collision=touching))
+        k = range(len(self.table))[k]  # Negative numbers count from the end.
+        target, q0 = self.failures.asked(k) if self.failures is not None else (b"", b"")
+        return Result(SolveRecord(self.plan, target, self.kinds, q0, row, 0.0, collision=touching))
 
     @property
     def position_only(self) -> bool:

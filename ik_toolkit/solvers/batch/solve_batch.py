@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from itertools import chain as joined
@@ -20,7 +20,7 @@ from ..options import BatchOptions
 from ..plan import Plan
 from ..solve import Solver, require_robot
 from .parts import Job, Tables, check_executor, on_executor, on_threads
-from .result import BatchCheckFailed, BatchInterrupted, BatchResult
+from .result import BatchCheckFailed, BatchInterrupted, BatchResult, joined_failures
 from .targets import Block, blocks, doubt_far, known, with_free_turns
 
 PART, REMOTE_PART = 2048, 4096  # largest number of targets given to a thread at a time, and to a worker of an executor
@@ -90,6 +90,10 @@ def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarra
     n = robot.n
     if not isinstance(q0, np.ndarray | list | tuple):
         return robot.read_q(q0, "q0")[0]
+    if not isinstance(q0, np.ndarray) and any(
+        not np.isscalar(row) and not isinstance(row, Sequence | np.ndarray) for row in q0
+    ):
+        q0 = [robot.read_q(row, f"q0 of target {k}")[0] for k, row in enumerate(q0)]  # values by joint, JointStates
     starts = floats(q0, "q0 must be numbers", InvalidConfiguration)
     if starts.shape not in ((n,), (len(starts) if rows is None else rows, n)):
         wanted = f"({n},)" if rows == 1 else f"({n},) or ({'N' if rows is None else rows}, {n})"
@@ -101,8 +105,8 @@ def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
     """Yield parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
     done = 0
     with closing(tables):
-        for table in tables:
-            part = BatchResult(table, kinds, plan)
+        for table, failures in tables:
+            part = BatchResult(table, kinds, plan, failures)
             failed = np.flatnonzero(table[:, AT.status] == CHECK_FAILED)
             if len(failed):
                 table[:, AT.status] = CHECK_FAILED
@@ -158,7 +162,8 @@ def solve_batch(
         targets: Poses (N, 4, 4) or positions (N, 3) [m] in the base frame, a list of poses, or an iterator of arrays of
             these shapes. For a Tree, (N, F, 4, 4), (N, F, 3), or a dict by tip, where a tip that is left out is free.
         solver: Name of a solver, a rule class or an instance of one.
-        q0: Start (n,) for all, (N, n) for each, or None for home and the table of starts [rad or m].
+        q0: Start (n,) for all in any form (as for `solve`), (N, n) or a list of N for each, or None for home and the table of
+            starts [rad or m].
         threads: Number of threads; by default one for each core.
         executor: Anything with the interface of concurrent.futures (a process pool, a Dask client's `get_executor()`),
             to use instead of threads.
@@ -190,7 +195,7 @@ def solve_batch(
         **options,
     )
     total = None if given is None else _length(given)
-    table, done, part = np.empty((0, 0)), 0, None
+    table, done, part, lost = np.empty((0, 0)), 0, None, []
     try:
         for part in parts:
             end = done + len(part)
@@ -198,13 +203,14 @@ def solve_batch(
                 size = total if total is not None else max(end, len(table) + len(table) // 4)
                 table.resize((size, part.table.shape[1]), refcheck=False)
             table[done:end] = part.table
+            lost.append((done, part.failures))
             done = end
             if progress is not None:
                 progress(done)
     except KeyboardInterrupt:
         if part is None:
             raise
-        raise BatchInterrupted(part.of(table[:done])) from None
+        raise BatchInterrupted(part.of(table[:done], joined_failures(lost))) from None
     # The rows up to the one that failed are kept; all rows after it are emptied, whether they were solved or not.
     except BatchCheckFailed as failure:
         part, end = failure.result, failure.target + 1
@@ -222,4 +228,4 @@ def solve_batch(
         plan = solver.plan_for(kinds)
         return BatchResult(np.empty((0, plan.width)), kinds, plan)
     table.resize((done, table.shape[1]), refcheck=False)
-    return part.of(table)
+    return part.of(table, joined_failures(lost))

@@ -8,6 +8,7 @@ import numpy as np
 from ...errors import InvalidOption, InvalidTarget, doubt_lengths, masked
 from ...kernel.counted_error import FREE, POSE, POSITION
 from ...robot.pose import AxisTarget, as_array, check_target
+from ...robot.ros import is_by_name, listed_poses, read_pose
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
@@ -68,7 +69,7 @@ def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
         InvalidOption: `free_turn` is given as well.
     """
-    if isinstance(targets, Mapping):
+    if is_by_name(targets):
         columns = dict(targets)
     elif not isinstance(targets, list | tuple) or not targets:
         return targets, options
@@ -111,6 +112,10 @@ def known(targets: Any, base: str = "") -> Any:
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
         return targets
+    if not isinstance(targets, list | tuple) and (poses := listed_poses(targets, base)) is not None:
+        targets = poses
+    if read_pose(targets) is not None:
+        raise InvalidTarget(f"targets must be many, and this is one ROS message; give a list of them, {STACKED}")
     if isinstance(targets, Mapping):
         return {
             tip: _named(tip, lambda part: known(part, base), part) for tip, part in targets.items() if part is not None

@@ -29,11 +29,11 @@ SAME = 1e-6
 def explain_result(result: Any) -> Explanation:
     """Explain a result.
 
-    Raises InvalidTarget for a result that keeps no target (a row of a batch), MissingExtra if sympy is not installed.
+    Raises InvalidTarget for a result that keeps no target (a solved row of a batch), MissingExtra if sympy is not installed.
     """
     of = result._of
     if not of.T.size:
-        raise InvalidTarget("a result of a batch keeps no target; solve that target alone to get an explanation")
+        raise InvalidTarget("a solved row of a batch keeps no target; solve that target alone to get an explanation")
     plan, robot, q = of.plan, of.plan.robot, result.q.copy()
     form, why = _form_of(of)
     solution, chosen, errors, source = None, None, (), ""
