@@ -50,12 +50,16 @@ class MotorMap:
             named = {str(name).removesuffix(SUFFIX): value for name, value in motors.items()}
             missing = [joint for joint in self.robot.joint_names if joint not in named]
             if missing:
-                raise InvalidConfiguration(f"no motor position for joint {', '.join(missing)}.{near_match(missing[0], named)}")
+                raise InvalidConfiguration(
+                    f"no motor position for joint {', '.join(missing)}.{near_match(missing[0], named)}"
+                )
             motors = [named[joint] for joint in self.robot.joint_names]
         values = floats(motors, "motor positions must be numbers", InvalidConfiguration)
         if values.shape != (self.robot.n,) or not np.isfinite(values).all():
             names = ", ".join(self.robot.joint_names)
-            raise InvalidConfiguration(f"motor positions must be {self.robot.n} finite numbers ({names}), not {motors!r:.80}")
+            raise InvalidConfiguration(
+                f"motor positions must be {self.robot.n} finite numbers ({names}), not {motors!r:.80}"
+            )
         return self.sign * values * self.unit + self.offset
 
     def to_motors(self, q: Any) -> dict[str, float]:

@@ -30,7 +30,9 @@ def test_clutch_rebases_without_a_jump():
 
 def test_scale_frame_and_dead_band():
     R = pin.exp3(np.array([0, 0, np.pi / 2]))  # the controller's x is the base's y
-    hands = ik.Teleop(START, scale=0.5, rotation_scale=0.0, R_base_controller=R, dead_band=(0.02, 0.1), speed=1e6, turn=1e6)
+    hands = ik.Teleop(
+        START, scale=0.5, rotation_scale=0.0, R_base_controller=R, dead_band=(0.02, 0.1), speed=1e6, turn=1e6
+    )
     hands.update(hand((0, 0, 0)), True, 0.01)
     assert hands.update(hand((0.02, 0, 0)), True, 0.01) == pytest.approx(START.homogeneous)
     moved = hands.update(hand((0.12, 0, 0), (0, 0, 1.0)), True, 0.01)
