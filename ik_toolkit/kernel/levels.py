@@ -162,10 +162,13 @@ def down_level(s, k, flattest, last, bench, box):
     is the last level. The step is shortened so that it ends inside the limits (box); the part that reaches level 0 is not.
 
     Returns:
-        The number of columns of the new basis, and the squared norm of the gradient in the old one.
+        The number of columns of the new basis, and the squared norm of the gradient in the old one, as a share of that of the
+        whole gradient if that is above 1.
     """
     n, H, Z, A, V, W = s.q.shape[0], bench.hessian, bench.basis, bench.work, bench.turned, bench.reduced
-    b, dz, steep = bench.rhs, bench.dz, 0.0
+    b, dz, steep, whole = bench.rhs, bench.dz, 0.0, 1.0
+    for i in range(n):
+        whole = max(whole, bench.gradient[i] * bench.gradient[i])
     for x in range(k):
         here, ahead = 0.0, 0.0
         for i in range(n):
@@ -218,7 +221,7 @@ def down_level(s, k, flattest, last, bench, box):
                 share = max((box.upper(i) - x) / d, 0.0)
     for i in range(n):
         s.dq[i] += share * dz[i]
-    return left, steep
+    return left, steep / whole
 
 
 @inner

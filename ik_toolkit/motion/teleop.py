@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import InvalidOption, InvalidTarget
+from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import check_target
 from ..validate import number, positive
+
+ROTATION = "R_base_controller must be a rotation matrix (3, 3)"
 
 
 class Teleop:
@@ -50,16 +52,21 @@ class Teleop:
         """Start with the target at a pose, the clutch not engaged."""
         self.T_base_tip, _ = _pose(T_base_tip)
         self.scale, self.rotation_scale = number(scale, "scale"), number(rotation_scale, "rotation_scale")
-        R = np.eye(3) if R_base_controller is None else np.asarray(R_base_controller, dtype=float)
+        R = np.eye(3) if R_base_controller is None else floats(R_base_controller, ROTATION, InvalidOption)
         if R.shape != (3, 3) or not np.abs(R.T @ R - np.eye(3)).max() < 1e-6 or np.linalg.det(R) < 0:
-            raise InvalidOption("R_base_controller must be a rotation matrix (3, 3)")
+            raise InvalidOption(ROTATION)
         self.R_base_controller = R
-        self.dead_band = tuple(number(value, "dead_band") for value in dead_band)
-        if len(self.dead_band) != 2 or min(self.dead_band) < 0.0:
-            raise InvalidOption(f"dead_band must be a distance and an angle of at least 0, not {dead_band!r}")
+        band = floats(dead_band, "dead_band must be a distance and an angle", InvalidOption)
+        if band.shape != (2,) or not (np.isfinite(band) & (band >= 0.0)).all():
+            raise InvalidOption(f"dead_band must be a distance and an angle of at least 0, not {dead_band!r:.60}")
+        self.dead_band: tuple[float, float] = (float(band[0]), float(band[1]))
         self.speed, self.turn = positive(speed, "speed [m/s]"), positive(turn, "turn [rad/s]")
         self.engaged = False
+        self._released = True  # whether the clutch was released since the target was put somewhere
         self._anchor: tuple[np.ndarray, np.ndarray] | None = None
+        self._turned = np.zeros(
+            3
+        )  # rotation vector of the controller since engaging; it may be longer than half a turn
 
     def update(self, T_controller: Any, engaged: bool, dt: float) -> np.ndarray:
         """Return the target (4, 4) after dt seconds.
@@ -71,16 +78,18 @@ class Teleop:
 
         Raises:
             InvalidTarget: The controller's pose is none; the target has not moved.
-            InvalidOption: dt is not above 0.
+            InvalidOption: dt is not above 0, or `engaged` is not True or False.
         """
+        if not isinstance(engaged, bool | np.bool_):
+            raise InvalidOption(f"engaged must be True or False, not {engaged!r:.60}")
+        if not engaged:  # Before the pose is looked at: a released clutch lets go, whatever the device says.
+            self._anchor, self._released, self.engaged = None, True, False
         hand, dt = _pose(T_controller)[0], positive(dt, "dt [s]")
-        if not engaged:
-            self._anchor = None
-        elif self._anchor is None:
-            self._anchor = hand, self.T_base_tip.copy()
+        if engaged and self._anchor is None and self._released:
+            self._anchor, self._turned = (hand, self.T_base_tip.copy()), np.zeros(3)
         if self._anchor is not None:
             self._approach(self._wanted(hand), dt)
-        self.engaged = bool(engaged)
+        self.engaged = self._anchor is not None
         return self.T_base_tip.copy()
 
     def _wanted(self, hand: np.ndarray) -> np.ndarray:
@@ -88,7 +97,8 @@ class Teleop:
         from_hand, from_tip = self._anchor  # type: ignore[misc]
         R = self.R_base_controller
         moved = R @ (hand[:3, 3] - from_hand[:3, 3])
-        turned = R @ pin.log3(hand[:3, :3] @ from_hand[:3, :3].T)
+        self._turned = _nearest(pin.log3(hand[:3, :3] @ from_hand[:3, :3].T), self._turned)
+        turned = R @ self._turned
         wanted = from_tip.copy()
         wanted[:3, 3] += self.scale * _beyond(moved, self.dead_band[0])
         wanted[:3, :3] = pin.exp3(self.rotation_scale * _beyond(turned, self.dead_band[1])) @ from_tip[:3, :3]
@@ -101,9 +111,9 @@ class Teleop:
         T[:3, :3] = pin.exp3(_shortened(pin.log3(wanted[:3, :3] @ T[:3, :3].T), self.turn * dt)) @ T[:3, :3]
 
     def rebase(self, T_base_tip: Any) -> None:
-        """Put the target at another pose, for example `robot.fk(step.q)` after a stop; the clutch has to be engaged anew."""
+        """Put the target at another pose, such as `robot.fk(step.q)` after a stop; the clutch has to be released and engaged anew."""
         self.T_base_tip, _ = _pose(T_base_tip)
-        self._anchor, self.engaged = None, False
+        self._anchor, self._released, self.engaged = None, False, False
 
 
 def _pose(T: Any) -> tuple[np.ndarray, str]:
@@ -112,6 +122,15 @@ def _pose(T: Any) -> tuple[np.ndarray, str]:
     if made.ndim != 2:
         raise InvalidTarget("a pose (4, 4) is needed, not a position")
     return np.array(made), notice
+
+
+def _nearest(v: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return the rotation vector of the same rotation as v that is nearest the one before, so that turns go past half a turn."""
+    size = math.sqrt(float(v @ v))
+    if size == 0.0:
+        turns, axis = np.rint(np.linalg.norm(before) / (2.0 * math.pi)), before
+        return axis * (2.0 * math.pi * turns / np.linalg.norm(axis)) if turns else v
+    return v * (1.0 + 2.0 * math.pi * np.rint((before @ v / size - size) / (2.0 * math.pi)) / size)
 
 
 def _shortened(v: np.ndarray, most: float) -> np.ndarray:

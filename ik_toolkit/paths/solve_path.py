@@ -290,6 +290,8 @@ def _against(made: PathResult, wanted: np.ndarray) -> PathResult:
     """Return the path along the nearest poses with the errors from the poses asked for, and a sentence on them."""
     errors = np.full((len(made.q), 2), np.nan)
     there = np.flatnonzero(np.isfinite(made.q).all(axis=1))
+    if not len(there):
+        return made
     for t in there:
         left = counted_errors(made.robot, made.q[t], wanted[t], made.kinds, made.options)
         errors[t] = np.max([(position, turned or 0.0) for position, turned in left], axis=0)

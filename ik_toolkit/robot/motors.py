@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, JointNotFound, floats, near_match
+from .joints import Joints
 
 SUFFIX = ".pos"  # LeRobot's observations and actions have "shoulder_pan.pos" for the joint shoulder_pan
 
@@ -34,6 +35,8 @@ class MotorMap:
         degrees: bool = False,
     ) -> None:
         """Read the directions and zero positions."""
+        if not isinstance(robot, Joints):
+            raise InvalidOption(f"a Robot or a Tree is needed (see Robot.load), not {type(robot).__name__}")
         self.robot = robot
         self.sign = _by_joint(robot, "sign", sign, 1.0)
         self.offset = _by_joint(robot, "offset", offset, 0.0)
@@ -47,7 +50,7 @@ class MotorMap:
         A dict may have other entries, such as a gripper's; they are ignored. Raises InvalidConfiguration.
         """
         if isinstance(motors, Mapping):
-            named = {str(name).removesuffix(SUFFIX): value for name, value in motors.items()}
+            named = {str(name).removesuffix(SUFFIX): value for name, value in motors.items()} | dict(motors)
             missing = [joint for joint in self.robot.joint_names if joint not in named]
             if missing:
                 raise InvalidConfiguration(
@@ -70,6 +73,8 @@ class MotorMap:
 
 def _by_joint(robot: Any, name: str, given: Mapping[str, float] | None, default: float) -> np.ndarray:
     """Return a value (n,) for each joint from a dict that may leave joints out. Raises JointNotFound, InvalidOption."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InvalidOption(f"{name} must be a dict from joints to numbers, not {given!r:.60}")
     made = np.full(robot.n, default)
     for joint, value in (given or {}).items():
         if joint not in robot.joint_names:

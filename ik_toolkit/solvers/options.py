@@ -285,25 +285,27 @@ def levels_of(value: Any) -> tuple[tuple[tuple[str, str], ...], ...]:
 
     The tip "" means every tip. Raises InvalidOption.
     """
-    levels = [value] if isinstance(value, str) else value
+    single = isinstance(value, str) or (isinstance(value, tuple) and len(value) == 2 and value[1] in GROUPS)
+    levels = [value] if single else value
     if not isinstance(levels, list | tuple) or not levels:
-        raise InvalidOption(f"priority must be 'position', 'orientation' or a list of tips and pairs, not {value!r}")
-    return tuple(tuple(_groups_of(level)) for level in levels)
+        raise InvalidOption(
+            f"priority must be 'position', 'orientation' or a list of tips and pairs, not {value!r:.60}"
+        )
+    alike = [list(level) if isinstance(level, list) and level else [level] for level in levels]
+    return tuple(tuple(pair for one in level for pair in _groups_of(one)) for level in alike)
 
 
 def _groups_of(entry: Any) -> list[tuple[str, str]]:
-    """Return the pairs (tip, group) of one level of `priority`."""
-    if isinstance(entry, str):
+    """Return the pairs (tip, group) of one entry of `priority`."""
+    if isinstance(entry, str) and entry:
         return [("", entry)] if entry in GROUPS else [(entry, group) for group in GROUPS]
-    if isinstance(entry, tuple) and len(entry) == 2 and all(isinstance(x, str) for x in entry):
+    if isinstance(entry, tuple) and len(entry) == 2 and all(isinstance(x, str) and x for x in entry):
         if entry[1] not in GROUPS:
             raise InvalidOption(
                 f"priority: {entry[1]!r} is neither 'position' nor 'orientation'.{near_match(entry[1], GROUPS)}"
             )
         return [(entry[0], entry[1])]
-    if isinstance(entry, list | tuple) and entry:
-        return [pair for one in entry for pair in _groups_of(one)]
-    raise InvalidOption(f"priority: {entry!r} is neither a tip nor a pair such as ('tip', 'position')")
+    raise InvalidOption(f"priority: {entry!r:.60} is neither a tip nor a pair such as ('tip', 'position')")
 
 
 def _weights(name: str, value: Any) -> tuple[float, ...]:

@@ -256,8 +256,8 @@ def solve(
             (fastest), so give q0 to stay near it.
         options: Parameters of the solver, and options (see `Options`): tolerance (both), position_tolerance [m],
             orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout [s], seed, q0_outside, mask,
-            slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; follow (for loops, one attempt
-            that moves no joint further than this from q0); closest=q_ref (n,) (the nearest of several solutions);
+            slack, free_turn, frame, priority ("position": then the orientation as near as that allows), joint_weights,
+            objective, avoid_collisions, history; follow (for loops, one attempt that moves no joint further than this); closest=q_ref (n,) (the nearest of several solutions);
             limits (True, False, or narrower ones, {joint: (lower, upper)} [rad or m] or a pair of arrays).
 
     Returns:

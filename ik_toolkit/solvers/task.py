@@ -146,9 +146,12 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
         slack = np.array(counts.slack or NONE)
         slack[:3] /= scale
         plain = axis is None and counts.mask is None and counts.slack is None
+        frame = counts.frame
+        if o.priority is not None and frame == "tip" and len(set(weights[:3])) == 1 and not slack[:3].any():
+            frame = "target"  # A rotation vector has the same components there, and axes that stand still have no curvature.
         turn = NONE[:3] if axis is None else ends[12:21].reshape(3, 3) @ axis
         tasks.append(
-            Task(kind if plain else PART, FRAMES.index(counts.frame), other, axis is not None, *turn, *weights, *slack)
+            Task(kind if plain else PART, FRAMES.index(frame), other, axis is not None, *turn, *weights, *slack)
         )
     return tasks
 

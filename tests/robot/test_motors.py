@@ -28,6 +28,16 @@ def test_names_of_lerobot_and_other_entries():
     assert ik.MotorMap(robot).to_q(observed) == pytest.approx([0.1, 0.2, -0.1, 0.3])
 
 
+def test_a_joint_that_is_named_like_a_motor_is_found_first():
+    from robots import urdf
+
+    text = urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0")).replace('"j0"', '"arm.pos"')
+    robot = ik.Robot.load(text, tip="l2")
+    motors = ik.MotorMap(robot, sign={"arm.pos": -1})
+    assert motors.to_q(motors.to_motors([0.3, 0.4])) == pytest.approx([0.3, 0.4])
+    assert motors.to_q({"arm": 9.0, "arm.pos": 0.1, "j1.pos": 0.2, "j1": 0.5}) == pytest.approx([-0.1, 0.5])
+
+
 def test_mistakes_name_the_joint():
     robot = ik.Robot.load("scara")
     with pytest.raises(JointNotFound, match="elbow"):
@@ -36,6 +46,10 @@ def test_mistakes_name_the_joint():
         ik.MotorMap(robot, sign={"elbow": 2})
     with pytest.raises(InvalidOption, match="elbow"):
         ik.MotorMap(robot, offset={"elbow": math.nan})
+    with pytest.raises(InvalidOption, match="a dict"):
+        ik.MotorMap(robot, offset=0.1)
+    with pytest.raises(InvalidOption, match="Robot or a Tree"):
+        ik.MotorMap("scara")
     with pytest.raises(InvalidConfiguration, match="slide"):
         ik.MotorMap(robot).to_q({"shoulder": 0.0, "elbow": 0.0, "spin": 0.0})
     with pytest.raises(InvalidConfiguration, match="4 finite numbers"):

@@ -52,6 +52,31 @@ def test_speed_is_bounded_and_the_target_arrives():
     assert last[:3, :3] == pytest.approx(pin.exp3(np.array([0, 0.4, 0])) @ START.rotation, abs=1e-9)
 
 
+def test_a_scaled_turn_goes_past_half_a_turn():
+    hands = ik.Teleop(START, rotation_scale=0.5, speed=1e6, turn=1e6)
+    for angle in np.arange(0.0, 8.05, 0.1):
+        now = hands.update(hand((0, 0, 0), (0, 0, angle)), True, 0.01)
+    assert now[:3, :3] == pytest.approx(pin.exp3(np.array([0, 0, 4.0])) @ START.rotation, abs=1e-9)
+    for angle in np.arange(8.0, 0.95, -0.1):
+        now = hands.update(hand((0, 0, 0), (0, 0, angle)), True, 0.01)
+    assert now[:3, :3] == pytest.approx(pin.exp3(np.array([0, 0, 0.5])) @ START.rotation, abs=1e-9)
+
+
+def test_a_released_clutch_lets_go_whatever_the_device_says():
+    hands = ik.Teleop(START)
+    hands.update(hand((0, 0, 0)), True, 0.01)
+    with pytest.raises(InvalidTarget):
+        hands.update(np.full((4, 4), np.nan), False, 0.01)
+    for _ in range(3):
+        assert hands.update(hand((0.5, 0, 0)), True, 0.01) == pytest.approx(START.homogeneous)
+    hands.rebase(START)
+    for x in (0.5, 0.6, 0.7):  # the clutch is still held, so it has to be released first
+        assert hands.update(hand((x, 0, 0)), True, 0.01) == pytest.approx(START.homogeneous)
+    hands.update(hand((0.7, 0, 0)), False, 0.01)
+    hands.update(hand((0.7, 0, 0)), True, 0.01)
+    assert hands.update(hand((0.8, 0, 0)), True, 0.01)[0, 3] > START.translation[0]
+
+
 def test_what_is_returned_is_not_the_state_and_bad_poses_change_nothing():
     hands = ik.Teleop(START)
     hands.update(hand((0, 0, 0)), True, 0.01)[:] = 7.0
@@ -59,7 +84,14 @@ def test_what_is_returned_is_not_the_state_and_bad_poses_change_nothing():
     with pytest.raises(InvalidTarget):
         hands.update(np.full((4, 4), np.nan), True, 0.01)
     assert hands.update(hand((0, 0, 0)), True, 0.01) == pytest.approx(START.homogeneous)
-    for bad in ({"speed": 0.0}, {"scale": np.nan}, {"dead_band": (-1, 0)}, {"R_base_controller": 2 * np.eye(3)}):
+    for bad in (
+        {"speed": 0.0},
+        {"scale": np.nan},
+        {"dead_band": (-1, 0)},
+        {"dead_band": 0.1},
+        {"R_base_controller": "a"},
+        {"R_base_controller": 2 * np.eye(3)},
+    ):
         with pytest.raises(InvalidOption):
             ik.Teleop(START, **bad)
     with pytest.raises(InvalidOption):

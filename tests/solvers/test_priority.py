@@ -200,6 +200,17 @@ def test_masks_slack_and_free_turns_count_within_their_level():
             assert part.success and part.orientation_error <= 1.01 * whole + 1e-4
 
 
+def test_a_frame_that_changes_no_error_changes_no_answer():
+    """With equal weights of the position, the rotation errors along the axes of the tip are those along the target's."""
+    robot, rng = five_joints(), np.random.default_rng(14)
+    for _ in range(8):
+        T = turned(robot, rng, 0.5)
+        for counts in ({"free_turn": "z"}, {"mask": (1, 1, 1, 1, 1, 0)}):
+            one = ik.solve(robot, T, priority="orientation", frame="tip", **counts)
+            two = ik.solve(robot, T, priority="orientation", frame="target", **counts)
+            assert one.status == two.status and one.position_error == pytest.approx(two.position_error, abs=1e-9)
+
+
 def test_mistakes_are_named():
     robot, tree = ik.Robot.load("hydrolek_7w"), ik.Tree.load("brokk_hydrolek")
     T = robot.fk(robot.home)
@@ -208,6 +219,7 @@ def test_mistakes_are_named():
         ([], "priority must be"),
         (3, "priority must be"),
         ([3], "neither a tip nor a pair"),
+        ("", "neither a tip nor a pair"),
         ([("tool", "place")], "neither 'position' nor 'orientation'"),
         ([("tool", "position"), "position"], "twice"),
     ):
@@ -219,6 +231,7 @@ def test_mistakes_are_named():
         ({"solver": "pid"}, "takes no priority"),
         ({"closest": True}, "takes no closest"),
         ({"objective": "mid-range"}, "takes no objective"),
+        ({"slack": (0.01, 0, 0, 0, 0, 0)}, "keeps no slack in a level that others come after"),
     ):
         with pytest.raises(InvalidOption, match=words):
             ik.solve(robot, T, q0=robot.home, priority="position", **options)

@@ -10,7 +10,7 @@ from ...kernel.levels import QUADRATIC, step_by_levels
 from ...kernel.records import Array, Ends
 from ...kernel.starts import BEST, known_configurations
 from ..protocol import Asked, rule
-from ..task import group_levels
+from ..task import group_levels, what_counts
 from .jacobian import FLOOR
 
 
@@ -87,6 +87,12 @@ class SQP(NamedTuple):
         o = asked.options
         if o.priority is not None and (o.closest or o.objective is not None):
             return f"takes no {'closest' if o.closest else 'objective'} with a priority"
+        levels = np.array(group_levels(asked.robot, o)).reshape(-1, 2)
+        for tip, counts, level in zip(asked.robot.tips, what_counts(asked.robot, o), levels, strict=True):
+            widths = np.array(counts.slack or (0.0,) * 6).reshape(2, 3)
+            bounded = ((widths > 0.0) & (widths < [[np.inf], [np.pi]])).any(axis=1)
+            if (bounded & (level < levels.max())).any():
+                return f"keeps no slack in a level that others come after ({tip}); give a looser tolerance instead"
         return ""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
