@@ -111,7 +111,7 @@ class Teleop:
         T[:3, :3] = pin.exp3(_shortened(pin.log3(wanted[:3, :3] @ T[:3, :3].T), self.turn * dt)) @ T[:3, :3]
 
     def rebase(self, T_base_tip: Any) -> None:
-        """Put the target at another pose, such as `robot.fk(step.q)` after a stop; the clutch has to be released and engaged anew."""
+        """Put the target at another pose, such as `robot.fk(step.q)` after a stop; the clutch must be released and engaged anew."""
         self.T_base_tip, _ = _pose(T_base_tip)
         self._anchor, self._released, self.engaged = None, False, False
 

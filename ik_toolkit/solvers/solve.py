@@ -257,8 +257,9 @@ def solve(
         options: Parameters of the solver, and options (see `Options`): tolerance (both), position_tolerance [m],
             orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout [s], seed, q0_outside, mask,
             slack, free_turn, frame, priority ("position": then the orientation as near as that allows), joint_weights,
-            objective, avoid_collisions, history; follow (for loops, one attempt that moves no joint further than this); closest=q_ref (n,) (the nearest of several solutions);
-            limits (True, False, or narrower ones, {joint: (lower, upper)} [rad or m] or a pair of arrays).
+            objective, avoid_collisions, history; follow (for loops, one attempt that moves no joint further than this);
+            closest=q_ref (n,) (the nearest of several solutions); limits (True, False, or narrower ones, {joint: (lower,
+            upper)} [rad or m] or a pair of arrays).
 
     Returns:
         The Result, whose status says how the solve ended.
