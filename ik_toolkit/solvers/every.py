@@ -10,6 +10,7 @@ from ..kernel.counted_error import POSITION
 from ..kernel.records import WEIGHTS
 from .closed_form.polish import list_branches
 from .collision_free import collision_model
+from .decide import elimination_plan
 from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
@@ -30,6 +31,8 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     plan = solver.plan_for(kinds)
     o = plan.options
     start = plan.home if q0 is None else plan.check_start(q0)[0]
+    if solver.name == "auto" and kinds == POSES:
+        plan = elimination_plan(plan) or plan
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
     else:
@@ -46,6 +49,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         if not good.all():
             found = found.keep(good)
             found._put(message=f"{found.message}; {len(good) - good.sum()} are not confirmed by Pinocchio and left out")
+            found._put(complete=found.complete and found.certificate is None)
     if plan.robot.constraints and len(found):
         good = np.array([constraints_of(plan.robot, q, o).holds for q in found.q], dtype=bool)
         if not good.all():
@@ -104,7 +108,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         message += f", {kept} of which meet the tolerances"
     orientation = None if kinds == (POSITION,) else table[:, 1]
     families = made.families if kept else ()
-    complete = made.complete
+    complete = made.complete and (kept == legal or made.certificate is None)
     if families:
         message += f"; a sample of infinitely many: {'; '.join(family.message for family in families)}"
     result = Solutions(
@@ -112,11 +116,13 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     )
     if made.partial:
         result = _with_search(result, search_solutions(plan, T, kinds, start[None], starts, count), plan)
-    if families or made.steps or made.partial:
+    if families or made.partial or (made.steps and not complete):
         result = distinct_rows(result, plan)
     if len(result) > count:
         result = spread_rows(result, count)
         result._put(complete=False)
+    if made.certificate is not None:
+        result._put(certificate=made.certificate._replace(status="FAMILY") if result.families else made.certificate)
     return result
 
 

@@ -12,11 +12,12 @@ from ..robot.configuration import joint_values
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from ..text import TextTable, length
+from .decide import Blocked, blocked
 from .explain.explanation import Explanation
 from .message import sentence
 from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
-from .status import SEARCHED, Status, constraints_of
+from .status import DECIDED, SEARCHED, Status, constraints_of
 from .task import all_errors
 
 FAR_MOVE = 0.5  # [rad or robot sizes] a Solver's farther move from q0 gets a notice
@@ -190,7 +191,14 @@ class Result(ReadOnly):
     def solver(self) -> str:
         """Name of the solver that was used."""
         row = self._of.plan.row
+        if self._of.row[AT.excess] == DECIDED:
+            return "elimination"
         return GENERAL if row.closed and self._of.row[AT.excess] == SEARCHED else row.name
+
+    @property
+    def blocked(self) -> Blocked | None:
+        """The solution that breaks its limits least (`decide.Blocked`), where all are certified to break one; or None."""
+        return blocked(self)
 
     @property
     def robot(self) -> Any:

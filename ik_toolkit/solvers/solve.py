@@ -20,6 +20,7 @@ from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
+from .decide import deciding
 from .options import NAMES, AllOptions, Options, SolveOptions, make_options
 from .outcome import make_outcome
 from .plan import Plan
@@ -73,6 +74,8 @@ class Solver(ReadOnly):
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
         self.plan = make_plan(robot, GENERAL if auto else solver, options)
+        if auto and POSES not in self._plans and (decides := deciding(self.plan)):
+            self._plans[POSES] = decides
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
