@@ -129,9 +129,8 @@ class Deciding(Plan):
         from .closed_form.elimination import into_limits, solutions_of
 
         robot = self.robot
-        said = solutions_of(
-            self.exact.orders(POSES, True)[WEIGHTS + robot.n :], T, min(1.0, MARGINS.gap * math.sqrt(self.error))
-        )
+        within = min(1.0, MARGINS.gap * math.sqrt(self.error))
+        said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + robot.n :], T, within)
         free = np.full(robot.n, np.inf)
         box = np.array([robot.lower, robot.upper, near] if self.options.limits else [-free, free, near])
         Q = said.q if said.near is None else np.vstack([said.q, said.near])
@@ -155,10 +154,8 @@ class Deciding(Plan):
             return False
         if (found.excess.max(axis=1, initial=0.0) * found.gain < MARGINS.gain * self.error).any():
             return False
-        if (
-            not len(found.q)
-            and self._chosen(self.exact_free, T, near, STEPS, start, given, row)[AT.status] == CONVERGED
-        ):
+        free = self._chosen(self.exact_free, T, near if not len(found.q) else near[:0], STEPS, start, given, row)
+        if free[AT.status] == CONVERGED:
             return False  # A pose beyond the limits is within the tolerances, though none is exact.
         made = self._chosen(self.exact, T, found.q, 0, start, given, row)  # solutions moved onto their limits
         nearer, now = error_size(np.array([made, row]), self.options.length_scale or self.robot.reach)
@@ -177,17 +174,8 @@ class Deciding(Plan):
         if not len(Q):
             made[[AT.status, AT.position, AT.rotation]] = STALLED, math.inf, math.inf
             return made
-        choose(
-            *exact.chain[:2],
-            T,
-            np.ascontiguousarray(Q),
-            steps,
-            -1,
-            start[0],
-            exact.orders(POSES, given),
-            np.empty((0, 0)),
-            made,
-        )
+        orders, silent = exact.orders(POSES, given), np.empty((0, 0))
+        choose(*exact.chain[:2], T, np.ascontiguousarray(Q), steps, -1, start[0], orders, silent, made)
         row[AT.evaluations] += made[AT.evaluations]
         return made
 

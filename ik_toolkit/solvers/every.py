@@ -31,7 +31,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     plan = solver.plan_for(kinds)
     o = plan.options
     start = plan.home if q0 is None else plan.check_start(q0)[0]
-    if solver.name == "auto" and kinds == POSES:
+    if solver.name == "auto" and kinds == POSES and not plan.row.closed:
         plan = elimination_plan(plan) or plan
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
