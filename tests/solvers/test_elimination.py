@@ -30,6 +30,10 @@ def arm_of(kind, seed, scale=1.0):
         axes[1:4] = axes[1]
     elif kind == "four parallel":
         axes[0:4] = axes[1]
+    elif kind == "two wrists":
+        points[:3], points[3:] = points[0], points[4]
+    elif kind == "one point":
+        points[:] = 0.0
     elif kind == "wrist":
         axes[2], points[3:] = axes[1], points[4]
     elif kind in ("right angles", "symmetric"):
@@ -131,6 +135,8 @@ def test_a_certificate_is_never_false_on_hard_targets(kind, scale):
 def test_a_continuum_is_never_certified():
     Q = np.random.default_rng(9).uniform(-np.pi, np.pi, (40, 6))
     assert (ask(arm_of("four parallel", 10), Q)[1] != CERTAIN).all()
+    for kind in ("two wrists", "one point"):  # no way to read the loop is left
+        assert (ask(arm_of(kind, 10), Q)[1] != CERTAIN).all()
     Q[:, 4] = 0.0  # a straight wrist: joints 4 and 6 turn about one axis
     assert (ask(arm_of("symmetric", 11), Q)[1] != CERTAIN).all()
 
@@ -210,6 +216,18 @@ def test_rotations_with_few_digits_are_solved_too():
         T[:3, :3] += rng.uniform(-2e-7, 2e-7, (3, 3))
         found = ik.solve_all(robot, T, q0=q)
         assert found.complete and apart(found.q, q).min() < 1e-4
+
+
+def test_axes_through_one_point_are_refused_and_solved_by_the_search(tmp_path):
+    """Such an arm has no size, and rounding would be all that its solutions depend on."""
+    axes = ("0 0 1", "0 1 0", "1 0 0", "0 0 1", "0 1 0", "1 0 0")
+    path = tmp_path / "ball.urdf"
+    path.write_text(robots.urdf(*(dict(kind="revolute", axis=axis, xyz="0 0 0", limits=(-3, 3)) for axis in axes)))
+    robot = ik.Robot.load(path)
+    with pytest.raises(UnknownSolver, match="one point"):
+        ik.Solver(robot, "elimination")
+    found = ik.solve_all(robot, robot.fk(robot.home + 0.3), starts=20)
+    assert len(found) and not found.complete and found.certificate is None
 
 
 @pytest.mark.parametrize(

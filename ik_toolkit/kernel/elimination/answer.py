@@ -182,7 +182,7 @@ def solve_loops(forms, arm, T, found, values, within):
         nudge(d, 0.0)
         for k in range(SIZES.columns):
             found[t, 0, k] = 0.0
-        status = UNSURE
+        status = found[t, 0, 1] = UNSURE
         for f in range(forms.shape[0]):
             load(d, view(forms[f]))
             if values.shape[0] > 0:

@@ -18,6 +18,8 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
 
 N = 6
+# Least distance of the axes from one point, as a share of the reach; rounding of a pose (1e-16) is 1e-12 of that.
+LEAST_SIZE = 1e-4
 STEPS = 12  # Newton steps on the actual chain that finish a solution; one is usual
 
 
@@ -57,7 +59,10 @@ def recognise_six_revolute(chain: Chain) -> Fit:
         return no_fit(screws)
     if not screws.turns.all():
         return no_fit("not all of its joints are revolute")
-    return Fit(make_arm(screws.axis, screws.point, screws.T), "", 0.0)
+    arm = make_arm(screws.axis, screws.point, screws.T)
+    if arm[-1] < LEAST_SIZE * chain.reach:
+        return no_fit("its axes meet in one point")
+    return Fit(arm, "", 0.0)
 
 
 @functools.lru_cache(64)
