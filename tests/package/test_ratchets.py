@@ -7,7 +7,7 @@ import pytest
 from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
-    "files outside folders that grow": 246,
+    "files outside folders that grow": 247,
     "public names defined in two files or more": 17,
     "file names used twice": 4,
     "functions of more than 9 parameters": 20,

@@ -28,6 +28,7 @@ from .existence import existence
 from .figures import draw_planar, draw_reach, draw_response, draw_workspace
 from .gains import gains
 from .published import MISPRINTS, PAPER_OPTIONS, PLANAR_B, TABLE_1, TABLE_3, TO_PAPER
+from .solutions import solutions
 from .speed import speed
 from .swarm import swarm
 
@@ -90,6 +91,7 @@ def reproduce(seeds: int = 10) -> Report:
         swarm(report, robot, starts(robot)["mid-range"], [goals(robot, k) for k in some])
         _responses(report, robot, goal, some)
         speed(report, robot, starts(robot)["mid-range"])
+        solutions(report, robot, some)
         _planar(report, some)
         _other_robots(report)
         _misprints(report)
