@@ -293,7 +293,8 @@ def solve_all(
 
     'auto' uses a closed form if one fits. Its list is complete unless the fit is only near or a family exists:
     `families` says what is free, and the rows are a spread sample. For poses of other arms of six revolute joints it
-    uses the elimination, whose list is complete if it is certified (`certificate`). Otherwise the search runs from
+    uses the elimination, whose list is complete if it is certified (`certificate`); so it does for five with a free
+    turn, and for three with a position. Otherwise the search runs from
     random starts, and answers that differ by full turns or by less than 1e-3 are merged; these are never proven
     complete. A list that may miss some solutions is completed by such a search.
 

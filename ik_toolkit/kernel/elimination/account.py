@@ -8,6 +8,8 @@ CERTAIN if every root is one of these:
   angle is the root;
 - one of two whose discs overlap only each other, where the 12 equations have two null vectors: two such solutions, or none.
 
+It is CERTAIN as well if there are as many solutions as roots (`answer.all_counted`).
+
 Whatever else happens, the answer is DOUBLE, if roots merge in a solution where the arm is singular, or UNSURE.
 """
 

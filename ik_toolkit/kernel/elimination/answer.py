@@ -133,6 +133,19 @@ def look_around(d, forms, whole):
 
 
 @inner
+def all_counted(whole, roots):
+    """Return whether an answer has as many solutions as a polynomial has roots, so that there can be no others.
+
+    Every isolated solution takes a root, also where roots are too close to be told apart. Solutions that are nearly singular might
+    be one solution twice, so they do not count.
+    """
+    for k in range(1, int(whole[0, 0]) + 1):
+        if whole[k, 6] < TRUST.singular:
+            return False
+    return whole[0, 0] == roots
+
+
+@inner
 def list_near(d, pose, rank, within, whole):
     """Write configurations after the solutions of a certain answer: one for each complex root that is near the circle.
 
@@ -164,7 +177,7 @@ def solve_loops(forms, arm, T, found, values, within):
     """List every solution of N targets, E1(q1) ... E6(q6) = X.
 
     The forms are asked in turn until one is certain, or until roots merge (DOUBLE). Solutions of the others stay listed; if they
-    have one that the certain form lacks, it is not believed.
+    have one that the certain form lacks, it is not believed. An answer is certain, too, if its solutions are as many as roots.
 
     Args:
         forms: (F, SIZES.whole) ways to read the loop, best first.
@@ -182,7 +195,7 @@ def solve_loops(forms, arm, T, found, values, within):
         nudge(d, 0.0)
         for k in range(SIZES.columns):
             found[t, 0, k] = 0.0
-        status = found[t, 0, 1] = UNSURE
+        status, roots = UNSURE, math.inf
         for f in range(forms.shape[0]):
             load(d, view(forms[f]))
             if values.shape[0] > 0:
@@ -193,13 +206,18 @@ def solve_loops(forms, arm, T, found, values, within):
             pose, rank = account_for(d)
             alone = merge_into(d.found, view(found[t]))
             status = int(d.found[0, 1]) if alone or d.found[0, 1] != CERTAIN else UNSURE
+            roots = min(roots, d.found[0, 3] if d.found[0, 3] > 0.0 else math.inf)
             for k in range(3, SIZES.columns):
                 found[t, 0, k] = d.found[0, k]
-            found[t, 0, 1], found[t, 0, 2] = status, f + 1.0
+            found[t, 0, 2] = f + 1.0
             if status == CERTAIN and within > 0.0:
                 list_near(d, pose, rank, within, view(found[t]))
             if status != UNSURE:
                 break
         if status == UNSURE and values.shape[0] == 0:
             look_around(d, view(forms), view(found[t]))
+        if status != CERTAIN and all_counted(view(found[t]), roots):
+            status = CERTAIN
+            found[t, 0, 3], found[t, 0, 4], found[t, 0, 5] = roots, 0.0, 0.0
+        found[t, 0, 1] = status
     keep(block)

@@ -104,12 +104,13 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
 
 @cached
 def into_limits(Q, box, out, excess):
-    """Fill out (K, 6) with solutions Q (K, 6) on the full turns inside the limits that are nearest the reference box[2].
+    """Fill out (K, n) with solutions Q (K, n) on the full turns inside the limits that are nearest a reference.
 
-    box (4, 6): see `geometry.copy_limits`. excess (K, 6) [rad] is by how much each joint breaks its limits.
+    The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) [rad] is by how much each
+    joint breaks its limits.
     """
     for k in range(Q.shape[0]):
-        for i in range(N):
+        for i in range(Q.shape[1]):
             out[k, i], excess[k, i] = legal_turn(Q[k, i], box[0, i], box[1, i], box[2, i])
 
 
