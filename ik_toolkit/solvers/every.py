@@ -128,6 +128,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         result = spread_rows(result, count)
         result._put(complete=False)
     if made.certificate is not None:
+        result._put(branches=None)  # These solutions have no names.
         result._put(certificate=made.certificate._replace(status="FAMILY") if result.families else made.certificate)
     return result
 

@@ -97,7 +97,7 @@ class Solutions(ReadOnly):
             "orientation_error": None if orientation is None else orientation.tolist(),
             "branches": None if self.branches is None else self.branches.tolist(),
             "found_by": list(self.found_by),
-            "certificate": None if self.certificate is None else self.certificate._asdict(),
+            "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "families": [family._asdict() for family in self.families],
         }
 

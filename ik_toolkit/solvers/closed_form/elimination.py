@@ -36,6 +36,14 @@ class Certificate(NamedTuple):
     radius: float  # radius of the largest disc that holds a real root; a full turn is 2 pi long
     noise: float  # measured error of the polynomial's coefficients beside the largest
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return numbers and strings, ready for JSON; a radius that is not finite is None."""
+        return {
+            **self._asdict(),
+            "radius": self.radius if math.isfinite(self.radius) else None,
+            "message": self.message,
+        }
+
     @property
     def message(self) -> str:
         """One sentence."""
@@ -89,7 +97,7 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
     """
     if not np.isfinite(T).all():
         empty = np.empty((0, N))
-        return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, math.inf), None)
+        return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None)
     p = np.array(p)
     found = answers(forms_of(p.tobytes()), p, np.array(T)[None], within)[0]
     notes = Notes(*found[0].tolist())
