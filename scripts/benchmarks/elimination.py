@@ -4,7 +4,7 @@ python scripts/benchmarks/elimination.py [--targets 1000] [--seed 1] [--arms FIL
                                          [--parts arms kinds general hard proofs times] [-o elimination.json]
 
 A planted solution is the configuration whose pose is the target, so it must be listed. FILE.npz may hold more arms: for each row
-(name, anything, joints) of `meta` the arrays NAME_w (6, 3), NAME_r (6, 3) and NAME_M (4, 4), directions, points and tip at q = 0.
+(name, joints, anything) of `meta` the arrays NAME_w (6, 3), NAME_r (6, 3) and NAME_M (4, 4), directions, points and tip at q = 0.
 """
 
 import argparse
@@ -44,7 +44,7 @@ class Count(NamedTuple):
 
     def plus(self, other: "Count") -> "Count":
         """Add two counts."""
-        return Count(*(a + b for a, b in zip(self, other, strict=True)))
+        return Count._make(a + b for a, b in zip(self, other, strict=True))
 
     def row(self, name: str) -> str:
         """Return a row of a table."""
@@ -67,7 +67,7 @@ def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> 
     listed, verdict = apart.min(axis=1) < within, found[:, 0, 1]
     certain = verdict == 0
     counts = [int(which.sum()) for which in (listed, certain, verdict == 1, certain & ~listed)]
-    return Count(len(Q), *counts, seconds)
+    return Count._make([len(Q), *counts, seconds])
 
 
 def random_arm(kind: str, seed: int) -> np.ndarray:
@@ -98,7 +98,7 @@ def named_arms(extra: Path | None) -> Iterator[tuple[str, np.ndarray]]:
         yield name, recognise_six_revolute(ik.Robot.load(name).chain).parameters
     if extra is not None:
         data = np.load(extra, allow_pickle=True)
-        for name, _, joints in data["meta"]:
+        for name, joints, _ in data["meta"]:
             if int(joints) == 6:
                 yield str(name), make_arm(data[f"{name}_w"], data[f"{name}_r"], data[f"{name}_M"])
 
