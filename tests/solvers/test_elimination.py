@@ -56,7 +56,9 @@ def ask(arm, Q, forms=None):
     """Solutions (a list of arrays) and verdicts for the poses of the tip at Q (N, 6)."""
     forms = make_forms(arm) if forms is None else forms
     found = answers(forms, arm, np.array([arm_tip(arm, q) for q in Q]))
-    return [one[1 : 1 + int(one[0, 0]), :6] for one in found], found[:, 0, 1]
+    count, verdict, _, roots, complex_roots = found[:, 0, :5].T
+    assert (count == roots - complex_roots)[verdict == CERTAIN].all()  # every root that is not complex has its solution
+    return [one[1 : 1 + int(one[0, 0]), :6] for one in found], verdict
 
 
 def lost(lists, Q, within):
