@@ -38,8 +38,13 @@ class SearchThresholds(NamedTuple):
 THRESHOLDS = SearchThresholds()
 
 
-def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
-    """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first."""
+def search_solutions(
+    plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int, Q0: np.ndarray | None = None
+) -> Solutions:
+    """Return the distinct converged answers of one attempt from each of many starts, nearest to start (1, n) first.
+
+    The starts are Q0 (K, n), or `start` and random ones, `starts` in all.
+    """
     robot, o, n = plan.robot, plan.options, plan.robot.n
     tight = {
         "position_tolerance": min(THRESHOLDS.tight, o.position_tolerance),
@@ -47,8 +52,9 @@ def search_solutions(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray,
     }
     single = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT, **tight)
     rng = np.random.default_rng(o.seed)
-    Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
-    Q0[:, plan.held] = start[0, plan.held]
+    if Q0 is None:
+        Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
+        Q0[:, plan.held] = start[0, plan.held]
     out = _attempts(single, T, kinds, Q0)
     out = out[out[:, AT.status] == CONVERGED]
     answers = out[:, ANSWER : ANSWER + n]

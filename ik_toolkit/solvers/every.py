@@ -6,16 +6,20 @@ import numpy as np
 
 from ..errors import whole
 from ..kernel.checks import is_rigid
-from ..kernel.counted_error import POSITION
+from ..kernel.counted_error import AXIS, POSITION
 from ..kernel.records import WEIGHTS
+from ..robot.rotation import rpy_matrix
 from .closed_form.polish import list_branches
 from .collision_free import collision_model
+from .decide import elimination_plan
 from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
 from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
-from .task import POSES, read_target
+from .task import POSES, Counts, read_target, what_counts
+
+APART = 1e-6  # solutions of the real joints are the same if no joint differs by more [rad]; each occurs twice for a free position
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
@@ -30,9 +34,14 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     plan = solver.plan_for(kinds)
     o = plan.options
     start = plan.home if q0 is None else plan.check_start(q0)[0]
+    if solver.name == "auto" and kinds == POSES and not plan.row.closed:
+        plan = elimination_plan(plan) or plan
+    found = None
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
-    else:
+    elif solver.name == "auto":
+        found = listed_with_free_turns(plan, T, kinds, start, count)
+    if found is None:
         found = search_solutions(plan, T, kinds, start, starts, count)
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
@@ -46,6 +55,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         if not good.all():
             found = found.keep(good)
             found._put(message=f"{found.message}; {len(good) - good.sum()} are not confirmed by Pinocchio and left out")
+            found._put(complete=found.complete and found.certificate is None)
     if plan.robot.constraints and len(found):
         good = np.array([constraints_of(plan.robot, q, o).holds for q in found.q], dtype=bool)
         if not good.all():
@@ -104,7 +114,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         message += f", {kept} of which meet the tolerances"
     orientation = None if kinds == (POSITION,) else table[:, 1]
     families = made.families if kept else ()
-    complete = made.complete
+    complete = made.complete and (kept == legal or made.certificate is None)
     if families:
         message += f"; a sample of infinitely many: {'; '.join(family.message for family in families)}"
     result = Solutions(
@@ -112,11 +122,14 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
     )
     if made.partial:
         result = _with_search(result, search_solutions(plan, T, kinds, start[None], starts, count), plan)
-    if families or made.steps or made.partial:
+    if families or made.partial or (made.steps and not complete):
         result = distinct_rows(result, plan)
     if len(result) > count:
         result = spread_rows(result, count)
         result._put(complete=False)
+    if made.certificate is not None:
+        result._put(branches=None)  # These solutions have no names.
+        result._put(certificate=made.certificate._replace(status="FAMILY") if result.families else made.certificate)
     return result
 
 
@@ -141,3 +154,67 @@ def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
     added = sum(name != plan.row.name for name in both.found_by)
     both._put(message=f"{first.message}; {added} more by {other.solver}: {other.message}")
     return both.keep(np.argsort(both.distance, kind="stable"))
+
+
+# ------------------------------------------------------------------------------------------------------------- free rotations
+# A free rotation is one more joint of the loop, at the tip: five revolute joints with a free turn are six, as are three with a
+# position, whose three rotations are free.
+def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
+    """Return the axes (M, 3) of the tip about which it may turn, if the target has no other freedom; None otherwise."""
+    robot, (counts, *others) = plan.robot, what_counts(plan.robot, plan.options)
+    if others or robot.pose_shape != (4, 4) or counts != Counts(None, None, counts.free_turn, counts.frame):
+        return None
+    if kinds == (POSITION,):
+        return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None  # any three axes do, but special ones
+    if kinds == POSES:
+        return None if counts.free_turn is None else np.array([counts.free_turn])
+    return np.array([kinds[0][1]]) if kinds[0][0] == AXIS and counts.free_turn is None else None
+
+
+def loop_of(plan: Plan, kinds: tuple) -> np.ndarray | None:
+    """Return the numbers (52,) of the arm with its virtual joints (see `kernel.elimination.answer`), or None if it has not six."""
+    from ..kernel.elimination.binding import make_arm
+    from .closed_form.geometry import read_screws
+
+    robot, axes = plan.robot, free_axes(plan, kinds)
+    if axes is None or robot.n + len(axes) != 6 or len(plan.held) or robot.slides.any():
+        return None
+    screws = read_screws(robot.chain)
+    if isinstance(screws, str) or robot.mobility.directions < robot.n or robot.mobility.moves < 3:
+        return None  # A planar arm has infinitely many solutions, or none.
+    lines = np.vstack([screws.axis, axes @ screws.T[:3, :3].T])
+    points = np.vstack([screws.point, np.repeat(screws.T[None, :3, 3], len(axes), axis=0)])
+    return make_arm(lines, points, screws.T)
+
+
+def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions | None:
+    """List all solutions within limits of T (1, 4, 4), nearest to start (1, n) first; None if they are not certified to be all."""
+    from .closed_form.elimination import into_limits, solutions_of
+
+    if (key := ("virtual joints", kinds)) not in plan.memo:
+        plan.memo[key] = loop_of(plan, kinds)
+    arm = plan.memo[key]
+    if arm is None:
+        return None
+    said = solutions_of(arm, T[0])
+    if said.certificate.status != "CERTAIN":
+        return None
+    robot, each = plan.robot, []
+    for q in said.q[:, : plan.robot.n]:
+        if not any(np.abs((q - other + np.pi) % (2 * np.pi) - np.pi).max() < APART for other in each):
+            each.append(q)
+    Q = np.array(each).reshape(-1, robot.n)
+    free = np.full(robot.n, np.inf)
+    limits = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
+    q, excess = np.empty_like(Q), np.empty_like(Q)
+    into_limits(Q, np.array([*limits, start[0]]), q, excess)
+    legal = q[excess.max(axis=1, initial=0.0) == 0.0]
+    found = search_solutions(plan, T, kinds, start, 0, count, legal)
+    if len(found) != len(legal) or found.families:
+        return None
+    found._put(
+        complete=True, solver="elimination", found_by=("elimination",) * len(found),
+        certificate=said.certificate._replace(solutions=len(Q)),
+        message=f"{len(legal)} of {len(Q)} branches are inside the limits",
+    )  # fmt: skip
+    return found

@@ -9,8 +9,9 @@ from ..errors import FAR_AWAY
 from ..kernel.counted_error import FREE, POSE, POSITION
 from ..kernel.records import ANSWER, AT
 from ..text import angle, figure, length
+from .decide import blocked
 from .options import GROUPS
-from .status import SEARCHED, Status, constraints_of
+from .status import DECIDED, SEARCHED, Status, constraints_of
 from .task import Counts, all_errors, counted_rows, what_counts
 
 ATTEMPTS = 20  # number of starts of a search for a part of the target
@@ -55,6 +56,8 @@ def sentence(result: Any) -> str:
         touching = " and ".join(result.collision)
         text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"
         return f"{text}; {ADVICE[status]}"
+    if row[AT.excess] == DECIDED:
+        return _decided_says(result, left)
     if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
         far = status == Status.UNREACHABLE and row[AT.excess] > FAR_AWAY * result.robot.reach
         return _closed_form_says(result, left) + ("; were millimetres meant?" if far else "")
@@ -97,6 +100,24 @@ def _missed(result: Any) -> str:
 
 def _joints(n: int) -> str:
     return f"{n} joint{'s' * (n != 1)}"
+
+
+def _decided_says(result: Any, left: str) -> str:
+    """Say what the elimination found out about a target."""
+    if result.status == Status.CONVERGED:
+        return f"found by elimination after {_starts(result.restarts + 1)} of the search; residual {left}"
+    least = blocked(result)
+    if least is None:
+        said = "no joint values reach this pose, limits or not"
+        parts = [f"{said} (certified); closest {left}", position_alone(result, False), ADVICE[Status.UNREACHABLE]]
+    else:
+        count = least.solutions
+        each = (
+            f"{count} solutions exist; each breaks a limit" if count > 1 else "one solution exists; it breaks a limit"
+        )
+        said = f"{each} (certified); least: {least.joint} by {angle(least.excess)}; closest {left} within limits"
+        parts = [said, "widen that limit, or free a part of the target"]
+    return "; ".join(filter(None, parts))
 
 
 def _cause(result: Any) -> str:

@@ -16,7 +16,7 @@ from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, TOO
 from ..kernel.records import ANSWER, AT, MISS, PAST
 from ..robot.pose import check_target
 from .options import OBJECTIVES
-from .status import Status, constraints_of
+from .status import DECIDED, Status, constraints_of
 from .task import POSE, counted_errors, group_levels
 
 Step = Callable[[Any], Any]
@@ -77,7 +77,7 @@ def finish_failures(
     """
     for k in np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1)):
         at, row = start[k : k + 1] if len(start) > 1 else start, rows[k]
-        if row[AT.status] == LIMIT_BLOCKED and plan.options.limits:
+        if row[AT.status] == LIMIT_BLOCKED and plan.options.limits and row[AT.excess] != DECIDED:
             if plan.unlimited.solve(T[k : k + 1], kinds, at, given)[AT.status] != CONVERGED:
                 row[AT.status] = STALLED
         if plan.descends:
@@ -114,7 +114,11 @@ def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: b
             if made[AT.status] == CONVERGED:
                 break
     misses[:, 2] = beyond
-    if row[AT.status] == LIMIT_BLOCKED and not robot.at_limits(row[ANSWER : ANSWER + robot.n]):
+    if (
+        row[AT.status] == LIMIT_BLOCKED
+        and row[AT.excess] != DECIDED
+        and not robot.at_limits(row[ANSWER : ANSWER + robot.n])
+    ):
         row[AT.status] = STALLED
 
 

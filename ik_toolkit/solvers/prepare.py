@@ -45,6 +45,9 @@ def _call(robot: Any, name: str) -> bool:
     far = T.copy()
     far[..., :3, 3] += 9.0 * robot.reach
     calls.append(lambda: Solver(robot, name)(far))
+    if name == "auto":  # A pose that the limits forbid is decided by the elimination, which also lists all solutions.
+        beyond = robot.chain.forward(robot.home + 2.0)[0][0]
+        calls += [lambda: Solver(robot)(beyond), lambda: Solver(robot).all(T, starts=1)]
     for call in calls:
         try:
             call()

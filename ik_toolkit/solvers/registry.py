@@ -201,6 +201,15 @@ ROWS: tuple[Row, ...] = (
         joints=(6, 7),
     ),
     Row(
+        "elimination",
+        _CLOSED + "elimination:Elimination",
+        "Every solution by elimination, with a certificate that it is all; returns the one within limits nearest q0",
+        "any six revolute joints; pose",
+        "Raghavan and Roth 1993; Manocha and Canny 1994",
+        **_CLOSED_FORM,
+        position=False,
+    ),
+    Row(
         "eaik",
         _CLOSED + "eaik:EAIK",
         "All solutions of the EAIK package, re-evaluated; returns the one within limits nearest q0",

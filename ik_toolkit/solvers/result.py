@@ -5,21 +5,23 @@ from typing import Any
 import numpy as np
 
 from ..copying import ReadOnly
-from ..errors import NotSolved
-from ..kernel.counted_error import FREE
+from ..errors import InvalidConfiguration, InvalidTarget, NotSolved
+from ..kernel.counted_error import FREE, POSE, POSITION
 from ..kernel.records import ANSWER, AT
 from ..robot.configuration import joint_values
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from ..text import TextTable, length
+from .decide import Blocked, blocked
 from .explain.explanation import Explanation
 from .message import sentence
 from .options import GROUPS
 from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
-from .status import SEARCHED, Status, constraints_of
+from .status import DECIDED, SEARCHED, Status, constraints_of
 from .task import all_errors, group_levels
 
+SINGULAR = 1e-8  # share of the largest singular value of the Jacobian, lengths over the scale, below which the least counts as 0
 FAR_MOVE = 0.5  # [rad or robot sizes] a Solver's farther move from q0 gets a notice
 
 
@@ -207,7 +209,14 @@ class Result(ReadOnly):
     def solver(self) -> str:
         """Name of the solver that was used."""
         row = self._of.plan.row
+        if self._of.row[AT.excess] == DECIDED:
+            return "elimination"
         return GENERAL if row.closed and self._of.row[AT.excess] == SEARCHED else row.name
+
+    @property
+    def blocked(self) -> Blocked | None:
+        """The solution that breaks its limits least (`decide.Blocked`), where all are certified to break one; or None."""
+        return blocked(self)
 
     @property
     def robot(self) -> Any:
@@ -246,6 +255,34 @@ class Result(ReadOnly):
         if not self.success:
             raise NotSolved(self)
         return self
+
+    def derivative(self) -> np.ndarray:
+        """Return how q follows a small motion x of the target: dq/dx (n, 6), or (n, 3) for a position.
+
+        By the implicit function theorem it is the inverse of the Jacobian. x is in base axes: a displacement [m], then a rotation
+        vector [rad]. Of several joint motions that follow x the smallest is taken (angles [rad], lengths over the robot's
+        scale). Held joints stay; limits are ignored.
+
+        Raises:
+            NotSolved: The solve failed, so q is not a function of the target.
+            InvalidTarget: The target is no pose or position of one tip, or only a part of it counts.
+            InvalidConfiguration: The arm is singular at q, or has too few joints to follow every motion of the target.
+        """
+        self.raise_for_status()
+        of, robot = self._of, self.robot
+        if of.kinds not in ((POSE,), (POSITION,)) or of.plan.options.in_part:
+            raise InvalidTarget("a derivative exists for a whole pose or a position of one tip")
+        J = robot.chain.forward(self.q, jacobian=True)[1][0][: 3 if self.position_only else 6]
+        weight = np.ones(len(J))
+        weight[:3] = 1.0 / robot.chain.scale
+        moving = np.setdiff1d(np.arange(robot.n), of.plan.held)
+        unit = robot.chain.unit[moving]
+        U, values, V = np.linalg.svd(J[:, moving] * weight[:, None] * unit, full_matrices=False)
+        if len(values) < len(J) or values[-1] < SINGULAR * values[0]:
+            raise InvalidConfiguration("the arm is singular at q: no joint motion follows every motion of the target")
+        made = np.zeros((robot.n, len(J)))
+        made[moving] = unit[:, None] * (V.T / values @ U.T) * weight
+        return made
 
     def explain(self) -> Explanation:
         """Explain how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.

@@ -24,6 +24,7 @@ class Solutions(ReadOnly):
             arm has no such joint), otherwise None.
         found_by: Names (K,) of the solvers that found them.
         complete: Whether these are proven to be all of them, up to turns by 2 pi.
+        certificate: What is known about all solutions, limits or not (`Certificate`, by the elimination), otherwise None.
         families: Families (tuple of Family) of which the rows are a sample.
         solver, message: Name of the solver, and one sentence.
     """
@@ -40,6 +41,7 @@ class Solutions(ReadOnly):
         families: tuple[Family, ...] = (),
         branches: np.ndarray | None = None,
         found_by: tuple[str, ...] | None = None,
+        certificate: Any = None,
     ) -> None:
         """Store the arrays and texts."""
         self.robot = robot
@@ -51,6 +53,7 @@ class Solutions(ReadOnly):
         self.message = message
         self.families = families
         self.branches = branches
+        self.certificate = certificate
         self.found_by = (solver,) * len(q) if found_by is None else found_by
         self._seal()
 
@@ -75,6 +78,7 @@ class Solutions(ReadOnly):
             (self.position_error[rows], None if orientation is None else orientation[rows]),
             self.complete, self.solver, self.message, self.families,
             None if self.branches is None else self.branches[rows], tuple(self.found_by[k] for k in rows),
+            self.certificate,
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
@@ -93,6 +97,7 @@ class Solutions(ReadOnly):
             "orientation_error": None if orientation is None else orientation.tolist(),
             "branches": None if self.branches is None else self.branches.tolist(),
             "found_by": list(self.found_by),
+            "certificate": None if self.certificate is None else self.certificate.to_dict(),
             "families": [family._asdict() for family in self.families],
         }
 

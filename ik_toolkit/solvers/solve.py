@@ -20,6 +20,7 @@ from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
+from .decide import deciding
 from .options import NAMES, AllOptions, Options, SolveOptions, make_options
 from .outcome import make_outcome
 from .plan import Plan
@@ -73,6 +74,8 @@ class Solver(ReadOnly):
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
         self.plan = make_plan(robot, search_for(options.get("priority")) if auto else solver, options)
+        if auto and POSES not in self._plans and (decides := deciding(self.plan)):
+            self._plans[POSES] = decides
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
@@ -290,9 +293,11 @@ def solve_all(
     """Find every distinct solution inside the limits, nearest to q0 first; Pinocchio checks each.
 
     'auto' uses a closed form if one fits. Its list is complete unless the fit is only near or a family exists:
-    `families` says what is free, and the rows are a spread sample. Otherwise the search runs from random starts, and
-    answers that differ by full turns or by less than 1e-3 are merged; these are never proven complete. A closed form
-    that may miss some solutions is completed by such a search.
+    `families` says what is free, and the rows are a spread sample. For poses of other arms of six revolute joints it
+    uses the elimination, whose list is complete if it is certified (`certificate`); so it does for five with a free
+    turn, and for three with a position. Otherwise the search runs from
+    random starts, and answers that differ by full turns or by less than 1e-3 are merged; these are never proven
+    complete. A list that may miss some solutions is completed by such a search.
 
     Args:
         robot: The Robot or Tree.

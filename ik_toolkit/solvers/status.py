@@ -29,6 +29,7 @@ class Status(enum.IntEnum):
 
 
 SEARCHED = -1.0  # excess in a closed form's row if q came from the search after it
+DECIDED = -2.0  # excess in a search's row if the elimination found q, or certified that there is none (see `decide`)
 
 
 def count_statuses(numbers: np.ndarray) -> dict[str, int]:

@@ -36,6 +36,7 @@ CLAIMED = {
     "planar-2r": {("planar_2r", "position")},
     "inspection": {("inspection_7dof", "pose"), ("locked", "pose")},
     "eaik": {("locked", "pose")},
+    "elimination": {("hydrolek_7w", "pose"), ("continuous_mix", "pose"), ("locked", "pose")},
 }
 # Rules that differ from those tested on two arms by a line each; a search for several tips takes 4 to 7 s to compile for each.
 ALIKE = ("pinv", "transpose", "pid")

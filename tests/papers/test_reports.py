@@ -6,7 +6,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.papers.burrell_2016 import gains, paper, speed, swarm
+from ik_toolkit.papers.burrell_2016 import gains, paper, solutions, speed, swarm
 from ik_toolkit.papers.burrell_2016.gains import least_distance
 from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
 from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
@@ -162,3 +162,14 @@ def test_table_2_and_the_lift_stand_in_the_report():
     assert angles["theta_2"][1:3] == ["0", "0"] and "220" in angles["theta_2"][3]
     inspection.formulas(report, robot, 20, 0)
     assert report.data["formulas"]["rows"][-1][1] == "100 [83.9-100]"
+
+
+def test_solutions_of_the_hydrolek_are_counted(hydrolek):
+    report = Report("burrell", "numbers of solutions")
+    solutions.solutions(report, hydrolek, range(100, 101))
+    columns = np.array(report.data["solutions"]["rows"], float)
+    assert np.allclose(columns[:, 1:].sum(axis=0), 100.0)  # each column is a distribution
+    even = columns[:, 0] % 2 == 0
+    assert (columns[~even][:, [1, 3]] == 0.0).all()  # solutions come and go in pairs
+    assert columns[columns[:, 0] == 0][:, [1, 3, 4]].sum() == 0.0  # the poses are made from joint values
+    assert min(report.data["solutions_certified"].values()) > 0.99

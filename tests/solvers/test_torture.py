@@ -88,6 +88,7 @@ def test_success_is_never_claimed_above_the_tolerance(row, record_property):
         "planar-2r": ["planar_2r"],
         "inspection": ["inspection_7dof"],
         "eaik": ["locked", "locked"],
+        "elimination": ["hydrolek_7w", "continuous_mix"],
         "newton": ["planar_2r", "continuous_mix"],
     }
     done = sum(
@@ -105,6 +106,7 @@ def test_success_is_never_claimed_above_the_tolerance_in_100000_cases(row, recor
         "planar-2r": ["planar_2r"],
         "inspection": ["inspection_7dof"],
         "eaik": ["locked"],
+        "elimination": ["hydrolek_7w", "continuous_mix", "locked"],
         "newton": ["continuous_mix"],
     }
     name = names.get(row.name, ["slides_mix"])[0]

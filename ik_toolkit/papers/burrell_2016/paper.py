@@ -27,6 +27,7 @@ from ..report import Report, cell
 from .figures import draw_planar, draw_reach, draw_response, draw_workspace
 from .gains import existence, gains
 from .published import MISPRINTS, PAPER_OPTIONS, PLANAR_B, TABLE_1, TABLE_3, TO_PAPER
+from .solutions import solutions
 from .speed import speed
 from .swarm import swarm
 
@@ -89,6 +90,7 @@ def reproduce(seeds: int = 10) -> Report:
         swarm(report, robot, starts(robot)["mid-range"], [goals(robot, k) for k in some])
         _responses(report, robot, goal, some)
         speed(report, robot, starts(robot)["mid-range"])
+        solutions(report, robot, some)
         _planar(report, some)
         _other_robots(report)
         _misprints(report)

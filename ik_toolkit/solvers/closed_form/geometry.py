@@ -5,7 +5,7 @@ signs, angle offsets, intermediate frames and the pose of the base do not matter
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,7 @@ class Branches(NamedTuple):
     steps: int = 0  # Number of Newton steps that finish each branch on the real chain.
     fixed: int = -1  # index in q of a joint that those steps do not move, or -1
     partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
+    certificate: Any = None  # What proves that these branches are all, of an `elimination.Certificate`.
 
 
 class Screws(NamedTuple):

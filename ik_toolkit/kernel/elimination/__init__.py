@@ -1,0 +1,1 @@
+"""Every solution of six revolute joints by elimination: equations, determinant, roots, solutions, certificate."""

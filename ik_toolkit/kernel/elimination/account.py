@@ -1,0 +1,211 @@
+"""Every root accounted for: what the discs say, and which solutions the roots on the circle give.
+
+The noise of the determinant is measured, not bounded, so this is a numerical certificate and no interval arithmetic. An answer is
+CERTAIN if every root is one of these:
+
+- complex: its disc misses the unit circle, so that it belongs to no real solution;
+- real: its disc overlaps no other and touches the circle, and Newton's method from its null vector ends at a solution whose kept
+  angle is the root;
+- one of two whose discs overlap only each other, where the 12 equations have two null vectors: two such solutions, or none.
+
+It is CERTAIN as well if there are as many solutions as roots (`answer.all_counted`).
+
+Whatever else happens, the answer is DOUBLE, if roots merge in a solution where the arm is singular, or UNSURE.
+"""
+
+# Pyright must ignore what numba's type hints lack.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import math
+
+from ...compile.jit import inner
+from .angles import find_angles, find_null, find_two_nulls, split_pair
+from .closure import close, joint_at, least_gain, reorder, wrapped
+from .equations import determinant, reduce, write_left, write_right
+from .roots import find_discs, find_roots, fit_polynomial, size
+from .terms import CERTAIN, DOUBLE, SIZES, STATE, TRUST, UNSURE
+
+
+@inner
+def set_up(d):
+    """Write the equations of the form at work and the values of its determinant; return the pose and the rank."""
+    pose = reorder(d.loop.axes, d.loop.X, d.form[0] > 0.0, int(d.form[1]), d.e.lines)
+    write_left(d.e.lines, d.e.robot)
+    write_right(d.e.lines, pose, d.e.target)
+    rank = reduce(d.e, d.mix)
+    for k in range(2 * int(d.form[3]) + 5):
+        d.r.values[k] = determinant(d.e.W, d.tables[2, k], d.tables[3, k], d.A, d.N) * d.tables[4, k]
+    return pose, rank
+
+
+@inner
+def near(d, i, n):
+    """Return the root whose disc overlaps that of root i (the last one), or -1, and how many do."""
+    r, other, count = d.r, -1, 0
+    for j in range(n):
+        if j != i and math.sqrt(size(r.z[i] - r.z[j])) <= TRUST.apart * (r.radius[i] + r.radius[j]):
+            other, count = j, count + 1
+    return other, count
+
+
+@inner
+def off_circle(z):
+    """Return how far a root is from the unit circle; one outside it by that of its partner 1 / conj(z)."""
+    length = math.sqrt(size(z))
+    return 1.0 - (length if length <= 1.0 else 1.0 / length)
+
+
+@inner
+def is_complex(z, radius):
+    """Return whether a root's disc misses the unit circle clearly."""
+    gap = off_circle(z)
+    return gap > (TRUST.clear if gap > TRUST.band else TRUST.clearer) * radius / max(1.0, size(z))
+
+
+@inner
+def at_place(d, i):
+    """Return whether root i is near the circle and near a root that is divided out."""
+    z = d.r.z[i]
+    if abs(size(z) - 1.0) > 2e-2:
+        return False
+    angle = math.atan2(z.imag, z.real) + d.form[4]
+    for k in range(4):
+        place = d.form[6 + k]
+        if place < 100.0 and abs(wrapped(angle - place)) < max(TRUST.near_place, TRUST.kept_radii * d.r.radius[i]):
+            return True
+    return False
+
+
+@inner
+def to_joints(d):
+    """Write null.t, the angles at the places of the reordered loop, to the joints d.loop.q; read backwards, they change sign."""
+    backwards, shift = d.form[0] > 0.0, int(d.form[1])
+    for place in range(6):
+        t = d.null.t[place]
+        d.loop.q[joint_at(place, backwards, shift)] = -t if backwards else t
+
+
+@inner
+def settle_root(d, root, radius):
+    """Bring null.t, angles of the reordered loop, to a solution: write d.loop.q, and return whether it belongs to the root."""
+    backwards, shift, q = d.form[0] > 0.0, int(d.form[1]), d.loop.q
+    to_joints(d)
+    if not close(d.loop, TRUST.steps, TRUST.longest, TRUST.still) < TRUST.closed:
+        return False
+    kept = q[joint_at(2, backwards, shift)]
+    off = abs(wrapped(kept + root if backwards else kept - root))
+    for i in range(6):
+        q[i] = wrapped(q[i])
+    return off <= max(TRUST.kept, min(TRUST.kept_most, TRUST.kept_radii * radius))
+
+
+@inner
+def tolerance(gain):
+    """Return how far equal solutions may differ [rad]: at singular poses rounding of 1e-11 moves joints by that over the gain."""
+    return TRUST.same if gain > 1e-4 else max(TRUST.same, min(1e-3, 1e-11 / max(gain, 1e-300)))
+
+
+@inner
+def put_solution(found, q, gain, root):
+    """Add a solution q (6,) to an answer `found`; return its row if it was there already, or 0 if it is new."""
+    count = int(found[0, 0])
+    for k in range(1, count + 1):
+        largest = 0.0
+        for i in range(6):
+            largest = max(largest, abs(wrapped(found[k, i] - q[i])))
+        if largest <= max(tolerance(gain), tolerance(found[k, 6])):
+            return k
+    if count + 1 < SIZES.rows:
+        found[0, 0] = count + 1.0
+        for i in range(6):
+            found[count + 1, i] = q[i]
+        found[count + 1, 6], found[count + 1, 7] = gain, root
+    return 0
+
+
+@inner
+def take_pair(d, pose, rank, i, j):
+    """Account for two roots whose discs overlap only each other, where symmetric arms have two solutions of one kept angle."""
+    r, null, found = d.r, d.null, d.found
+    middle = 0.5 * (r.z[i] + r.z[j])
+    radius = max(r.radius[i], r.radius[j])
+    if not (off_circle(middle) < min(TRUST.paired, 10.0 * radius) and radius < TRUST.wide):
+        return
+    root = math.atan2(middle.imag, middle.real) + d.form[4]
+    second, third = find_two_nulls(d.e.W, root, null)
+    if second > TRUST.second:
+        return
+    real = split_pair(null)
+    if real == 0 and third > TRUST.third and second < TRUST.second_complex and TRUST.kept_radii * radius < TRUST.third:
+        r.state[i], r.state[j] = STATE.complex, STATE.complex
+    if real != 2:
+        return
+    before = found[0, 0]
+    for k in range(2):
+        find_angles(d.e, rank, pose, root, null.pair[k], null)
+        if settle_root(d, root, radius):
+            put_solution(found, d.loop.q, least_gain(d.loop), root)
+    if found[0, 0] == before + 2.0:
+        r.state[i], r.state[j] = STATE.real, STATE.real
+    else:
+        found[0, 0] = before
+
+
+@inner
+def take_root(d, pose, rank, i, lone):
+    """Account for a root on or near the circle; return the status that this allows."""
+    z, radius = d.r.z[i], d.r.radius[i]
+    gap = off_circle(z)
+    # A lone root is its own partner 1 / conj(z), which its disc then holds too.
+    if not (gap <= radius + 1e-13 if lone else gap < 1e-3):
+        return UNSURE
+    root = math.atan2(z.imag, z.real) + d.form[4]
+    find_null(d.e.W, root, d.null)
+    find_angles(d.e, rank, pose, root, d.null.x, d.null)
+    if not settle_root(d, root, radius):
+        return UNSURE
+    gain = least_gain(d.loop)
+    again = put_solution(d.found, d.loop.q, gain, root)
+    if again > 0:
+        return DOUBLE if d.found[again, 6] < TRUST.singular else UNSURE
+    d.r.state[i] = STATE.real
+    return CERTAIN if radius <= TRUST.wide else UNSURE
+
+
+@inner
+def account_for(d):
+    """Answer the target at work with one form: write d.found; return the pose and the rank of `set_up`."""
+    found, r, n = d.found, d.r, 2 * int(d.form[3])
+    for k in range(SIZES.columns):
+        found[0, k] = 0.0
+    found[0, 1] = UNSURE
+    pose, rank = set_up(d)
+    largest = 0.0
+    for k in range(n + 5):
+        largest = max(largest, abs(r.values[k]))
+    noise = fit_polynomial(r.values, n // 2, d.tables, r.c) if largest > TRUST.flat * d.form[5] else math.inf
+    if rank < int(d.form[2]) or not noise <= TRUST.noisy:
+        return pose, rank
+    find_roots(r, n)
+    find_discs(r, n, noise)
+    status = CERTAIN
+    for i in range(n):
+        r.state[i] = STATE.complex if is_complex(r.z[i], r.radius[i]) else STATE.open
+        if at_place(d, i):
+            status = UNSURE
+    for i in range(n):
+        j, count = near(d, i, n)
+        if count == 1 and i < j and near(d, j, n)[1] == 1:
+            take_pair(d, pose, rank, i, j)
+    worst = 0.0
+    for i in range(n):
+        if r.state[i] == STATE.open:
+            status = max(status, take_root(d, pose, rank, i, near(d, i, n)[1] == 0))
+            worst = max(worst, r.radius[i])
+    rest = 0.0
+    for i in range(n):
+        rest += 1.0 if r.state[i] == STATE.complex else 0.0
+    for k in range(1, int(found[0, 0]) + 1):
+        if found[k, 6] < TRUST.family:
+            status = max(status, DOUBLE)
+    found[0, 1], found[0, 3], found[0, 4], found[0, 5], found[0, 6] = status, n, rest, worst, noise
+    return pose, rank

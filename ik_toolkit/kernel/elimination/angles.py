@@ -1,0 +1,212 @@
+"""Joint values from a root of the determinant: its null vector is the monomials, and their ratios are the joints' half angles."""
+
+# Pyright must ignore what numba's type hints lack.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import math
+from typing import NamedTuple
+
+from ...compile.jit import compiled, inline, inner
+from ..algebra import V3
+from ..linalg import make_orthogonal
+from ..records import Array
+from .closure import Line, line_of, turned
+from .factors import lu_factor, lu_substitute, reflect_row
+from .terms import SIZES
+
+
+@compiled
+class Null(NamedTuple):
+    """Scratch for null vectors of the 12 equations."""
+
+    M: Array  # (12, 12)
+    V: Array  # (12, 12) right singular vectors, one a column
+    swaps: Array  # (12,)
+    x: Array  # (12,) a null vector
+    pair: Array  # (2, 12) two null vectors that are monomials
+    monomials: Array  # (14,) and, in turn, numbers of a line
+    t: Array  # (6,) angles at the places of the reordered loop
+
+
+@inner
+def write_matrix(W, q, M):
+    """Write the 12 equations M (12, 12) at q3 = q."""
+    c, s = math.cos(q), math.sin(q)
+    for i in range(SIZES.monomials):
+        for j in range(SIZES.monomials):
+            M[i, j] = 0.0
+    for k in range(6):
+        for m in range(9):
+            v = W[0, k, m] + c * W[1, k, m] + s * W[2, k, m]
+            M[k, m] = v
+            M[6 + k, 3 + m] = v
+
+
+@inner
+def find_null(W, q, null):
+    """Write the null vector null.x of the 12 equations at a root q3 = q, by two steps of inverse iteration."""
+    write_matrix(W, q, null.M)
+    lu_factor(null.M, null.swaps, SIZES.monomials)
+    x = null.x
+    for i in range(SIZES.monomials):
+        x[i] = 1.0
+    for _ in range(2):
+        lu_substitute(null.M, null.swaps, x, SIZES.monomials)
+        largest = 0.0
+        for i in range(SIZES.monomials):
+            largest = max(largest, abs(x[i]))
+        for i in range(SIZES.monomials):
+            x[i] /= largest
+
+
+@inner
+def find_two_nulls(W, q, null):
+    """Write the two weakest directions of the 12 equations at q3 = q to rows of null.pair.
+
+    Returns the second and third smallest singular values as shares of the largest. (Hestenes' method: all of them, exactly.)
+    """
+    write_matrix(W, q, null.M)
+    make_orthogonal(null.M, null.V, SIZES.monomials)
+    lengths = null.x
+    for k in range(SIZES.monomials):
+        total = 0.0
+        for i in range(SIZES.monomials):
+            total += null.M[i, k] * null.M[i, k]
+        lengths[k] = math.sqrt(total)
+    largest = 0.0
+    for k in range(SIZES.monomials):
+        largest = max(largest, lengths[k])
+    second, third = 0.0, 0.0
+    for rank in range(3):
+        at = 0
+        for k in range(SIZES.monomials):
+            if lengths[k] < lengths[at]:
+                at = k
+        second, third = third, lengths[at]
+        lengths[at] = math.inf
+        if rank < 2:
+            for i in range(SIZES.monomials):
+                null.pair[rank, i] = null.V[i, at]
+    return second / largest, third / largest
+
+
+@inner
+def split_pair(null):
+    """Turn null.pair (2, 12) into two vectors of the same span that are monomials; return how many are real (2, 1 unclear, 0).
+
+    Such a vector y has parts with hi(y) = x lo(y), for x4 (parts three apart) and for x5 (one apart). So the two are the
+    eigenvectors of the 2 x 2 matrix that takes lo to hi by least squares. Both matrices have the same, so they are added, with a
+    factor between them that is no special number. The parts are turned by 0.7 rad into each other first, so that x = infinity
+    is no exception.
+    """
+    P, cs, sn = null.pair, math.cos(0.7), math.sin(0.7)
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    for which in range(2):
+        g00, g01, g11, h00, h01, h10, h11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(4 if which == 1 else 3):
+            for j in range(3 if which == 0 else 2):
+                lo = 3 * i + j
+                hi = lo + (3 if which == 0 else 1)
+                p0, p1 = cs * P[0, lo] + sn * P[0, hi], cs * P[1, lo] + sn * P[1, hi]
+                r0, r1 = cs * P[0, hi] - sn * P[0, lo], cs * P[1, hi] - sn * P[1, lo]
+                g00 += p0 * p0
+                g01 += p0 * p1
+                g11 += p1 * p1
+                h00 += p0 * r0
+                h01 += p0 * r1
+                h10 += p1 * r0
+                h11 += p1 * r1
+        area = g00 * g11 - g01 * g01
+        if area > 0.0:
+            f = (1.0 if which == 0 else 0.7310585) / area
+            a += f * (g11 * h00 - g01 * h10)
+            b += f * (g11 * h01 - g01 * h11)
+            c += f * (g00 * h10 - g01 * h00)
+            d += f * (g00 * h11 - g01 * h01)
+    mean = 0.5 * (a + d)
+    root = 0.25 * (a - d) ** 2 + b * c
+    if root < 0.0:
+        return 0 if root < -1e-4 * (abs(mean) + abs(a) + abs(b) + abs(c) + abs(d)) ** 2 else 1
+    half = math.sqrt(root)
+    u0, u1 = eigenvector(a, b, c, d, mean + half)
+    v0, v1 = eigenvector(a, b, c, d, mean - half)
+    for i in range(SIZES.monomials):
+        x, y = P[0, i], P[1, i]
+        P[0, i], P[1, i] = u0 * x + u1 * y, v0 * x + v1 * y
+    return 2
+
+
+@inline
+def eigenvector(a, b, c, d, value):
+    """Return an eigenvector of [[a, b], [c, d]]; the longer of the two formulas, because the other may vanish."""
+    first = b * b + (value - a) * (value - a) >= (value - d) * (value - d) + c * c
+    return (b, value - a) if first else (value - d, c)
+
+
+@inner
+def find_angles(e, rank, pose, q, x, null):
+    """Write the angles null.t (6,) of the reordered loop at q3 = q for the null vector x (12,).
+
+    Joints 4 and 5 are ratios of monomials, which are projective: half a turn is no exception. Joints 1 and 2 are the 8 monomials
+    that solve R y = Q' (robot - target[0]); joint 6 is what is left of the loop.
+    """
+    at = 0
+    for k in range(SIZES.monomials):
+        if abs(x[k]) > abs(x[at]):
+            at = k
+    i, j = at // 3, at % 3
+    k = max(i - 1, 0)
+    t4 = 2.0 * math.atan2(x[3 * k + 3 + j], x[3 * k + j])
+    k = max(j - 1, 0)
+    t5 = 2.0 * math.atan2(x[3 * i + k + 1], x[3 * i + k])
+    t = null.t
+    t[2], t[3], t[4] = q, t4, t5
+    row = null.monomials
+    for n in range(SIZES.numbers):
+        row[n] = 0.0
+    for a in range(3):
+        fa = factor_of(a, t[2])
+        for b in range(3):
+            fb = fa * factor_of(b, t4)
+            for c in range(3):
+                f = fb * factor_of(c, t5)
+                for n in range(SIZES.numbers):
+                    row[n] += f * e.robot[9 * a + 3 * b + c, n]
+    for n in range(SIZES.numbers):
+        row[n] -= e.target[0, n]
+    for k in range(rank):
+        reflect_row(e.V, e.scales, k, row)
+    y = null.x  # x may be this same array, and is not needed any more
+    for k in range(8):
+        y[k] = 0.0
+    for k in range(rank - 1, -1, -1):
+        v = row[k]
+        for j in range(k + 1, rank):
+            v -= e.V[j, k] * y[e.order[j]]
+        y[e.order[k]] = v / e.V[k, k]
+    # y[3 a + b - 1] belongs to 1, cos, sin (a, b = 0, 1, 2) of joints 1 and 2.
+    t[0], t[1] = math.atan2(y[5], y[2]), math.atan2(y[1], y[0])
+    t[5] = last_angle(e.lines, pose, t)
+
+
+@inline
+def factor_of(k, q):
+    """Return 1, cos q, sin q for k = 0, 1, 2."""
+    return 1.0 if k == 0 else math.cos(q) if k == 1 else math.sin(q)
+
+
+@inner
+def last_angle(lines, pose, t):
+    """Return the angle of joint 6 that is left when the others of the loop are at t (6,)."""
+    last = line_of(lines, 5)
+    away = any_normal(last.along)
+    goal = Line(pose.axes.times(away), pose.axes.times(last.along))  # `turned` turns the first; the second is not used
+    for k in range(5):
+        goal = turned(goal, line_of(lines, k), math.cos(t[k]), -math.sin(t[k]))
+    return math.atan2(last.along.dot(away.cross(goal.along)), away.dot(goal.along))
+
+
+@inline
+def any_normal(v):
+    """Return a unit vector perpendicular to a unit vector."""
+    w = v.cross(V3(1.0, 0.0, 0.0)) if abs(v.x) < 0.6 else v.cross(V3(0.0, 1.0, 0.0))
+    return w * (1.0 / math.sqrt(w.square()))

@@ -1,0 +1,223 @@
+"""Every solution of one pose after another: the forms of a robot are asked in turn until one is certain."""
+
+# Pyright must ignore what numba's type hints lack.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ...compile.array_view import cut, fold, keep, view
+from ...compile.jit import build, cached, compiled, inline, inner
+from ..algebra import M3, V3, Pose, at3, put3, put_axes, rotation_at
+from ..records import Array
+from .account import account_for, near, off_circle, put_solution, set_up, to_joints
+from .angles import Null, find_angles, find_null
+from .closure import JointLoop, close, inverse, least_gain, pose_of, rotated, wrapped
+from .equations import LoopEquations
+from .roots import Roots, size
+from .terms import CERTAIN, SIZES, STATE, TRUST, UNSURE
+
+
+@inner
+def merge_into(one, whole):
+    """Add the solutions of one form to the answer `whole` (SIZES.rows, SIZES.columns); return whether it lists no others."""
+    for k in range(1, int(one[0, 0]) + 1):
+        put_solution(whole, one[k], one[k, 6], one[k, 7])
+    return whole[0, 0] == one[0, 0]
+
+
+@compiled
+class Work(NamedTuple):
+    """All that is used to answer one target with one form."""
+
+    target: Array  # (12,) motion to the target
+    loop: JointLoop
+    e: LoopEquations
+    r: Roots
+    null: Null
+    A: Array  # (6, 9) scratch
+    N: Array  # (9, 9) scratch
+    form: Array  # (10,)
+    tables: Array  # (5, SIZES.samples)
+    mix: Array  # (6, 14)
+    found: Array  # (SIZES.rows, SIZES.columns) the solutions of this form, as in an answer
+
+
+@build
+def make_work(block, axes):
+    """Cut all arrays from a block of memory."""
+    block[0] = 0.0
+    target, X, J, error, q = cut(block, np.float64, (12, 12, (6, 6), 6, 6))
+    lines, left, right, V, scales = cut(block, np.float64, ((6, 6), (27, 14), (9, 14), (8, 14), 8))
+    reduced, W, values = cut(block, np.float64, ((27, 14), (3, 6, 9), SIZES.samples))
+    c, z = cut(block, np.complex128, (2 * SIZES.degree + 1, 2 * SIZES.degree))
+    radius, state, M, P, x = cut(block, np.float64, (2 * SIZES.degree, 2 * SIZES.degree, (12, 12), (12, 12), 12))
+    pair, monomials, t, A, N = cut(block, np.float64, ((2, 12), 14, 6, (6, 9), (9, 9)))
+    order, swaps = cut(block, np.int64, (8, 12))
+    form, tables, mix, found = cut(
+        block, np.float64, (SIZES.form, (5, SIZES.samples), (6, 14), (SIZES.rows, SIZES.columns))
+    )
+    return Work(
+        target, JointLoop(axes, X, J, swaps, error, q), LoopEquations(lines, left, right, V, scales, order, reduced, W),
+        Roots(values, c, z, radius, state), Null(M, P, swaps, x, pair, monomials, t), A, N, form, tables, mix, found,
+    )  # fmt: skip
+
+
+@inner
+def load(d, form):
+    """Copy a row of numbers to its places: the Form, its tables, and the numbers that combine equations."""
+    for k in range(SIZES.form):
+        d.form[k] = form[k]
+    for i in range(5):
+        for k in range(SIZES.samples):
+            d.tables[i, k] = form[SIZES.form + i * SIZES.samples + k]
+    for i in range(6):
+        for k in range(14):
+            d.mix[i, k] = form[SIZES.form + SIZES.tables + 14 * i + k]
+
+
+@inline
+def sharpened(R):
+    """Return an almost orthonormal matrix made so to second order: R (3 - R'R) / 2 (Newton's method for the polar factor)."""
+    a, b, c = R.x.dot(R.y), R.x.dot(R.z), R.y.dot(R.z)
+    x = R.x * (1.5 - 0.5 * R.x.square()) - (R.y * a + R.z * b) * 0.5
+    y = R.y * (1.5 - 0.5 * R.y.square()) - (R.x * a + R.z * c) * 0.5
+    return M3(x, y, R.z * (1.5 - 0.5 * R.z.square()) - (R.x * b + R.y * c) * 0.5)
+
+
+@inner
+def motion_to(T, arm, X):
+    """Write the motion X (12,) that takes the tip from its pose at q = 0 to T (4, 4); arm: see `solve_loops`."""
+    R = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
+    # A target's axes may be off by 1e-6, which no joint values can meet to 1e-11.
+    R = sharpened(sharpened(R))
+    point = (V3(T[0, 3], T[1, 3], T[2, 3]) - at3(arm, 48)) * (1.0 / arm[51])
+    home = Pose(rotation_at(arm, 36), at3(arm, 45))
+    back = inverse(home)
+    turn = M3(R.times(back.axes.x), R.times(back.axes.y), R.times(back.axes.z))
+    put_axes(X, 0, turn)
+    put3(X, 9, point + R.times(back.point))
+
+
+@inner
+def nudge(d, angle):
+    """Write to d.loop.X the target, turned by a small angle [rad] and moved by as much of the arm."""
+    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # a unit vector that is no special one
+    R, c, s = pose.axes, math.cos(angle), math.sin(angle)
+    turn = M3(rotated(R.x, axis, c, s), rotated(R.y, axis, c, s), rotated(R.z, axis, c, s))
+    put_axes(d.loop.X, 0, turn)
+    put3(d.loop.X, 9, rotated(pose.point, axis, c, s) + V3(axis.y, axis.z, axis.x) * (0.7 * angle))
+
+
+@inner
+def look_around(d, forms, whole):
+    """Add to an answer that is not certain the solutions of poses a little away, brought back by Newton's method.
+
+    Where roots coincide, those of another pose do not. Nothing is certified by this.
+    """
+    for k in range(8):  # four poses, with either of the two best forms
+        f = k // 4
+        if f < forms.shape[0]:
+            load(d, forms[f])
+            nudge(d, (1e-3 if k % 4 < 2 else 2e-2) * (1.0 if k % 2 == 0 else -1.0))
+            account_for(d)
+            nudge(d, 0.0)
+            for n in range(1, int(d.found[0, 0]) + 1):
+                for i in range(6):
+                    d.loop.q[i] = d.found[n, i]
+                if close(d.loop, TRUST.steps, TRUST.longest, TRUST.still) < TRUST.closed:
+                    for i in range(6):
+                        d.loop.q[i] = wrapped(d.loop.q[i])
+                    put_solution(whole, d.loop.q, least_gain(d.loop), 0.0)
+
+
+@inner
+def all_counted(whole, roots):
+    """Return whether an answer has as many solutions as a polynomial has roots, so that there can be no others.
+
+    Every isolated solution takes a root, also where roots are too close to be told apart. Solutions that are nearly singular might
+    be one solution twice, so they do not count.
+    """
+    for k in range(1, int(whole[0, 0]) + 1):
+        if whole[k, 6] < TRUST.singular:
+            return False
+    return whole[0, 0] == roots
+
+
+@inner
+def list_near(d, pose, rank, within, whole):
+    """Write configurations after the solutions of a certain answer: one for each complex root that is near the circle.
+
+    Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the
+    angles that belong to the root moved onto the circle. Of two roots in one place nothing is written, but note -1.
+    """
+    n, at = 2 * int(d.form[3]), int(whole[0, 0])
+    for i in range(n):
+        z = d.r.z[i]
+        if d.r.state[i] != STATE.complex or off_circle(z) > within:
+            continue
+        if near(d, i, n)[1] > 0 or at + 1 >= SIZES.rows:
+            whole[0, 7] = -1.0
+            return
+        if size(z) > 1.0:
+            continue  # Its partner is listed.
+        root = math.atan2(z.imag, z.real) + d.form[4]
+        find_null(d.e.W, root, d.null)
+        find_angles(d.e, rank, pose, root, d.null.x, d.null)
+        to_joints(d)
+        at += 1
+        for k in range(6):
+            whole[at, k] = wrapped(d.loop.q[k])
+    whole[0, 7] = at - whole[0, 0]
+
+
+@cached
+def solve_loops(forms, arm, T, found, values, within):
+    """List every solution of N targets, E1(q1) ... E6(q6) = X.
+
+    The forms are asked in turn until one is certain, or until roots merge (DOUBLE). Solutions of the others stay listed; if they
+    have one that the certain form lacks, it is not believed. An answer is certain, too, if its solutions are as many as roots.
+
+    Args:
+        forms: (F, SIZES.whole) ways to read the loop, best first.
+        arm: (52,) the lines of the joints at q = 0 (6, 6), each its direction and a point; the tip's pose there, its rotation
+            matrix by rows and its point; all points counted from the arm's centre in its sizes. Then centre (3,) and size [m].
+        T: (N, 4, 4) targets [m].
+        found: (N, SIZES.rows, SIZES.columns) answers: `Notes`, then the solutions with q in [-pi, pi).
+        within: complex roots that are this near the unit circle are listed too, see `list_near`; 0: none.
+        values: (N, SIZES.samples) if only the first form's determinant is asked for, or (0, SIZES.samples).
+    """
+    block = np.empty(SIZES.block)
+    for t in range(T.shape[0]):
+        d = make_work(view(block), fold(view(arm), np.float64, 6, 6))
+        motion_to(view(T[t]), view(arm), d.target)
+        nudge(d, 0.0)
+        for k in range(SIZES.columns):
+            found[t, 0, k] = 0.0
+        status, roots = UNSURE, math.inf
+        for f in range(forms.shape[0]):
+            load(d, view(forms[f]))
+            if values.shape[0] > 0:
+                found[t, 0, 3] = set_up(d)[1]
+                for k in range(SIZES.samples):
+                    values[t, k] = d.r.values[k]
+                break
+            pose, rank = account_for(d)
+            alone = merge_into(d.found, view(found[t]))
+            status = int(d.found[0, 1]) if alone or d.found[0, 1] != CERTAIN else UNSURE
+            roots = min(roots, d.found[0, 3] if d.found[0, 3] > 0.0 else math.inf)
+            for k in range(3, SIZES.columns):
+                found[t, 0, k] = d.found[0, k]
+            found[t, 0, 2] = f + 1.0
+            if status == CERTAIN and within > 0.0:
+                list_near(d, pose, rank, within, view(found[t]))
+            if status != UNSURE:
+                break
+        if status == UNSURE and values.shape[0] == 0:
+            look_around(d, view(forms), view(found[t]))
+        if status != CERTAIN and all_counted(view(found[t]), roots):
+            status = CERTAIN
+            found[t, 0, 3], found[t, 0, 4], found[t, 0, 5] = roots, 0.0, 0.0
+        found[t, 0, 1] = status
+    keep(block)

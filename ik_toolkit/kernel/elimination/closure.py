@@ -1,0 +1,185 @@
+"""A closed loop of six turning joints, E1(q1) ... E6(q6) = X, given by six lines and the pose X.
+
+A line is six numbers, its unit direction and one of its points, at q = 0. E(q) turns space about it by q. X (12,), the motion from
+the tip's pose at q = 0 to the target, is a rotation matrix by rows and a vector. Lengths are divided by the size of the arm and
+counted from its centre.
+"""
+
+# Pyright must ignore what numba's type hints lack.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import math
+from typing import NamedTuple
+
+from ...compile.jit import compiled, inline, inner
+from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left
+from ..kinematics import TAU
+from ..records import Array
+from .factors import lu_factor, lu_substitute
+
+
+@compiled
+class Line(NamedTuple):
+    """An axis in space."""
+
+    along: V3  # unit vector
+    point: V3  # any point of the axis
+
+
+@compiled
+class JointLoop(NamedTuple):
+    """The loop as the arm has it, and what Newton's method needs."""
+
+    axes: Array  # (6, 6) the lines, joint by joint
+    X: Array  # (12,) rotation matrix by rows, and vector
+    J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
+    swaps: Array  # (12,) rows that the factorisation exchanged
+    error: Array  # (6,) the twist that is left
+    q: Array  # (6,) joint values
+
+
+@inline
+def pose_of(X):
+    """Return X (12,) as a Pose."""
+    return Pose(rotation_at(X, 0), at3(X, 9))
+
+
+@inline
+def line_of(lines, k):
+    """Return row k of lines (6, 6)."""
+    return Line(at3(lines[k], 0), at3(lines[k], 3))
+
+
+@inline
+def rotated(v, axis, c, s):
+    """Return a vector turned about a unit axis by the angle with cosine c and sine s (Rodrigues 1840)."""
+    return v * c + axis.cross(v) * s + axis * (axis.dot(v) * (1.0 - c))
+
+
+@inner
+def turned(line, about, c, s):
+    """Return a line turned about another by the angle with cosine c and sine s."""
+    axis = about.along
+    return Line(rotated(line.along, axis, c, s), about.point + rotated(line.point - about.point, axis, c, s))
+
+
+@inline
+def line_moved(pose, line):
+    """Return a line moved by a pose."""
+    return Line(pose.axes.times(line.along), pose.axes.times(line.point) + pose.point)
+
+
+@inline
+def inverse(pose):
+    """Return the inverse of a pose."""
+    R = pose.axes
+    back = M3(V3(R.x.x, R.y.x, R.z.x), V3(R.x.y, R.y.y, R.z.y), V3(R.x.z, R.y.z, R.z.z))
+    return Pose(back, -back.times(pose.point))
+
+
+@inline
+def joint_at(place, backwards, shift):
+    """Return which joint stands at a place of the reordered loop."""
+    k = place + shift
+    if k >= 6:
+        k -= 6
+    return 5 - k if backwards else k
+
+
+@inline
+def wrapped(angle):
+    """Return the angle moved by full turns into [-pi, pi)."""
+    return angle - TAU * math.floor((angle + math.pi) / TAU)
+
+
+@inner
+def reorder(axes, X, backwards, shift, lines):
+    """Write the lines (6, 6) of the same loop begun at another joint, and return its pose.
+
+    Read backwards, E1(q1) ... E6(q6) = X is E6(-q6) ... E1(-q1) = X^-1. Begun m joints later it is
+
+        E(m+1) ... E6 E1' ... Em' = X,  Ei' = X^-1 Ei X,
+
+    that is, the axes of the joints that pass to the end are moved by X^-1. For m = 4 and 5 all is moved by X instead, so that
+    the axes at places 3 to 5, the robot's side of the equations, stay where they are.
+    """
+    pose = pose_of(X)
+    if backwards:
+        pose = inverse(pose)
+    back = inverse(pose)
+    for place in range(6):
+        line = line_of(axes, joint_at(place, backwards, shift))
+        passed = place + shift >= 6
+        if shift <= 3 and passed:
+            line = line_moved(back, line)
+        elif shift >= 4 and not passed:
+            line = line_moved(pose, line)
+        put3(lines[place], 0, line.along)
+        put3(lines[place], 3, line.point)
+    return pose
+
+
+@inner
+def measure_loop(loop, q):
+    """Write twists and error of the loop at q (6,), and return the error's size, the largest of its components.
+
+    With G = E1 ... E6, the error is the motion X G^-1 to first order, a vector and the sine of the angle times the axis.
+    """
+    x, y, z, p = V3(1.0, 0.0, 0.0), V3(0.0, 1.0, 0.0), V3(0.0, 0.0, 1.0), V3(0.0, 0.0, 0.0)
+    for k in range(6):
+        line = line_of(loop.axes, k)
+        R = M3(x, y, z)
+        along, point = R.times(line.along), R.times(line.point) + p
+        v = point.cross(along)
+        J = loop.J
+        J[0, k], J[1, k], J[2, k] = v.x, v.y, v.z
+        J[3, k], J[4, k], J[5, k] = along.x, along.y, along.z
+        c, s = math.cos(q[k]), math.sin(q[k])
+        x, y, z = rotated(x, along, c, s), rotated(y, along, c, s), rotated(z, along, c, s)
+        p = point + rotated(p - point, along, c, s)
+    R, goal = M3(x, y, z), pose_of(loop.X)
+    sine, cos1 = rotation_left(R, goal.axes)
+    left = goal.point - goal.axes.times(R.across(p))
+    put3(loop.error, 0, left)
+    put3(loop.error, 3, sine)
+    size = abs(2.0 - cos1)
+    for k in range(6):
+        size = max(size, abs(loop.error[k]))
+    return size
+
+
+@inner
+def close(loop, most, longest, still):
+    """Improve loop.q (6,) by Newton's method, and return the error that is left.
+
+    No step moves a joint by more than `longest` [rad]. The steps end at the first that moves all joints by less than `still` [rad],
+    after `most` at the latest.
+    """
+    q, move = loop.q, math.inf
+    for k in range(most + 1):
+        size = measure_loop(loop, q)
+        if k == most or move < still or not size < 1e6:
+            break
+        lu_factor(loop.J, loop.swaps, 6)
+        lu_substitute(loop.J, loop.swaps, loop.error, 6)
+        move = 0.0
+        for i in range(6):
+            move = max(move, abs(loop.error[i]))
+        share = 1.0 if move < longest else longest / move
+        for i in range(6):
+            q[i] += share * loop.error[i]
+    return size
+
+
+@inner
+def least_gain(loop):
+    """Return 1 / |J^-1| (Frobenius norm) at loop.q, at most the least singular value of J, and at least 0.4 of it."""
+    measure_loop(loop, loop.q)
+    lu_factor(loop.J, loop.swaps, 6)
+    total = 0.0
+    for k in range(6):
+        for i in range(6):
+            loop.error[i] = 1.0 if i == k else 0.0
+        lu_substitute(loop.J, loop.swaps, loop.error, 6)
+        for i in range(6):
+            total += loop.error[i] * loop.error[i]
+    return 1.0 / math.sqrt(total) if total < math.inf else 0.0

@@ -1,0 +1,156 @@
+"""Every solution of six revolute joints, whatever their axes, with a certificate that there are no others.
+
+The mathematics is in `kernel/elimination`. What a robot needs (how to read its loop) is found at the first target, in 0.01 to
+0.1 s, and kept in memory for the process.
+"""
+
+import functools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...compile.jit import cached
+from ...kernel.chain import Chain
+from ...kernel.elimination.binding import answers, make_arm, make_forms
+from ...kernel.elimination.terms import Notes
+from ..protocol import closed_form
+from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
+
+N = 6
+# Least distance of the axes from one point, as a share of the reach; rounding of a pose (1e-16) is 1e-12 of that.
+LEAST_SIZE = 1e-4
+STEPS = 12  # Newton steps on the actual chain that finish a solution; one is usual
+
+
+class Certificate(NamedTuple):
+    """What a list of solutions is known to be, from the roots of one polynomial that holds all of them.
+
+    The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and no interval arithmetic.
+    """
+
+    status: str  # 'CERTAIN', 'DOUBLE' (solutions merge in a singular one), 'FAMILY' (there is a continuum) or 'UNSURE'
+    solutions: int  # distinct solutions found, limits or not
+    roots: int  # roots of the polynomial
+    complex: int  # roots proven complex, which are no solutions; of a certain answer each of the others is one solution
+    radius: float  # radius of the largest disc that holds a real root; a full turn is 2 pi long
+    noise: float  # measured error of the polynomial's coefficients beside the largest
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return numbers and strings, ready for JSON; a radius that is not finite is None."""
+        return {
+            **self._asdict(),
+            "radius": self.radius if math.isfinite(self.radius) else None,
+            "message": self.message,
+        }
+
+    @property
+    def message(self) -> str:
+        """One sentence."""
+        real = self.roots - self.complex
+        if self.status == "CERTAIN":
+            rest = f"; {self.complex} are complex" if self.complex else ""
+            return f"{real} of {self.roots} roots are real, each with its solution{rest}: there is no other solution"
+        if self.status == "DOUBLE":
+            return "solutions merge where the arm is singular: there may be others beside them"
+        if self.status == "FAMILY":
+            return "the arm can move while the tip stays: there are infinitely many solutions"
+        return f"not all of the {self.roots} roots could be told real or complex: there may be other solutions"
+
+
+def recognise_six_revolute(chain: Chain) -> Fit:
+    """Return whether a chain has six revolute joints, each moved by one coordinate, with the numbers (52,) of their axes."""
+    if chain.n != N:
+        return no_fit(f"it has {chain.n} joints on the path, not 6")
+    screws = read_screws(chain)
+    if isinstance(screws, str):
+        return no_fit(screws)
+    if not screws.turns.all():
+        return no_fit("not all of its joints are revolute")
+    arm = make_arm(screws.axis, screws.point, screws.T)
+    if arm[-1] < LEAST_SIZE * chain.reach:
+        return no_fit("its axes meet in one point")
+    return Fit(arm, "", 0.0)
+
+
+@functools.lru_cache(64)
+def forms_of(arm: bytes) -> np.ndarray:
+    """Return the ways to read the loop of an arm (its 52 numbers as bytes), best first."""
+    return make_forms(np.frombuffer(arm).copy())  # numba takes an array that is read-only for another type
+
+
+class Said(NamedTuple):
+    """What the elimination says of one pose, limits or not."""
+
+    q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
+    gain: (
+        np.ndarray
+    )  # (K,) 1 / |J^-1|, lengths over the arm's size: an error e is no nearer a solution than e over this
+    certificate: Certificate
+    near: np.ndarray | None  # (M, 6) where else a pose may be within a tolerance; None if that is not known
+
+
+def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
+    """Return what the elimination says of the pose T (4, 4); p: the numbers that `recognise_six_revolute` found.
+
+    within: how far a root may be complex for its configuration to be listed in `near`.
+    """
+    if not np.isfinite(T).all():
+        empty = np.empty((0, N))
+        return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None)
+    p = np.array(p)
+    found = answers(forms_of(p.tobytes()), p, np.array(T)[None], within)[0]
+    notes = Notes(*found[0].tolist())
+    count = int(notes.count)
+    status = ("CERTAIN", "DOUBLE", "UNSURE")[int(notes.status)]  # the numbers of `terms`
+    certificate = Certificate(
+        status, count, int(notes.roots), int(notes.complex), notes.radius, notes.noise,
+    )  # fmt: skip
+    rest = None if notes.near < 0.0 else found[1 + count : 1 + count + int(notes.near), :N].copy()
+    return Said(found[1 : 1 + count, :N].copy(), found[1 : 1 + count, N].copy(), certificate, rest)
+
+
+@cached
+def into_limits(Q, box, out, excess):
+    """Fill out (K, n) with solutions Q (K, n) on the full turns inside the limits that are nearest a reference.
+
+    The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) [rad] is by how much each
+    joint breaks its limits.
+    """
+    for k in range(Q.shape[0]):
+        for i in range(Q.shape[1]):
+            out[k, i], excess[k, i] = legal_turn(Q[k, i], box[0, i], box[1, i], box[2, i])
+
+
+@closed_form
+class Elimination(NamedTuple):
+    """Every solution of any six revolute joints by elimination, certified; returns the one within limits nearest q0.
+
+    The loop closure is reduced to one polynomial, whose roots are all accounted for, within measured noise. Sources: Raghavan and
+    Roth (1993), "Inverse kinematics of the general 6R manipulator and related linkages"; Manocha and Canny (1994), "Efficient
+    inverse kinematics for general 6R manipulators".
+    """
+
+    recognise = staticmethod(recognise_six_revolute)
+
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
+        """Return all solutions of the pose T (4, 4), each on the full turns nearest the reference box[2].
+
+        If they are not certified to be all, a search adds what it finds.
+        """
+        Q, _, certificate, _ = solutions_of(p, T)
+        q, excess = np.empty_like(Q), np.empty_like(Q)
+        into_limits(Q, box, q, excess)
+        sure = certificate.status == "CERTAIN"
+        return Branches(
+            q,
+            excess.max(axis=1, initial=0.0),
+            np.zeros((len(Q), 3), dtype=np.int8),
+            sure,
+            "",
+            (),
+            STEPS,
+            -1,
+            not sure,
+            certificate,
+        )
