@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, ClassVar
 
-from llvmlite.binding import Linkage, ffi, parse_assembly
+from llvmlite.binding import Linkage, create_pass_builder, create_pipeline_tuning_options, ffi, parse_assembly
 from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
 from numba.core import types
 from numba.core.cgutils import normalize_ir_text
@@ -174,8 +174,25 @@ class KernelLibrary(JITCodeLibrary):
     def _optimize_final_module(self) -> None:
         """Inline functions first, so that numba can remove reference counts, and then optimise fully."""
         first = self._codegen._module_pass_manager(loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap")
-        for passes, builder in (first, self._codegen._module_pass_manager(opt=LEVEL)):
+        for passes, builder in (first, self._last_passes()):
             passes.run(self._final_module, builder)
+
+    def _last_passes(self) -> tuple[Any, Any]:
+        """Return the passes that optimise fully, and their builder."""
+        return self._codegen._module_pass_manager(opt=LEVEL)
+
+
+class SmallLibrary(KernelLibrary):
+    """Code of a long kernel that runs once in a while: its loops over a robot's joints are neither unrolled nor vectorised.
+
+    The copies that unrolling and vectorising make double the code of a tracker, which is no faster with them.
+    """
+
+    def _last_passes(self) -> tuple[Any, Any]:
+        options = create_pipeline_tuning_options(LEVEL)
+        options.loop_unrolling = options.loop_vectorization = options.loop_interleaving = False
+        builder = create_pass_builder(self._codegen._tm, options)
+        return builder.getModulePassManager(), builder
 
 
 def link(module: Any, libraries: list) -> None:
@@ -279,8 +296,16 @@ class CalledPipeline(PartPipeline):
 class KernelPipeline(Compiler):
     """numba's compiler pipeline for a kernel; the code goes into a KernelLibrary."""
 
+    library = KernelLibrary
+
     def compile_extra(self, func: Any) -> Any:
-        self.state.library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        self.state.library = self.library(self.state.targetctx.codegen(), func.__qualname__)
         self.state.library.enable_object_caching()
         with remembering(self.state.typingctx):
             return super().compile_extra(func)
+
+
+class SmallPipeline(KernelPipeline):
+    """numba's compiler pipeline for a kernel whose code goes into a SmallLibrary."""
+
+    library = SmallLibrary
