@@ -21,6 +21,9 @@ from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import PassManager, _pass_registry
 from numba.core.postproc import PostProcessor
 from numba.core.transforms import canonicalize_cfg
+from numba.core.typed_passes import NativeLowering
+
+from .lowering import PartContext, PartLowering
 
 everything = PostProcessor.run  # numba's own method, which `in_order` replaces while a kernel is compiled
 # numba's timers, one for each part that is being compiled. numba tells all of them of every call of LLVM, some 20,000 in a kernel.
@@ -266,7 +269,8 @@ class PartPipeline(Compiler):
         if not PartPipeline.passes:
             (manager,) = super().define_pipelines()
             quick = Passes("part")
-            quick.passes = [(step, why) for step, why in manager.passes if step.__name__ not in UNNEEDED]
+            kept = [(step, why) for step, why in manager.passes if step.__name__ not in UNNEEDED]
+            quick.passes = [(PartLowering if step is NativeLowering else step, why) for step, why in kept]
             quick.finalize()
             PartPipeline.passes.append(quick)
         return PartPipeline.passes
@@ -277,6 +281,7 @@ class PartPipeline(Compiler):
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = Quick(state.flags)
         state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
+        state.targetctx.__class__ = PartContext  # The context is a copy for this function.
         state.targetctx.get_abi_sizeof = partial(size_of, state.targetctx.target_data)
         result = super().compile_extra(func)
         description, library = result.fndesc, result.library
