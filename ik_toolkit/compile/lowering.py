@@ -44,7 +44,7 @@ class EvenRecordModel(Whole, UniTupleModel):
     """The LLVM form of a record whose fields are all of one type."""
 
 
-def model_of(own: type, general: type) -> Any:
+def record_model(own: type, general: type) -> Any:
     """Return a maker of LLVM forms of NamedTuples: `own` for the classes of this package, `general`, numba's, for all others."""
     package = __name__.partition(".")[0]
     return lambda manager, kind: (
@@ -52,8 +52,8 @@ def model_of(own: type, general: type) -> Any:
     )(manager, kind)  # fmt: skip
 
 
-default_manager.register(types.NamedTuple, model_of(RecordModel, TupleModel))
-default_manager.register(types.NamedUniTuple, model_of(EvenRecordModel, UniTupleModel))
+default_manager.register(types.NamedTuple, record_model(RecordModel, TupleModel))
+default_manager.register(types.NamedUniTuple, record_model(EvenRecordModel, UniTupleModel))
 
 
 class PartConvention(CPUCallConv):

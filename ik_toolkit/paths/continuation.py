@@ -8,6 +8,7 @@ solutions that are merely close are never joined. One solution followed along th
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from ..compile.jit import cached_small, inline, inner, spliced
 from ..kernel.algebra import V3
 from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
-from ..kernel.records import HEAD, TASK, Orders, copy, read
+from ..kernel.records import HEAD, TASK, Array, Orders, copy, read
 from ..kernel.search import problem_on
 from .path_problem import Problem
 
@@ -63,28 +64,39 @@ def within(q, old, most):
     return True
 
 
-@spliced
-def advance_to_pose(p, o, weights, box, a, b, pose, most, deviation, old, new):
-    """Continue q (in p.desk), a solution of pose a, to a solution of pose b, in steps that are halved where they fail.
+class Guided(NamedTuple):
+    """A path that solutions are continued along, and what bounds them, see `carry_along`."""
 
-    p, o: the problem and its Orders; weights (n,), box: joint weights and joint limits (Bounds); most, deviation: as in
-    `carry_along`. pose (like a and b), old (n,) and new (n,) are scratch. Returns False if no continuous motion was found.
+    T: Array  # (N, 4, 4) or (N, F, 4, 4) its poses
+    pose: Array  # scratch, like one of the poses
+    box: Bounds
+    most: Array  # (n,)
+    deviation: Array  # (2,)
+
+
+@spliced
+def advance_to_pose(p, o, weights, path, t, u, old, new):
+    """Continue q (in p.desk), a solution of pose number t, to a solution of pose u, in steps that are halved where they fail.
+
+    p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`. old (n,) and new (n,) are scratch.
+    Returns False if no continuous motion was found.
     """
-    q = p.desk.q
+    q, pose, deviation = p.desk.q, path.pose, path.deviation
+    a, b = flat(path.T[t]), flat(path.T[u])
     copy(q, old)
     done, part = 0.0, 1.0
     while done < 1.0:
         part = min(part, 1.0 - done)
-        blend(flat(a), flat(b), done + part, flat(pose))
+        blend(a, b, done + part, flat(pose))
         fine = p.aim(pose, o) == 0.0
         if fine:
-            e = onto_target(p, weights, box, 0.0)
-            fine = e.good and within(q, old, most)
+            e = onto_target(p, weights, path.box, 0.0)
+            fine = e.good and within(q, old, path.most)
         if fine:
             copy(q, new)
             for i in range(q.shape[0]):
                 q[i] = 0.5 * (old[i] + new[i])
-            blend(flat(a), flat(b), done + 0.5 * part, flat(pose))
+            blend(a, b, done + 0.5 * part, flat(pose))
             p.aim(pose, o)
             e = p.evaluate(q)
             p.keep(e, NOW)
@@ -117,18 +129,18 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
     """
     n, tips = seeds.shape[1], ends.size // ends.shape[-1]
     block, pose = np.empty(space(n, 6 * tips, rows.shape[0], 0)), np.empty_like(T[0])
-    carry_on_views(
-        view(rows), view(ends), view(T), view(pose), view(orders), Bounds(view(limits)), view(most), view(deviation),
-        view(seeds), view(at), view(columns), view(Q), view(span), view(block),
-    )  # fmt: skip
+    path = Guided(view(T), view(pose), Bounds(view(limits)), view(most), view(deviation))
+    tracks = view(seeds), view(at), view(columns), view(Q), view(span)
+    carry_on_views(view(rows), view(ends), view(orders), path, tracks, view(block))
     keep(block)
     keep(pose)
 
 
 @inline
-def carry_on_views(rows, ends, T, pose, orders, box, most, deviation, seeds, at, columns, Q, span, block):
-    """Do the work of `carry_along`, whose arrays are given as views; pose and block: scratch memory."""
-    n, N = seeds.shape[1], T.shape[0]
+def carry_on_views(rows, ends, orders, path, tracks, block):
+    """Do the work of `carry_along` on views; tracks: its seeds, at, columns, Q and span; block: scratch memory."""
+    seeds, at, columns, Q, span = tracks
+    n, N = seeds.shape[1], path.T.shape[0]
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
@@ -143,7 +155,7 @@ def carry_on_views(rows, ends, T, pose, orders, box, most, deviation, seeds, at,
             copy(seeds[m], q)
             t = start
             while 0 <= t + way < N:
-                if not advance_to_pose(p, o, weights, box, T[t], T[t + way], pose, most, deviation, old, new):
+                if not advance_to_pose(p, o, weights, path, t, t + way, old, new):
                     break
                 t += way
                 for i in range(n):

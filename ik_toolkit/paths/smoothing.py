@@ -212,9 +212,10 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
     size = N * n
     block = np.empty(space(n, 6 * tips, rows.shape[0], 0) + size * (4 * n + 8) + 16 * LINE)
     price = Price(first, second, rounding)
+    path = view(T), view(Q), view(fixed), view(good)
     found = smooth_on_views(
-        view(rows), view(ends), (view(T), view(Q), view(fixed), view(good)), view(orders), price, view(longest), steps, view(block)
-    )
+        view(rows), view(ends), path, view(orders), price, view(longest), steps, view(block)
+    )  # fmt: skip
     keep(block)
     return found
 
