@@ -120,7 +120,7 @@ def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") ->
 
 
 def cached_small(function: Callable, *parts: Any) -> Any:
-    """Decorator: like `cached`, for a long kernel that does not repeat its work many times in a call, see `SmallLibrary`."""
+    """Decorator: like `cached`, for a long kernel whose loops are short, see `SmallLibrary`."""
     return cached(function, *parts, pipeline="SmallPipeline")
 
 
