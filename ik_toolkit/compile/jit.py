@@ -23,14 +23,16 @@ from .cache import made, make_cache
 # pipeline.py uses private interfaces of numba, so other releases compile kernels in numba's own, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
-PARTS: dict[str, Any] = {}
-CALLED: dict[str, Any] = {}
-KERNEL: dict[str, Any] = {}
-if OWN_WAY:
-    from .pipeline import CalledPipeline, KernelPipeline, PartPipeline
 
-    PARTS, CALLED = {"pipeline_class": PartPipeline}, {"pipeline_class": CalledPipeline}
-    KERNEL = {"pipeline_class": KernelPipeline}
+
+def made_by(pipeline: str) -> dict[str, Any]:
+    """Return the option that has numba compile by a class of pipeline.py; none in a release with which that was not tried."""
+    if not OWN_WAY:
+        return {}
+    from . import pipeline as own
+
+    return {"pipeline_class": getattr(own, pipeline)}
+
 
 # The flags nnan and ninf are left out, because a NaN must fail every test and must not be assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -40,11 +42,11 @@ jit = njit(**OPTIONS)
 # BUILD is for functions that make arrays, which numba must compile with reference counting.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 # INLINE is for functions that make no arrays, compiled without reference counting.
-INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
+INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **made_by("PartPipeline"))
 # BARE turns off forced inlining, which numba would otherwise pass on from the caller to every function that it calls.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
 # `inner` compiles one copy, which callers call. It is for code that rarely runs, or that is large and used in several places.
-inner = njit(**{**BARE, **CALLED})
+inner = njit(**{**BARE, **made_by("CalledPipeline")})
 inline = njit(**INLINE)  # makes a copy in every caller, for small code and for code with large NamedTuples
 build = njit(**BUILD)  # makes a copy in every caller, for code that makes arrays
 spliced = njit(inline="always", **BARE)  # for large code with a single caller, so that LLVM optimises only one copy
@@ -104,17 +106,22 @@ def _let_numba_know(name: str, example: Callable) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------------- the boundary
-def cached(function: Callable, *parts: Any) -> Any:
+def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") -> Any:
     """Decorator: compile a function that Python calls, with a cache on disk.
 
     The cache is invalid after an edit of any kernel file, of the function's file, or of the files of `parts`: classes
     and functions, such as a rule, that are compiled into the function but are not found through its global names.
     """
-    dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **KERNEL)(function)
+    dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **made_by(pipeline))(function)
     if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
         dispatcher._cache = make_cache(function, parts)
         dispatcher._compile_for_args = noting_time(dispatcher._compile_for_args)
     return dispatcher
+
+
+def cached_small(function: Callable, *parts: Any) -> Any:
+    """Decorator: like `cached`, for a long kernel whose loops are short, see `SmallLibrary`."""
+    return cached(function, *parts, pipeline="SmallPipeline")
 
 
 # The last times [s, by perf_counter] at which kernels were compiled or loaded, with the thread that waited for them.

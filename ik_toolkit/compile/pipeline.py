@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, ClassVar
 
-from llvmlite.binding import Linkage, ffi, parse_assembly
+from llvmlite.binding import Linkage, create_pass_builder, create_pipeline_tuning_options, ffi, parse_assembly
 from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
 from numba.core import types
 from numba.core.cgutils import normalize_ir_text
@@ -21,6 +21,9 @@ from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import PassManager, _pass_registry
 from numba.core.postproc import PostProcessor
 from numba.core.transforms import canonicalize_cfg
+from numba.core.typed_passes import NativeLowering
+
+from .lowering import PartContext, PartLowering
 
 everything = PostProcessor.run  # numba's own method, which `in_order` replaces while a kernel is compiled
 # numba's timers, one for each part that is being compiled. numba tells all of them of every call of LLVM, some 20,000 in a kernel.
@@ -174,8 +177,25 @@ class KernelLibrary(JITCodeLibrary):
     def _optimize_final_module(self) -> None:
         """Inline functions first, so that numba can remove reference counts, and then optimise fully."""
         first = self._codegen._module_pass_manager(loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap")
-        for passes, builder in (first, self._codegen._module_pass_manager(opt=LEVEL)):
+        for passes, builder in (first, self._last_passes()):
             passes.run(self._final_module, builder)
+
+    def _last_passes(self) -> tuple[Any, Any]:
+        """Return the passes that optimise fully, and their builder."""
+        return self._codegen._module_pass_manager(opt=LEVEL)
+
+
+class SmallLibrary(KernelLibrary):
+    """Code of a long kernel whose loops, over a robot's joints, are neither unrolled nor vectorised.
+
+    The copies would double the code of a tracker or a path, which is no faster with them; a search is a fifth faster.
+    """
+
+    def _last_passes(self) -> tuple[Any, Any]:
+        options = create_pipeline_tuning_options(LEVEL)
+        options.loop_unrolling = options.loop_vectorization = options.loop_interleaving = False
+        builder = create_pass_builder(self._codegen._tm, options)
+        return builder.getModulePassManager(), builder
 
 
 def link(module: Any, libraries: list) -> None:
@@ -249,7 +269,8 @@ class PartPipeline(Compiler):
         if not PartPipeline.passes:
             (manager,) = super().define_pipelines()
             quick = Passes("part")
-            quick.passes = [(step, why) for step, why in manager.passes if step.__name__ not in UNNEEDED]
+            kept = [(step, why) for step, why in manager.passes if step.__name__ not in UNNEEDED]
+            quick.passes = [(PartLowering if step is NativeLowering else step, why) for step, why in kept]
             quick.finalize()
             PartPipeline.passes.append(quick)
         return PartPipeline.passes
@@ -260,6 +281,7 @@ class PartPipeline(Compiler):
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = Quick(state.flags)
         state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
+        state.targetctx.__class__ = PartContext  # The context is a copy for this function.
         state.targetctx.get_abi_sizeof = partial(size_of, state.targetctx.target_data)
         result = super().compile_extra(func)
         description, library = result.fndesc, result.library
@@ -279,8 +301,16 @@ class CalledPipeline(PartPipeline):
 class KernelPipeline(Compiler):
     """numba's compiler pipeline for a kernel; the code goes into a KernelLibrary."""
 
+    library = KernelLibrary
+
     def compile_extra(self, func: Any) -> Any:
-        self.state.library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        self.state.library = self.library(self.state.targetctx.codegen(), func.__qualname__)
         self.state.library.enable_object_caching()
         with remembering(self.state.typingctx):
             return super().compile_extra(func)
+
+
+class SmallPipeline(KernelPipeline):
+    """numba's compiler pipeline for a kernel whose code goes into a SmallLibrary."""
+
+    library = SmallLibrary

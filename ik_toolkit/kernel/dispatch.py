@@ -6,9 +6,9 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.array_view import fold
-from ..compile.jit import BUILD, INLINE
-from .serial import make_serial, serial_on
-from .tree import make_tree, tree_on
+from ..compile.jit import INLINE
+from .serial import serial_on
+from .tree import tree_on
 
 
 def problem_on(block, rows, ends, tasks, n, orders):
@@ -33,18 +33,6 @@ def _shaped(ends, T, tips):
     if T.ndim == 3:
         return lambda ends, T, tips: ends
     return lambda ends, T, tips: fold(ends, np.float64, tips, ends.shape[0] // tips)
-
-
-def problem(rows, ends, tasks, n, orders):
-    """Make a problem (Serial or Tree) with scratch of its own, for code that works on arrays."""
-    return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
-
-
-@overload(problem, jit_options=BUILD)
-def _problem(rows, ends, tasks, n, orders):
-    if ends.ndim == 1:
-        return lambda rows, ends, tasks, n, orders: make_serial(rows, ends, tasks, n, orders)
-    return lambda rows, ends, tasks, n, orders: make_tree(rows, ends, tasks, n, orders)
 
 
 def evaluation(rule, p, q):

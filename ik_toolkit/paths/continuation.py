@@ -8,15 +8,17 @@ solutions that are merely close are never joined. One solution followed along th
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.jit import cached, inline, inner, spliced
+from ..compile.array_view import cut, flat, keep, space, view
+from ..compile.jit import cached_small, inline, inner, spliced
 from ..kernel.algebra import V3
-from ..kernel.dispatch import problem
+from ..kernel.dispatch import problem_on
 from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
-from ..kernel.records import HEAD, TASK, Orders, copy, read
+from ..kernel.records import HEAD, TASK, Array, Orders, copy, read
 from .path_problem import Problem
 
 SHORTEST = 1.0 / 256  # smallest step, as a share of the distance between two poses; below it continuation stops
@@ -24,13 +26,13 @@ TURNED = 1e-12  # two rotations count as equal if the sine of the angle between 
 
 
 @inner
-def blend(flat, a, b, s, out):
-    """Write to out (F, 16) the poses at the share s (0 to 1) of the way from pose a to pose b of flat (N, F, 16).
+def blend(begin, end, s, out):
+    """Write to out (16 F,) the poses at the share s (0 to 1) of the way from the poses `begin` (16 F,) to `end`.
 
-    Positions lie on the straight line, rotations on the geodesic. The 16 numbers are a 4 x 4 matrix, row by row.
+    Positions lie on the straight line, rotations on the geodesic. 16 numbers are a 4 x 4 matrix, row by row.
     """
-    for f in range(out.shape[0]):
-        A, B, C = flat[a, f], flat[b, f], out[f]
+    for f in range(0, out.shape[0], 16):
+        A, B, C = begin[f : f + 16], end[f : f + 16], out[f : f + 16]
         for k in range(16):
             C[k] = A[k] + s * (B[k] - A[k])
         if s == 0.0 or s == 1.0:
@@ -62,29 +64,39 @@ def within(q, old, most):
     return True
 
 
-@spliced
-def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
-    """Continue q (in p.desk), a solution of pose a, to a solution of pose b, in steps that are halved where they fail.
+class Guided(NamedTuple):
+    """A path that solutions are continued along, and what bounds them, see `carry_along`."""
 
-    p, o: the problem and its Orders; weights (n,), box: joint weights and joint limits (Bounds); flat (N, F, 16): all
-    poses; most, deviation: as in `carry_along`. pose and its view sheet (F, 16), old (n,) and new (n,) are scratch.
+    T: Array  # (N, 4, 4) or (N, F, 4, 4) its poses
+    pose: Array  # scratch, like one of the poses
+    box: Bounds
+    most: Array  # (n,)
+    deviation: Array  # (2,)
+
+
+@spliced
+def advance_to_pose(p, o, weights, path, t, u, old, new):
+    """Continue q (in p.desk), a solution of pose number t, to a solution of pose u, in steps that are halved where they fail.
+
+    p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`. old (n,) and new (n,) are scratch.
     Returns False if no continuous motion was found.
     """
-    q = p.desk.q
+    q, pose, deviation = p.desk.q, path.pose, path.deviation
+    a, b = flat(path.T[t]), flat(path.T[u])
     copy(q, old)
     done, part = 0.0, 1.0
     while done < 1.0:
         part = min(part, 1.0 - done)
-        blend(flat, a, b, done + part, sheet)
+        blend(a, b, done + part, flat(pose))
         fine = p.aim(pose, o) == 0.0
         if fine:
-            e = onto_target(p, weights, box, 0.0)
-            fine = e.good and within(q, old, most)
+            e = onto_target(p, weights, path.box, 0.0)
+            fine = e.good and within(q, old, path.most)
         if fine:
             copy(q, new)
             for i in range(q.shape[0]):
                 q[i] = 0.5 * (old[i] + new[i])
-            blend(flat, a, b, done + 0.5 * part, sheet)
+            blend(a, b, done + 0.5 * part, flat(pose))
             p.aim(pose, o)
             e = p.evaluate(q)
             p.keep(e, NOW)
@@ -103,7 +115,7 @@ def advance_to_pose(p, o, weights, box, flat, pose, sheet, a, b, most, deviation
     return True
 
 
-@cached
+@cached_small
 def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Continue the solutions `seeds` (M, n) of the poses numbered `at` (M,) towards both ends of the path.
 
@@ -115,16 +127,26 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
     Writes the configurations of seed m to Q[:, columns[m]] (N, n), and the first and last pose reached to
     span[columns[m]].
     """
-    n, N = seeds.shape[1], T.shape[0]
+    n, tips = seeds.shape[1], ends.size // ends.shape[-1]
+    block, pose = np.empty(space(n, 6 * tips, rows.shape[0], 0)), np.empty_like(T[0])
+    path = Guided(view(T), view(pose), Bounds(view(limits)), view(most), view(deviation))
+    tracks = view(seeds), view(at), view(columns), view(Q), view(span)
+    carry_on_views(view(rows), view(ends), view(orders), path, tracks, view(block))
+    keep(block)
+    keep(pose)
+
+
+@inline
+def carry_on_views(rows, ends, orders, path, tracks, block):
+    """Do the work of `carry_along` on views; tracks: its seeds, at, columns, Q and span; block: scratch memory."""
+    seeds, at, columns, Q, span = tracks
+    n, N = seeds.shape[1], path.T.shape[0]
     o = read(Orders, orders)
-    first = HEAD + TASK * (ends.size // ends.shape[-1])
-    p = problem(rows, ends, orders[HEAD:first], n, o)
+    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
+    block[0] = 0.0
+    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
-    box = Bounds(limits)
-    flat = T.reshape(N, T[0].size // 16, 16)
-    pose = np.empty_like(T[0])
-    sheet = pose.reshape(T[0].size // 16, 16)
-    old, new = np.empty(n), np.empty(n)
+    old, new = cut(block, np.float64, (n, n))
     q = p.desk.q
     for m in range(seeds.shape[0]):
         start, k = at[m], columns[m]
@@ -133,7 +155,7 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
             copy(seeds[m], q)
             t = start
             while 0 <= t + way < N:
-                if not advance_to_pose(p, o, weights, box, flat, pose, sheet, t, t + way, most, deviation, old, new):
+                if not advance_to_pose(p, o, weights, path, t, t + way, old, new):
                     break
                 t += way
                 for i in range(n):

@@ -15,12 +15,12 @@ import numpy as np
 from ..errors import InvalidOption
 from ..kernel.chain import joint_levers
 from ..kernel.counted_error import FREE, POSITION
+from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from ..solvers.task import relatives, what_counts
 from .certificate import Continuity
 from .contact import find_contacts
 from .freedom import freedom, missed
-from .interpolate import interpolate_poses
 from .smoothing import settle_rows as settle_rows
 
 # Largest number of rounds of inserting rows. Bounds fall with the square of the number of pieces, so few suffice.

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel.counted_error import FREE, POSITION
+from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from .certificate import Continuity
 from .continuity import check, densify
-from .interpolate import interpolate_poses
 from .path_problem import Problem
 from .path_search import Found, Search
 from .result import pieces

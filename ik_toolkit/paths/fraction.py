@@ -5,10 +5,10 @@ import numpy as np
 from ..kernel.checks import CONVERGED
 from ..kernel.counted_error import FREE
 from ..kernel.records import ANSWER, AT
+from ..motion.reference import interpolate_poses
 from ..robot.rotation import angles_between
 from .finish import ProvenMotion
 from .freedom import freedom
-from .interpolate import interpolate_poses
 from .path_search import Search
 from .result import pieces
 

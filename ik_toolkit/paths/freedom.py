@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel.counted_error import FREE, POSE, POSITION
+from ..motion.reference import interpolate_poses
 from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part
-from .interpolate import interpolate_poses
 
 SAMPLES = 8  # number of random configurations whose Jacobians are examined
 # Singular values of the Jacobian (lengths over the reach) below this count as zero: robot descriptions are rounded.

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compile.jit import cached, inline, inner
+from ..compile.jit import cached_small, inline, inner
 from ..kernel.kinematics import TAU
 
 # A state is a track at a pose. DEAD: it does not exist or violates a limit; otherwise what is known of contact.
@@ -72,8 +72,10 @@ def window(keys, size, low):
     return a
 
 
-@cached
-def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis, first, counts, costs, parents, prior):
+@cached_small
+def link_layers(
+    Q, span, state, most, endless, price, begin, toll, blocked, axis, order, first, counts, costs, parents, prior
+):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results before it are kept.
 
     Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]
@@ -83,14 +85,13 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
         [2, :2]: cost of a step longer than `most`, and of a reconfiguration
     begin (2, K): reconfigurations and cost counted for starting on each track; toll (N, K): extra cost of a state
     blocked (B, 3): excluded steps, as pose they lead to, track before, track after; sorted
-    axis: index of the joint whose value sorts the states, to look up near ones
+    axis: index of the joint whose value sorts the states, to look up near ones; order (N, K): the tracks so sorted
 
     Written are counts (N, K) and costs (N, K), the reconfigurations (contacts as CONTACT each) and the cost of the best
     path to each state; parents (N, K), see NONE; prior (N,), the last earlier layer that has states, or -1.
     """
     N, K, _ = Q.shape
-    keys, order = np.empty(K), np.empty(K, np.int64)
-    near = np.empty(K, np.int64)
+    keys, near = np.empty(K), np.empty(K, np.int64)
     reach, round = most[axis], endless[axis]
     last = -1
     for t in range(first):
@@ -108,26 +109,22 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
         prior[t] = last
         size, best = 0, -1
         if last >= 0:
-            for a in range(K):
+            for j in range(K):
+                a = order[last, j]
                 if parents[last, a] == NONE and prior[last] >= 0:
                     continue
                 if state[last, a] == DEAD:
                     continue
                 near[size] = a
+                keys[size] = shortest_difference(float(Q[last, a, axis]), round)
                 size += 1
                 if (
                     best < 0
                     or counts[last, a] < counts[last, best]
                     or (counts[last, a] == counts[last, best] and costs[last, a] < costs[last, best])
+                    or (counts[last, a] == counts[last, best] and costs[last, a] == costs[last, best] and a < best)
                 ):
                     best = a
-            for j in range(size):
-                keys[j] = shortest_difference(float(Q[last, near[j], axis]), round)
-            ranks = np.argsort(keys[:size])
-            for j in range(size):
-                order[j] = near[ranks[j]]
-            for j in range(size):
-                keys[j] = shortest_difference(float(Q[last, order[j], axis]), round)
         some = False
         for b in range(K):
             parents[t, b] = NONE
@@ -150,7 +147,7 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
                         j -= size if j >= size else 0  # the values of an endless joint form a ring
                         if shortest_difference(keys[j] - at, round) > reach:
                             break
-                        a = order[j]
+                        a = near[j]
                         if a == b or counts[last, a] > count or (counts[last, a] == count and costs[last, a] >= cost):
                             continue
                         enough = np.inf if counts[last, a] < count else cost - costs[last, a]
@@ -165,6 +162,14 @@ def link_layers(Q, span, state, most, endless, price, begin, toll, blocked, axis
         if some:
             last = t
         bar = stop
+
+
+def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
+    """Return the indices (N, K) that sort the values (N, K) [kernel units] of a joint at each pose, see `link_layers`."""
+    keys = values.astype(float)
+    if endless > 0.0:
+        keys = np.where(np.abs(keys) > 0.5 * TAU, keys - TAU * np.rint(keys / TAU), keys)
+    return np.argsort(keys, axis=1, kind="stable").astype(np.int32)
 
 
 LONG = 1e3  # cost [kernel units] of a step longer than allowed, more than the length of any path
@@ -201,6 +206,7 @@ class Program:
         self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
         self.changed = 0  # index of the first layer (pose) whose results are out of date
         self.axis = self._telling()
+        self.order = sorted_tracks(Q[:, :, self.axis], self.endless[self.axis])
 
     def _telling(self) -> int:
         """Return the joint that separates states best: the one in which the fewest sampled pairs are within a step."""
@@ -218,7 +224,7 @@ class Program:
         blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
         link_layers(
             self.Q, self.span, self.state, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
-            self.changed, self.counts, self.costs, self.parents, self.prior,
+            self.order, self.changed, self.counts, self.costs, self.parents, self.prior,
         )  # fmt: skip
         self.changed = len(self.Q)
 

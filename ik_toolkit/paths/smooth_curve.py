@@ -16,13 +16,13 @@ import pinocchio as pin
 
 from ..errors import MissingExtra
 from ..kernel.counted_error import FREE, POSITION
+from ..motion.reference import interpolate_poses
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.task import relatives
 from .contact import find_contacts
 from .continuity import bounds, settle_between
 from .freedom import off_the_poses
-from .interpolate import interpolate_poses
 
 ROUNDS = 12  # largest number of rounds of inserting rows; each halves the distance between the rows
 LEAST = 1e-9  # rows of a curve nearer than this are merged [rad or m]

@@ -10,11 +10,13 @@ stored by rows: element (i, k), for k = i - b ... i, is A[i, k - i + b], so that
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.jit import cached, inner, spliced
-from ..kernel.dispatch import problem
+from ..compile.array_view import LINE, cut, flat, keep, space, view
+from ..compile.jit import cached_small, inline, inner, spliced
+from ..kernel.dispatch import problem_on
 from ..kernel.null_space import REFERENCE, make_bounds, onto_target
 from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
 
@@ -29,13 +31,34 @@ SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below th
 ON_LIMIT = 1e-12  # A joint nearer a limit than this counts as being at the limit [rad or kernel units].
 
 
+class Price(NamedTuple):
+    """The cost of a path: `first` times its length plus `second` / 2 times the sum of its squared second differences."""
+
+    first: float
+    second: float
+    rounding: float  # length below which a joint's step counts by its square, see `cost_of` [rad or kernel units]
+
+
+@inline
+def path_problem(rows, ends, orders, n, block):
+    """Return the problem of the poses of a path, on views, with its orders, joint limits, joint weights and `Ends`."""
+    o = read(Orders, orders)
+    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
+    block[0] = 0.0
+    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    full = Ends(flat(ends), n)
+    (places,) = cut(block, np.float64, ((3, n),))
+    return p, o, make_bounds(places, full, REFERENCE, o.limits > 0.0), orders[first : first + n], full
+
+
 @inner
-def cost_of(Q, first, second, rounding, longest):
+def cost_of(Q, price, longest):
     """Return the cost of a path Q (N, n) [kernel units], and its largest joint step as a multiple of `longest` (n,).
 
-    The cost is `first` times the length plus `second` / 2 times the sum of squared second differences. The length of a
-    joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for short ones.
+    The length of a joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for
+    short ones.
     """
+    first, second, rounding = price
     N, n = Q.shape
     total, worst = 0.0, 0.0
     for k in range(1, N):
@@ -50,8 +73,9 @@ def cost_of(Q, first, second, rounding, longest):
 
 
 @inner
-def differences(Q, first, second, rounding, H, g):
+def differences(Q, price, H, g):
     """Write the gradient g (N n,) and the banded Hessian H (N n, 2 n + 1) of the cost that `cost_of` returns."""
+    first, second, rounding = price
     N, n = Q.shape
     b = 2 * n
     for r in range(N * n):
@@ -175,7 +199,7 @@ def moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
     return fine
 
 
-@cached
+@cached_small
 def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, steps, good):
     """Shorten and smooth a path Q (N, n) [rad or m] in place; return the steps taken, and the cost before and after.
 
@@ -184,14 +208,28 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
     steps: largest number of Gauss-Newton steps. Writes to good (N,) whether each pose was brought onto its target before
     the first step.
     """
+    (N, n), tips = Q.shape, ends.size // ends.shape[-1]
+    size = N * n
+    block = np.empty(space(n, 6 * tips, rows.shape[0], 0) + size * (4 * n + 8) + 16 * LINE)
+    price = Price(first, second, rounding)
+    path = view(T), view(Q), view(fixed), view(good)
+    found = smooth_on_views(
+        view(rows), view(ends), path, view(orders), price, view(longest), steps, view(block)
+    )  # fmt: skip
+    keep(block)
+    return found
+
+
+@inline
+def smooth_on_views(rows, ends, path, orders, price, longest, steps, block):
+    """Do the work of `smooth_rows`, whose arrays are given as views; path: T, Q, fixed and good; block: scratch memory."""
+    T, Q, fixed, good = path
     N, n = Q.shape
-    o = read(Orders, orders)
-    begin = HEAD + TASK * (ends.size // ends.shape[-1])
-    p = problem(rows, ends, orders[HEAD:begin], n, o)
-    weights = orders[begin : begin + n]
-    full = Ends(ends.reshape(-1), n)
-    box = make_bounds(np.empty((3, n)), full, REFERENCE, o.limits > 0.0)
-    now, trial, step = np.empty((N, n)), np.empty((N, n)), np.empty(n)
+    p, o, box, weights, full = path_problem(rows, ends, orders, n, block)
+    size = N * n
+    now, trial, H, A = cut(block, np.float64, ((N, n), (N, n), (size, 2 * n + 1), (size, 2 * n + 1)))
+    step, g, x = cut(block, np.float64, (n, size, size))
+    (held,) = cut(block, np.bool_, (size,))
     radius = 0.0
     for i in range(n):
         step[i] = longest[i] / full.unit(i)
@@ -205,14 +243,11 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
             p.aim(T[k], o)
             good[k] = onto_target(p, weights, box, ARRIVED).good
         copy(p.desk.q, now[k])
-    before, wide = cost_of(now, first, second, rounding, step)
+    before, wide = cost_of(now, price, step)
     cost, taken, fresh = before, 0, True
-    size = N * n
-    H, A = np.empty((size, 2 * n + 1)), np.empty((size, 2 * n + 1))
-    g, x, held = np.empty(size), np.empty(size), np.empty(size, np.bool_)
     for _ in range(steps):
         if fresh:
-            differences(now, first, second, rounding, H, g)
+            differences(now, price, H, g)
             linearise(p, o, T, now, fixed, H, g)
             newton_step(H, g, now, fixed, weights, box, held, A, x)
         largest = 0.0
@@ -223,7 +258,7 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
         factor = min(1.0, radius / largest)
         fresh = False
         if moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
-            value, worst = cost_of(trial, first, second, rounding, step)
+            value, worst = cost_of(trial, price, step)
             if value < cost and worst <= max(wide, 1.0):
                 ended = value > (1.0 - GAIN) * cost and factor >= 1.0
                 cost, wide, fresh = value, worst, True
@@ -239,24 +274,27 @@ def smooth_rows(rows, ends, T, Q, fixed, orders, first, second, rounding, longes
     return taken, before, cost
 
 
-@cached
+@cached_small
 def settle_rows(rows, ends, T, Q, orders, good):
     """Move each row of Q (N, n) [rad or m] onto its target T (N, ...) with the least joint motion, in place.
 
     Writes to good (N,) whether each row reached its target; rows, ends, orders: arrays of a Plan.
     """
-    N, n = Q.shape
-    o = read(Orders, orders)
-    begin = HEAD + TASK * (ends.size // ends.shape[-1])
-    p = problem(rows, ends, orders[HEAD:begin], n, o)
-    full = Ends(ends.reshape(-1), n)
-    box = make_bounds(np.empty((3, n)), full, REFERENCE, o.limits > 0.0)
-    for k in range(N):
-        for i in range(n):
+    block = np.empty(space(Q.shape[1], 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
+    settle_on_views(view(rows), view(ends), view(T), view(Q), view(orders), view(good), view(block))
+    keep(block)
+
+
+@inline
+def settle_on_views(rows, ends, T, Q, orders, good, block):
+    """Do the work of `settle_rows`, whose arrays are given as views; block: scratch memory."""
+    p, o, box, weights, full = path_problem(rows, ends, orders, Q.shape[1], block)
+    for k in range(Q.shape[0]):
+        for i in range(Q.shape[1]):
             p.desk.q[i] = Q[k, i] / full.unit(i)
         p.aim(T[k], o)
-        good[k] = onto_target(p, orders[begin : begin + n], box, ARRIVED).good
-        for i in range(n):
+        good[k] = onto_target(p, weights, box, ARRIVED).good
+        for i in range(Q.shape[1]):
             Q[k, i] = p.desk.q[i] * full.unit(i)
 
 

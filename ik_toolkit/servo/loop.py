@@ -18,7 +18,7 @@ import numpy as np
 from numba.extending import overload
 
 from ..compile.array_view import keep, space, view
-from ..compile.jit import INLINE, cached, inline, inner
+from ..compile.jit import INLINE, cached_small, inline, inner
 from ..kernel.dispatch import problem_on
 from ..kernel.records import HEAD, TASK, Orders, copy, read
 from ..kernel.search import step_class
@@ -352,4 +352,4 @@ def servo(cls: type | None = None) -> Callable:
         keep(block)
         return taken
 
-    return cached(follow) if cls is None else cached(follow, cls, step.step)
+    return cached_small(follow) if cls is None else cached_small(follow, cls, step.step)

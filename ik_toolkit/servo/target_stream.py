@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compile.array_view import flat, view
-from ..compile.jit import cached, inline, inner
+from ..compile.jit import cached_small, inline, inner
 from ..copying import CopiesViews
 from ..errors import InvalidTarget, floats
 from ..kernel.algebra import M3, V3, put3
@@ -117,7 +117,7 @@ def look(T, stand, dt):
     stand[at.still] = 1.0 if moved <= most or stand[at.seconds] >= WAIT else 0.0
 
 
-@cached
+@cached_small
 def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceleration, dt):
     """Write a new target into sample `slot` of `samples`: 0 is the last target, 1 the next one.
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compile.jit import cached, compiled, dual, inline, inner, jit, shared
+from ..compile.jit import cached_small, compiled, dual, inline, inner, jit, shared
 from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.records import Array
 
@@ -282,7 +282,7 @@ HELD_BACK = 0.1  # share of the acceleration limit reserved for corrections whil
 UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for `travel`: times, points and rates
 
 
-@cached
+@cached_small
 def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, code):
     """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n); kernel units.
 
@@ -354,7 +354,7 @@ def head_for(q, rate, known, time, gamma, h, limits, x):
         x[j] = speed + math.copysign(min(share * abs(missing) / (gamma * h), most), missing)
 
 
-@cached
+@cached_small
 def brake(first, gamma, h, late, limits, Q, R, L):
     """Write the path of a full brake after row `first`; return the index of the row in which all joints rest (at least 1).
 

@@ -17,7 +17,7 @@ from numba.core.dispatcher import Dispatcher
 
 import ik_toolkit
 from ik_toolkit.compile import cache, jit
-from ik_toolkit.compile.jit import INLINE, PARTS
+from ik_toolkit.compile.jit import INLINE, OWN_WAY
 from ik_toolkit.compile.pipeline import PartLibrary
 from ik_toolkit.kernel.chain import forward_kinematics
 from ik_toolkit.kernel.null_space import refine
@@ -99,7 +99,7 @@ def test_what_is_used_of_numba_is_there(function):
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_parts_are_neither_optimised_nor_made_machine_code_on_their_own():
     """`parts.PartLibrary` overrides what numba calls to do so. When those names move, compiling takes longer in silence."""
-    assert PARTS, "numba has moved what ik_toolkit.compile.pipeline uses"
+    assert OWN_WAY, "numba has moved what ik_toolkit.compile.pipeline uses"
     part = njit(**INLINE)(lambda x: x + 1.0)
     part.compile((float64,))
     (result,) = part.overloads.values()
@@ -198,7 +198,7 @@ def test_with_a_numba_that_was_not_tried_parts_compile_as_it_likes(monkeypatch, 
         other.setattr(numba, "__version__", release)
         other.setitem(sys.modules, "ik_toolkit.compile.pipeline", None)  # is not even imported
         found.loader.exec_module(jit)
-    assert not jit.PARTS and not jit.OWN_WAY
+    assert not jit.OWN_WAY and "pipeline_class" not in jit.INLINE
     part = jit.inline(lambda x: x + 1.0)
     assert njit(lambda x: part(x))(1.0) == 2.0
 

@@ -10,7 +10,7 @@ CEILINGS = {
     "files outside folders that grow": 235,
     "public names defined in two files or more": 15,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 20,
+    "functions of more than 9 parameters": 19,
     "constants of the most laden file of kernel and servo": 24,
     "constants of modules": 1088,
     "uses of by_tip": 20,

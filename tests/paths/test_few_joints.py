@@ -6,7 +6,7 @@ from robots import have_data, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.counted_error import POSE
-from ik_toolkit.paths.interpolate import interpolate_poses
+from ik_toolkit.motion.reference import interpolate_poses
 from ik_toolkit.paths.result import PathStatus
 
 POSES = 15

@@ -45,7 +45,8 @@ def test_noise_and_delay_hardly_change_the_motion():
     _, quiet, _ = follow(robot, 0.0, measured=False)
     errors, loud, statuses = follow(robot, 1e-4)
     assert errors.max() < 1e-4 * robot.reach
-    assert np.abs(loud).max() < 1.2 * np.abs(quiet).max() and loud.std() < 1.2 * quiet.std()
+    # The single largest acceleration is chance: moving the start by 1e-13 rad moves it by a quarter without any noise.
+    assert np.quantile(np.abs(loud), 0.99) < 1.2 * np.quantile(np.abs(quiet), 0.99) and loud.std() < 1.2 * quiet.std()
     assert statuses == {StepStatus.OK}
 
 

@@ -22,9 +22,9 @@ def test_poses_between_poses():
         A, B = np.eye(4), np.eye(4)
         A[:3, :3], A[:3, 3], B[:3, 3] = pin.exp3(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=3)
         B[:3, :3] = pin.exp3(axis) @ A[:3, :3]
-        flat, out = np.array([[A.ravel()], [B.ravel()]]), np.empty((1, 16))
+        out = np.empty(16)
         for s in (0.0, 0.25, 0.8, 1.0):
-            continuation.blend(flat, 0, 1, s, out)
+            continuation.blend(A.ravel(), B.ravel(), s, out)
             got = out.reshape(4, 4)
             np.testing.assert_allclose(got[:3, 3], A[:3, 3] + s * (B[:3, 3] - A[:3, 3]), atol=1e-15)
             np.testing.assert_allclose(got[:3, :3], pin.exp3(s * axis) @ A[:3, :3], atol=1e-9 if angle > 3 else 1e-12)
@@ -144,7 +144,8 @@ def test_the_program_over_tracks(seed):
     ).reshape(-1, 3)
     counts, costs = np.zeros((N, K), int), np.zeros((N, K))
     parents, prior = np.full((N, K), 99), np.full(N, 99)
-    args = (Q, span, state, most, endless, price, begin, toll, blocked, 0)
+    order = shortest_path.sorted_tracks(Q[..., 0], endless[0])
+    args = (Q, span, state, most, endless, price, begin, toll, blocked, 0, order)
     shortest_path.link_layers(*args, 0, counts, costs, parents, prior)
     wanted, paid = best_path(Q, span, state, most, endless, price, begin, toll, blocked)
     alive = state != shortest_path.DEAD
