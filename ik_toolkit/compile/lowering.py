@@ -16,8 +16,8 @@ from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_
 from numba.core.callconv import RETCODE_OK, CPUCallConv, Status
 from numba.core.compiler_machinery import register_pass
 from numba.core.cpu import CPUContext
-from numba.core.datamodel.registry import default_manager
 from numba.core.datamodel.models import TupleModel, UniTupleModel
+from numba.core.datamodel.registry import default_manager
 from numba.core.ir import Assign, Expr
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
