@@ -16,8 +16,8 @@ from numba.core.analysis import compute_cfg_from_blocks, compute_use_defs, must_
 from numba.core.callconv import RETCODE_OK, CPUCallConv, Status
 from numba.core.compiler_machinery import register_pass
 from numba.core.cpu import CPUContext
-from numba.core.datamodel import default_manager
 from numba.core.datamodel.models import TupleModel, UniTupleModel
+from numba.core.datamodel.registry import default_manager
 from numba.core.ir import Assign, Expr
 from numba.core.lowering import Lower
 from numba.core.typed_passes import NativeLowering
@@ -147,7 +147,8 @@ class PartLower(Lower):
         builder = self.builder
         place, step, left = (builder.extract_value(value, k) for k in (0, 2, 3))
         now, count = builder.load(place), builder.load(left)
-        builder.store(builder.sub(count, llvm.Constant(count.type, 1), flags=["nsw"]), left)
+        fewer = builder.sub(count, llvm.Constant(count.type, 1), flags=["nsw"])  # pyright: ignore[reportCallIssue]
+        builder.store(fewer, left)
         builder.store(builder.add(now, step), place)
         more = builder.icmp_signed(">", count, llvm.Constant(count.type, 0))
         pair = llvm.Constant(self.context.get_value_type(kind), llvm.Undefined)

@@ -20,7 +20,8 @@ class Numbers(NamedTuple):
 
 def numbers(robot: Robot, T: np.ndarray) -> Numbers:
     """Count the solutions of poses T (N, 4, 4)."""
-    p = Elimination().pack(robot)
+    form: Any = Elimination()
+    p = form.pack(robot)
     box = np.array([robot.lower, robot.upper, robot.home])
     found = []
     for pose in T:
