@@ -232,7 +232,7 @@ def space(n, m, L, N):
     is larger than all matrices and vectors over n and m but for the square ones, 16 m is larger than the arrays of the
     tips, and the rest is for gaps between arrays.
     """
-    return 8 * max(n, m, 8) * max(n, m, 8) + (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
+    return 8 * max(n, m, 11) * max(n, m, 11) + (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
 
 
 def cut(block, kind, shapes):

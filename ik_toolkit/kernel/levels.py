@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from ..compile.jit import compiled, inline, inner
 from .limits import hold
-from .linalg import cholesky, cholesky_solve, eigen, null_basis
+from .linalg import cholesky, cholesky_solve, eigen, reflect_row, triangle
 from .records import Array, copy
 from .search import AT_MINIMUM
 
@@ -27,7 +27,9 @@ class LevelSteps(NamedTuple):
     first_order: float = 1e-6  # a minimum: norm of the gradient in the null space, and of wrong multipliers times ten
     damping: float = 0.02  # share of the squared error by which the constraint is damped, as in `lm`
     least_damping: float = 1e-12
-    pivot: float = 1e-4  # pivots of the constraint's Jacobian below this do not count
+    pivot: float = (
+        1e-4  # rows of the constraint's Jacobian count if what is new in them exceeds this share of the largest
+    )
     multiplier: float = 1e-9  # damping of the multipliers, which exist where the Jacobian is singular, too
     flat: float = 1e-3  # least curvature of a step; below it a direction of a level is left to the next level
     flat_reach: float = 1e-6  # the same for a position out of reach, which a joint may change by micrometres
@@ -53,7 +55,7 @@ class StepTables(NamedTuple):
     hessian: Array  # (n, n) second derivatives of a level's Lagrangian
     basis: Array  # (n, .) basis of the null space that the levels so far have left, one vector a column
     work: Array
-    turned: Array  # rotation of `null_basis`, or eigenvectors of `reduced`
+    turned: Array  # the reflections of `triangle`, or eigenvectors of `reduced`
     reduced: Array  # second derivatives in the basis, then its eigenvalues on the diagonal
     border: Array  # (., r) rows of the Jacobian of the free joints, for the r errors of level 0
     triangle: Array  # (r, r) Cholesky factor of border' border, for the multipliers
@@ -65,6 +67,9 @@ class StepTables(NamedTuple):
     dz: Array  # (n,) step of a level in the null space
     free: Array  # index of each free joint
     multiplier: Array  # (m,) minus the multipliers of level 0
+    row: Array  # a vector of the null space
+    scales: Array  # see `triangle`
+    order: Array  # see `triangle`
 
 
 @inline
@@ -72,7 +77,9 @@ def tables_of(s):
     """Return the StepTables in the tables of the working memory s (Desk)."""
     t = s.tables
     v = t[7]
-    return StepTables(t[0], t[1], t[2], t[3], t[4], t[5], t[6], v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7])
+    return StepTables(
+        t[0], t[1], t[2], t[3], t[4], t[5], t[6], v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10]
+    )
 
 
 @inner
@@ -115,16 +122,16 @@ def onto_constraint(s, level, k, value, bench):
         value: Squared error of level 0.
         bench: Scratch; `border` and `triangle` are filled for `multipliers`.
     """
-    A, B, M, b, free = bench.work, bench.border, bench.triangle, bench.rhs, bench.free
+    A, B, M, V, b, free = bench.work, bench.border, bench.triangle, bench.turned, bench.rhs, bench.free
     r = 0
     for g in range(level.shape[0]):
         if level[g] == 0.0:
             for h in range(3 * g, 3 * g + 3):
                 for i in range(k):
-                    A[i, r] = B[i, r] = s.J[int(free[i]), h]
+                    B[i, r] = V[r, i] = s.J[int(free[i]), h]
                 b[r] = s.y[h]
                 r += 1
-    rank = null_basis(A, k, r, QUADRATIC.pivot, bench.turned)
+    rank = triangle(V, r, k, bench.scales, bench.order, QUADRATIC.pivot)
     for x in range(r):
         for z in range(x + 1):
             total = 0.0
@@ -146,11 +153,15 @@ def onto_constraint(s, level, k, value, bench):
     if most > QUADRATIC.longest_along:
         for i in range(s.dq.shape[0]):
             s.dq[i] *= QUADRATIC.longest_along / most
-    for j in range(rank, k):
+    for j in range(rank, k):  # The reflections, last one first, take the unit vector j to a vector of the null space.
+        for i in range(k):
+            bench.row[i] = 1.0 if i == j else 0.0
+        for i in range(rank - 1, -1, -1):
+            reflect_row(V, bench.scales, i, bench.row, k)
         for i in range(s.dq.shape[0]):
             bench.basis[i, j - rank] = 0.0
         for i in range(k):
-            bench.basis[int(free[i]), j - rank] = bench.turned[i, j]
+            bench.basis[int(free[i]), j - rank] = bench.row[i]
     return k - rank
 
 

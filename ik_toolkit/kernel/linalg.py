@@ -255,47 +255,99 @@ def lu_solve(A, b, m):
 
 
 @inner
-def null_basis(A, k, m, least, Q):
-    """Write to Q (k, k) a rotation whose first r columns span the columns of A (k, m), and return the rank r.
+def lu_factor(M, swaps, m, faint):
+    """Replace M (m, m) by its factors L and U, P M = L U, with the largest pivot of each column.
 
-    Columns shorter than `least` do not count. Householder reflections with column pivoting (Golub and Van Loan, Matrix
-    Computations, algorithm 5.4.1); A is overwritten.
+    swaps (m,): receives the rows exchanged. A pivot below `faint` times the largest is replaced by that.
     """
-    for i in range(k):
-        for j in range(k):
-            Q[i, j] = 1.0 if i == j else 0.0
-    for c in range(min(k, m)):
-        pivot, most = c, 0.0
-        for j in range(c, m):
-            size = 0.0
-            for i in range(c, k):
-                size += A[i, j] * A[i, j]
-            if size > most:
-                pivot, most = j, size
-        norm = math.sqrt(most)
-        if not norm > least:
-            return c
-        for i in range(k):
-            A[i, c], A[i, pivot] = A[i, pivot], A[i, c]
-        A[c, c] += norm if A[c, c] >= 0.0 else -norm  # The column now holds the normal of the reflection.
-        size = 0.0
-        for i in range(c, k):
-            size += A[i, c] * A[i, c]
-        for j in range(c + 1, m):
-            dot = 0.0
-            for i in range(c, k):
-                dot += A[i, c] * A[i, j]
-            dot *= 2.0 / size
-            for i in range(c, k):
-                A[i, j] -= dot * A[i, c]
-        for i in range(k):
-            dot = 0.0
-            for j in range(c, k):
-                dot += Q[i, j] * A[j, c]
-            dot *= 2.0 / size
-            for j in range(c, k):
-                Q[i, j] -= dot * A[j, c]
-    return min(k, m)
+    largest = 0.0
+    for k in range(m):
+        at, best = k, abs(M[k, k])
+        for i in range(k + 1, m):
+            if abs(M[i, k]) > best:
+                at, best = i, abs(M[i, k])
+        swaps[k] = at
+        if at != k:
+            for j in range(m):
+                M[k, j], M[at, j] = M[at, j], M[k, j]
+        largest = max(largest, best)
+        if best <= faint * largest:
+            M[k, k] = max(faint * largest, 1e-300)
+        share = 1.0 / M[k, k]
+        for i in range(k + 1, m):
+            if M[i, k] != 0.0:
+                M[i, k] *= share
+                f = M[i, k]
+                for j in range(k + 1, m):
+                    M[i, j] -= f * M[k, j]
+
+
+@inner
+def lu_substitute(M, swaps, x, m):
+    """Replace x (m,) by the solution of a system that `lu_factor` has factored."""
+    for k in range(m):
+        at = swaps[k]
+        x[k], x[at] = x[at], x[k]
+    for i in range(m):
+        for j in range(i):
+            x[i] -= M[i, j] * x[j]
+    for i in range(m - 1, -1, -1):
+        v = x[i]
+        for j in range(i + 1, m):
+            v -= M[i, j] * x[j]
+        x[i] = v / M[i, i]
+
+
+@inner
+def reflect_row(V, scales, k, row, m):
+    """Apply the k-th reflection of `triangle` to m numbers of a row: row -= scale (v . row) v, with v_k = 1 and 0 before it."""
+    v = V[k]
+    total = row[k]
+    for n in range(k + 1, m):
+        total += v[n] * row[n]
+    total *= scales[k]
+    row[k] -= total
+    for n in range(k + 1, m):
+        row[n] -= total * v[n]
+
+
+@inner
+def triangle(V, count, m, scales, order, share):
+    """Factor the matrix whose columns are the first `count` rows of V (., m) by Householder's QR, the longest column left first.
+
+    R stands on and before the diagonal of each row of V, the reflections' vectors behind it; order (count,): the columns as
+    they were taken. Returns the rank: a column shorter than `share` of the first counts as none.
+    """
+    first = 0.0
+    for c in range(count):
+        order[c] = c
+    for k in range(count):
+        at, best = k, -1.0
+        for c in range(k, count):
+            total = 0.0
+            for n in range(k, m):
+                total += V[c, n] * V[c, n]
+            if total > best:
+                at, best = c, total
+        if at != k:
+            for n in range(m):
+                V[k, n], V[at, n] = V[at, n], V[k, n]
+            order[k], order[at] = order[at], order[k]
+        length = math.sqrt(best)
+        first = max(first, length)
+        if length <= share * first:
+            return k
+        end = -length if V[k, k] > 0.0 else length
+        v = V[k, k] - end
+        total = v * v
+        for n in range(k + 1, m):
+            total += V[k, n] * V[k, n]
+            V[k, n] /= v
+        scales[k] = 2.0 * v * v / total
+        for c in range(k + 1, count):
+            reflect_row(V, scales, k, V[c], m)
+        V[k, k] = end
+    return count
 
 
 @inner

@@ -64,7 +64,7 @@ class Desk(NamedTuple):
     # (m,) only for several tips: the errors whose sum of squares is minimised, with rotations as 2 sin(angle/2) times the axis
     e: Array
     spent: Array  # (3,) number of evaluations made, number allowed, and number of the attempt
-    tables: Array  # (8, k, k) scratch for matrices over the coordinates or the errors; k is the larger of n, m and 8
+    tables: Array  # (8, k, k) scratch for matrices over the coordinates or the errors; k is the largest of n, m and 11
     errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
 
     def affords(self, evaluations):
@@ -79,7 +79,7 @@ def make_desk(block, n, m):
         *cut(
             block,
             np.float64,
-            (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, max(n, m, 8), max(n, m, 8)), (3, m // 6, 2)),
+            (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 3, (8, max(n, m, 11), max(n, m, 11)), (3, m // 6, 2)),
         )
     )
     for i in range(n):

@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 from ...compile.jit import compiled, inline, inner
 from ..algebra import V3
-from ..linalg import make_orthogonal
+from ..linalg import lu_factor, lu_substitute, make_orthogonal, reflect_row
 from ..records import Array
 from .closure import Line, line_of, turned
-from .factors import lu_factor, lu_substitute, reflect_row
-from .terms import SIZES
+from .terms import SIZES, TRUST
 
 
 @compiled
@@ -45,7 +44,7 @@ def write_matrix(W, q, M):
 def find_null(W, q, null):
     """Write the null vector null.x of the 12 equations at a root q3 = q, by two steps of inverse iteration."""
     write_matrix(W, q, null.M)
-    lu_factor(null.M, null.swaps, SIZES.monomials)
+    lu_factor(null.M, null.swaps, SIZES.monomials, TRUST.faint)
     x = null.x
     for i in range(SIZES.monomials):
         x[i] = 1.0
@@ -174,7 +173,7 @@ def find_angles(e, rank, pose, q, x, null):
     for n in range(SIZES.numbers):
         row[n] -= e.target[0, n]
     for k in range(rank):
-        reflect_row(e.V, e.scales, k, row)
+        reflect_row(e.V, e.scales, k, row, SIZES.numbers)
     y = null.x  # x may be this same array, and is not needed any more
     for k in range(8):
         y[k] = 0.0

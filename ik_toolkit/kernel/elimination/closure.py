@@ -13,8 +13,9 @@ from typing import NamedTuple
 from ...compile.jit import compiled, inline, inner
 from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left
 from ..kinematics import TAU
+from ..linalg import lu_factor, lu_substitute
 from ..records import Array
-from .factors import lu_factor, lu_substitute
+from .terms import TRUST
 
 
 @compiled
@@ -159,7 +160,7 @@ def close(loop, most, longest, still):
         size = measure_loop(loop, q)
         if k == most or move < still or not size < 1e6:
             break
-        lu_factor(loop.J, loop.swaps, 6)
+        lu_factor(loop.J, loop.swaps, 6, TRUST.faint)
         lu_substitute(loop.J, loop.swaps, loop.error, 6)
         move = 0.0
         for i in range(6):
@@ -174,7 +175,7 @@ def close(loop, most, longest, still):
 def least_gain(loop):
     """Return 1 / |J^-1| (Frobenius norm) at loop.q, at most the least singular value of J, and at least 0.4 of it."""
     measure_loop(loop, loop.q)
-    lu_factor(loop.J, loop.swaps, 6)
+    lu_factor(loop.J, loop.swaps, 6, TRUST.faint)
     total = 0.0
     for k in range(6):
         for i in range(6):

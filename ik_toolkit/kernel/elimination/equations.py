@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 from ...compile.jit import compiled, inline, inner
 from ..algebra import put3
+from ..linalg import reflect_row, triangle
 from ..records import Array
 from .closure import line_moved, line_of, turned
-from .factors import reflect_row, triangle
 from .terms import SIZES, TRUST
 
 
@@ -117,13 +117,13 @@ def reduce(e, mix):
     for c in range(8):
         for n in range(SIZES.numbers):
             e.V[c, n] = e.target[c + 1, n]
-    rank = triangle(e.V, e.scales, e.order, TRUST.empty)
+    rank = triangle(e.V, 8, SIZES.numbers, e.scales, e.order, TRUST.empty)
     for m in range(27):
         row = e.reduced[m]
         for n in range(SIZES.numbers):
             row[n] = e.robot[m, n] - (e.target[0, n] if m == 0 else 0.0)
         for k in range(rank):
-            reflect_row(e.V, e.scales, k, row)
+            reflect_row(e.V, e.scales, k, row, SIZES.numbers)
     for a in range(3):
         for k in range(6):
             w = e.W[a, k]
