@@ -126,7 +126,7 @@ def test_mistakes_in_the_loop_are_typed(panda):
     with pytest.raises(InvalidTarget, match="not shape"):
         tracker.update(np.zeros(4), 0.01)
     for target in ("home", None, {"tip": np.eye(4)}, [[1, 2], [3]], object()):
-        with pytest.raises(InvalidTarget, match="4x4 pose or a position|fields of a ROS message"):
+        with pytest.raises(InvalidTarget, match=r"4x4 pose or a position|fields of a ROS message"):
             tracker.update(target, 0.01)
     tracker.update(panda.fk(Q0), 0.01)
     for target in (panda.fk(Q0).homogeneous.T.copy(), np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 0.5, 1.0, 1.0])):
