@@ -22,8 +22,10 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
-RELATIVE = 10.0  # weight of errors relative to another tip: how two hands hold a thing matters more than where they do
 LOWER = 0.01  # weight of a level of priority relative to the level above it
+RELATIVE = (
+    1.0 / LOWER
+)  # errors relative to another tip are a level above: how two hands hold a thing comes before where they do
 LEVER = 0.2  # [m] lever arm by which an angle is compared with a length: about the length of a hand
 ALIKE = 0.6  # similarity (difflib) above which an unknown option is taken for a misspelt one of another method
 WORDS = (*COUNTING, "relative_to", "priority")  # options that select which errors count
