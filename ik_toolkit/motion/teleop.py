@@ -50,7 +50,7 @@ class Teleop:
         turn: float = 1.0,
     ) -> None:
         """Start with the target at a pose, the clutch not engaged."""
-        self.T_base_tip, _ = _pose(T_base_tip)
+        self.T_base_tip = _pose(T_base_tip)
         self.scale, self.rotation_scale = number(scale, "scale"), number(rotation_scale, "rotation_scale")
         R = np.eye(3) if R_base_controller is None else floats(R_base_controller, ROTATION, InvalidOption)
         if R.shape != (3, 3) or not np.abs(R.T @ R - np.eye(3)).max() < 1e-6 or np.linalg.det(R) < 0:
@@ -64,9 +64,8 @@ class Teleop:
         self.engaged = False
         self._released = True  # whether the clutch was released since the target was put somewhere
         self._anchor: tuple[np.ndarray, np.ndarray] | None = None
-        self._turned = np.zeros(
-            3
-        )  # rotation vector of the controller since engaging; it may be longer than half a turn
+        # The rotation vector of the controller since engaging may be longer than half a turn.
+        self._turned = np.zeros(3)
 
     def update(self, T_controller: Any, engaged: bool, dt: float) -> np.ndarray:
         """Return the target (4, 4) after dt seconds.
@@ -84,7 +83,7 @@ class Teleop:
             raise InvalidOption(f"engaged must be True or False, not {engaged!r:.60}")
         if not engaged:  # Before the pose is looked at: a released clutch lets go, whatever the device says.
             self._anchor, self._released, self.engaged = None, True, False
-        hand, dt = _pose(T_controller)[0], positive(dt, "dt [s]")
+        hand, dt = _pose(T_controller), positive(dt, "dt [s]")
         if engaged and self._anchor is None and self._released:
             self._anchor, self._turned = (hand, self.T_base_tip.copy()), np.zeros(3)
         if self._anchor is not None:
@@ -112,16 +111,16 @@ class Teleop:
 
     def rebase(self, T_base_tip: Any) -> None:
         """Put the target at another pose, such as `robot.fk(step.q)` after a stop; the clutch must be released and engaged anew."""
-        self.T_base_tip, _ = _pose(T_base_tip)
+        self.T_base_tip = _pose(T_base_tip)
         self._anchor, self._released, self.engaged = None, False, False
 
 
-def _pose(T: Any) -> tuple[np.ndarray, str]:
-    """Return a pose as a (4, 4) array and a notice. Raises InvalidTarget."""
-    made, notice = check_target(T)
+def _pose(T: Any) -> np.ndarray:
+    """Return a pose as a (4, 4) array of its own. Raises InvalidTarget."""
+    made, _ = check_target(T)
     if made.ndim != 2:
         raise InvalidTarget("a pose (4, 4) is needed, not a position")
-    return np.array(made), notice
+    return np.array(made)
 
 
 def _nearest(v: np.ndarray, before: np.ndarray) -> np.ndarray:

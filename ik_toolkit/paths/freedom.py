@@ -79,9 +79,19 @@ def off_the_poses(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T:
 
     For each segment it is the larger value of both ends, as in `missed`, but it is computed for every arm.
     """
-    left, goals, o = np.zeros((2, len(curve))), interpolate_poses(T, at, kinds), plan.options
-    for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
-        errors = counted_errors(plan.robot, curve[k], goals[k], kinds, o)
-        left[:, k] = np.max([(position, angle or 0.0) for position, angle in errors], axis=0)
+    o = plan.options
+    left = np.nan_to_num(errors_at_rows(plan.robot, curve, interpolate_poses(T, at, kinds), kinds, o)).T
     left = np.maximum(left - [[o.position_tolerance], [o.orientation_tolerance]], 0.0)
     return np.maximum(left[:, 1:], left[:, :-1])
+
+
+def errors_at_rows(robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Any) -> np.ndarray:
+    """Return the counted errors [m], [rad] (N, 2) of each row of q (N, n) from its target, the largest of all tips.
+
+    A row of q that is not finite has NaN. T (N, ...): a target for each row; kinds: a target kind per tip; o: the Options.
+    """
+    errors = np.full((len(q), 2), np.nan)
+    for t in np.flatnonzero(np.isfinite(q).all(axis=1)):
+        left = counted_errors(robot, q[t], T[t], kinds, o)
+        errors[t] = np.max([(position, angle or 0.0) for position, angle in left], axis=0)
+    return errors

@@ -25,11 +25,10 @@ from ..solvers.collision_free import collision_model
 from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
-from ..solvers.task import counted_errors
 from ..text import angle, length
 from .finish import collapsed, finished, gaps, inserted
 from .fraction import fraction
-from .freedom import freedom
+from .freedom import errors_at_rows, freedom
 from .path_problem import STEP, Problem, nearest_poses
 from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
@@ -255,10 +254,7 @@ def _result(
     # Several breaks between the same two requested poses count as one, so only "at least one" is proven.
     least = search.lower_bound
     least = least if least is None or asked.all() else min(least, 1)
-    errors = np.full((len(q), 2), np.nan)
-    for t in np.flatnonzero(np.isfinite(q).all(axis=1)):
-        left = counted_errors(problem.robot, q[t], T[t], problem.kinds, problem.single.options)
-        errors[t] = np.max([(position, angle or 0.0) for position, angle in left], axis=0)
+    errors = errors_at_rows(problem.robot, q, T, problem.kinds, problem.single.options)
     missing = tuple(search.unreachable())
     moves = tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in kept.breaks)
     needed = max(len(gaps(problem.at, found.breaks)), len(moves) + (not missing and bool(np.isnan(q).any())))
@@ -288,14 +284,10 @@ def _result(
 
 def _against(made: PathResult, wanted: np.ndarray) -> PathResult:
     """Return the path along the nearest poses with the errors from the poses asked for, and a sentence on them."""
-    errors = np.full((len(made.q), 2), np.nan)
-    there = np.flatnonzero(np.isfinite(made.q).all(axis=1))
-    if not len(there):
+    errors = errors_at_rows(made.robot, made.q, wanted, made.kinds, made.options)
+    if np.isnan(errors).all():
         return made
-    for t in there:
-        left = counted_errors(made.robot, made.q[t], wanted[t], made.kinds, made.options)
-        errors[t] = np.max([(position, turned or 0.0) for position, turned in left], axis=0)
-    worst = np.max(errors[there], axis=0, initial=0.0)
+    worst = np.nanmax(errors, axis=0)
     words = (
         f"up to {length(worst[0])} and {angle(worst[1])} off the poses asked for, the nearest found by their priority"
     )

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from robots import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, JointNotFound
@@ -29,8 +30,6 @@ def test_names_of_lerobot_and_other_entries():
 
 
 def test_a_joint_that_is_named_like_a_motor_is_found_first():
-    from robots import urdf
-
     text = urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0")).replace('"j0"', '"arm.pos"')
     robot = ik.Robot.load(text, tip="l2")
     motors = ik.MotorMap(robot, sign={"arm.pos": -1})
