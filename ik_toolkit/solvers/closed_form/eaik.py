@@ -9,7 +9,7 @@ from ...compile.jit import cached, inline
 from ...errors import MissingExtra
 from ...kernel.chain import Chain
 from ..protocol import closed_form
-from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
+from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
 N = 6
 # Number of Newton steps that improve a solution of EAIK.
@@ -21,13 +21,9 @@ H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 def recognise_six_axes(chain: Chain) -> Fit:
     """Return how EAIK fits a chain, which depends on the chain's axes at q = 0."""
-    if chain.n != N:
-        return no_fit(f"it has {chain.n} joints on the path, not 6")
-    screws = read_screws(chain)
+    screws = read_revolute(chain, N)
     if isinstance(screws, str):
         return no_fit(screws)
-    if not screws.turns.all():
-        return no_fit("not all of its joints are revolute")
     steps = np.diff(np.vstack([np.zeros(3), screws.point, screws.T[:3, 3]]), axis=0)
     parameters = np.concatenate([screws.axis.ravel(), steps.ravel(), screws.T[:3, :3].ravel()])
     if not _arm(parameters.tobytes()).hasKnownDecomposition():

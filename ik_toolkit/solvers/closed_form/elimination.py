@@ -15,7 +15,7 @@ from ...kernel.chain import Chain
 from ...kernel.elimination.binding import answers, make_arm, make_forms
 from ...kernel.elimination.terms import Notes
 from ..protocol import closed_form
-from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
+from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
 N = 6
 # Least distance of the axes from one point, as a share of the reach; rounding of a pose (1e-16) is 1e-12 of that.
@@ -60,13 +60,9 @@ class Certificate(NamedTuple):
 
 def recognise_six_revolute(chain: Chain) -> Fit:
     """Return whether a chain has six revolute joints, each moved by one coordinate, with the numbers (52,) of their axes."""
-    if chain.n != N:
-        return no_fit(f"it has {chain.n} joints on the path, not 6")
-    screws = read_screws(chain)
+    screws = read_revolute(chain, N)
     if isinstance(screws, str):
         return no_fit(screws)
-    if not screws.turns.all():
-        return no_fit("not all of its joints are revolute")
     arm = make_arm(screws.axis, screws.point, screws.T)
     if arm[-1] < LEAST_SIZE * chain.reach:
         return no_fit("its axes meet in one point")

@@ -88,6 +88,16 @@ def read_screws(chain: Chain) -> Screws | str:
     return Screws(turns, axis, T[0, :3, 3] + np.cross(angular, linear), T[0])
 
 
+def read_revolute(chain: Chain, count: int) -> Screws | str:
+    """Return the joint screws of a chain of `count` revolute joints, or the reason (text) why it is none."""
+    if chain.n != count:
+        return f"it has {chain.n} joints on the path, not {count}"
+    screws = read_screws(chain)
+    if isinstance(screws, str) or screws.turns.all():
+        return screws
+    return "not all of its joints are revolute"
+
+
 def angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
     """Return the angle [rad] about `axis` that rotates `start` into `end`; unit vectors, the last two perpendicular to `axis`."""
     return math.atan2(float(axis @ np.cross(start, end)), float(start @ end))
