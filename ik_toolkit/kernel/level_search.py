@@ -132,6 +132,7 @@ def search_by_levels(rule, p, job, level, plain, excess):
             best = compare(p, e, level, best, tries, job)
         tries += 1
         enough = best.agreed >= (QUADRATIC.agree if best.ee < 0.0 else QUADRATIC.agree_reach)
+        enough = enough or (best.ee < 0.0 and near + far >= QUADRATIC.most)
         if best.met or enough or tries >= attempts or spent.evaluations >= o.evaluations:
             break
     if best.agreed == 0:

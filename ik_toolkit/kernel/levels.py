@@ -26,11 +26,10 @@ class LevelSteps(NamedTuple):
 
     first_order: float = 1e-6  # a minimum: norm of the gradient in the null space, and of wrong multipliers times ten
     damping: float = 0.02  # share of the squared error by which the constraint is damped, as in `lm`
-    least_damping: float = 1e-12
+    least_damping: float = 1e-9  # it keeps the multipliers finite where the Jacobian is singular
     pivot: float = (
         1e-4  # rows of the constraint's Jacobian count if what is new in them exceeds this share of the largest
     )
-    multiplier: float = 1e-9  # damping of the multipliers, which exist where the Jacobian is singular, too
     flat: float = 1e-3  # least curvature of a step; below it a direction of a level is left to the next level
     flat_reach: float = 1e-6  # the same for a position out of reach, which a joint may change by micrometres
     longest_along: float = 1.0  # longest step towards the constraint [rad or kernel units]
@@ -39,7 +38,9 @@ class LevelSteps(NamedTuple):
     same_reach: float = 1e-5  # the same for level 0 out of reach, which comes before the level below
     agree: int = 3  # the search ends when so many attempts have found the best minimum
     agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
-    at_once: int = 48  # attempts with all errors at one level, where there are at least as many joints as errors
+    most: int = 20  # it also ends after so many attempts if any has reached level 0
+    at_once: int = 48  # attempts with all errors at one level, where there are at least as many joints as errors that count
+    at_once_few: int = 3  # the same for fewer joints: of 1,000 poses within reach of the SO-101 9 end off, without them 50
     table: int = 2048  # number of known starts; 256 find 2 % fewer of the best minima on five joints
     known: int = 8  # attempts after which the position is taken to be out of reach
     decay: float = 0.64  # factor, in each iteration, of the squared error of level 0 above which an attempt is given up
@@ -57,8 +58,8 @@ class StepTables(NamedTuple):
     work: Array
     turned: Array  # the reflections of `triangle`, or eigenvectors of `reduced`
     reduced: Array  # second derivatives in the basis, then its eigenvalues on the diagonal
-    border: Array  # (., r) rows of the Jacobian of the free joints, for the r errors of level 0
-    triangle: Array  # (r, r) Cholesky factor of border' border, for the multipliers
+    border: Array  # (r, .) the Jacobian of the free joints, for the r errors of level 0
+    triangle: Array  # (r, r) Cholesky factor of border border', damped
     gradient: Array  # (n,) of half the squared errors of a level
     rhs: Array  # right side of a system
     pull: Array  # (m,) factors of the second derivatives of the errors, see `curvature.add_curvature`
@@ -111,6 +112,26 @@ def hessian_of_level(p, c, level, bench):
     p.curvature(bench.pull, bench.chosen, bench.hessian)
 
 
+@inline
+def factor_constraint(V, B, A, b, scales, order, r, k, damping):
+    """Factor the Jacobian in the rows of V (r, k): its Gram matrix, damped, into A, V itself by `triangle`; return its rank.
+
+    B (r, k) receives a copy of V, and b (r,) is replaced by the solution of the damped system.
+    """
+    for x in range(r):
+        for i in range(k):
+            B[x, i] = V[x, i]
+        for z in range(x + 1):
+            total = 0.0
+            for i in range(k):
+                total += V[x, i] * V[z, i]
+            A[x, z] = total
+        A[x, x] += damping
+    cholesky(A, r, damping)
+    cholesky_solve(A, r, b)
+    return triangle(V, r, k, scales, order, QUADRATIC.pivot)
+
+
 @inner
 def onto_constraint(s, level, k, value, bench):
     """Write to s.dq the damped step onto level 0, and make bench.basis one of its null space; return the number of its columns.
@@ -122,32 +143,25 @@ def onto_constraint(s, level, k, value, bench):
         value: Squared error of level 0.
         bench: Scratch; `border` and `triangle` are filled for `multipliers`.
     """
-    A, B, M, V, b, free = bench.work, bench.border, bench.triangle, bench.turned, bench.rhs, bench.free
+    A, B, V, b, free = bench.triangle, bench.border, bench.turned, bench.rhs, bench.free
     r = 0
     for g in range(level.shape[0]):
         if level[g] == 0.0:
             for h in range(3 * g, 3 * g + 3):
                 for i in range(k):
-                    B[i, r] = V[r, i] = s.J[int(free[i]), h]
+                    V[r, i] = s.J[int(free[i]), h]
                 b[r] = s.y[h]
                 r += 1
-    rank = triangle(V, r, k, bench.scales, bench.order, QUADRATIC.pivot)
-    for x in range(r):
-        for z in range(x + 1):
-            total = 0.0
-            for i in range(k):
-                total += B[i, x] * B[i, z]
-            A[x, z] = M[x, z] = total
-        A[x, x] += QUADRATIC.damping * value + QUADRATIC.least_damping
-        M[x, x] += QUADRATIC.multiplier
-    cholesky(A, r, QUADRATIC.least_damping * QUADRATIC.least_damping)
-    cholesky_solve(A, r, b)
-    cholesky(M, r, QUADRATIC.least_damping)
+    damping = QUADRATIC.damping * value + QUADRATIC.least_damping
+    if r == 3:  # Loops of a known length are faster.
+        rank = factor_constraint(V, B, A, b, bench.scales, bench.order, 3, k, damping)
+    else:
+        rank = factor_constraint(V, B, A, b, bench.scales, bench.order, r, k, damping)
     most = 0.0
     for i in range(k):
         total = 0.0
         for x in range(r):
-            total += B[i, x] * b[x]
+            total += B[x, i] * b[x]
         s.dq[int(free[i])] = total
         most = max(most, abs(total))
     if most > QUADRATIC.longest_along:
@@ -244,7 +258,7 @@ def multipliers(level, k, bench):
             for _ in range(3):
                 b[r] = 0.0
                 for i in range(k):
-                    b[r] += bench.border[i, r] * bench.gradient[int(bench.free[i])]
+                    b[r] += bench.border[r, i] * bench.gradient[int(bench.free[i])]
                 r += 1
     cholesky_solve(bench.triangle, r, b)
     r = 0

@@ -10,7 +10,7 @@ from ...kernel.levels import QUADRATIC, step_by_levels
 from ...kernel.records import Array, Ends
 from ...kernel.starts import BEST, known_configurations
 from ..protocol import Asked, rule
-from ..task import group_levels, what_counts
+from ..task import counted_rows, group_levels, what_counts
 from .jacobian import FLOOR
 
 
@@ -98,5 +98,6 @@ class SQP(NamedTuple):
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
         """Return the numbers of the compiled step."""
         assert asked is not None
-        plain = QUADRATIC.at_once if asked.rows <= robot.n else 0
+        counted = counted_rows(robot, asked.kinds, asked.options).sum()
+        plain = QUADRATIC.at_once if counted <= robot.n else QUADRATIC.at_once_few
         return np.array([plain, *group_levels(robot, asked.options)], dtype=float)
