@@ -123,9 +123,9 @@ def solve_path(
     asked = avoided(avoid_collisions)
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
-    wanted = T
+    wanted = None
     if solver.options.priority is not None:  # The search follows poses that the arm can reach.
-        T = nearest_poses(solver, T, kinds, q0)
+        wanted, T = T, nearest_poses(solver, T, kinds, q0)
         exact: dict[str, Any] = {**options, "priority": None, "slack": None}
         solver = Solver(robot, seed=seed, **exact)
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
@@ -154,15 +154,15 @@ def solve_path(
             search.lower_bound = None  # half turns the other way may need fewer
         search.progress(0.9, "shortening and verifying the path")
         made = _result(search, allowed, step, tolerance, model, seed, began)
-        made = replace(made, tolerance_given=path_tolerance is not None)
-        return made if wanted is T else _against(made, wanted)
+        return _against(replace(made, tolerance_given=path_tolerance is not None), wanted)
     except KeyboardInterrupt:
         if search.found is None:
             if not search.tracks.size:
                 raise
             search.progress = _silent
             search.link()
-        raise PathInterrupted(_result(search, allowed, step, tolerance, model, seed, began, refine=False)) from None
+        partial = _result(search, allowed, step, tolerance, model, seed, began, refine=False)
+        raise PathInterrupted(_against(partial, wanted)) from None
 
 
 def _silent(share: float, words: str) -> None:
@@ -282,8 +282,10 @@ def _result(
     return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)
 
 
-def _against(made: PathResult, wanted: np.ndarray) -> PathResult:
-    """Return the path along the nearest poses with the errors from the poses asked for, and a sentence on them."""
+def _against(made: PathResult, wanted: np.ndarray | None) -> PathResult:
+    """Return the path; if it leads through the nearest poses, with its errors from those that were `wanted`, and a sentence."""
+    if wanted is None:
+        return made
     errors = errors_at_rows(made.robot, made.q, wanted, made.kinds, made.options)
     if np.isnan(errors).all():
         return made
