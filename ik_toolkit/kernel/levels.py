@@ -39,8 +39,12 @@ class LevelSteps(NamedTuple):
     agree: int = 3  # the search ends when so many attempts have found the best minimum
     agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
     most: int = 20  # it also ends after so many attempts if any has reached level 0
-    at_once: int = 48  # attempts with all errors at one level, where there are at least as many joints as errors that count
-    at_once_few: int = 3  # the same for fewer joints: of 1,000 poses within reach of the SO-101 9 end off, without them 50
+    at_once: int = (
+        48  # attempts with all errors at one level, where there are at least as many joints as errors that count
+    )
+    at_once_few: int = (
+        3  # the same for fewer joints: of 1,000 poses within reach of the SO-101 9 end off, without them 50
+    )
     table: int = 2048  # number of known starts; 256 find 2 % fewer of the best minima on five joints
     known: int = 8  # attempts after which the position is taken to be out of reach
     decay: float = 0.64  # factor, in each iteration, of the squared error of level 0 above which an attempt is given up

@@ -269,11 +269,10 @@ def test_a_path_leads_through_the_nearest_poses():
 
 
 def test_poses_that_few_joints_reach_are_reached():
-    """Attempts with all errors at once come first; without them about one pose in twenty ends at another minimum."""
-    robot, rng = five_joints(), np.random.default_rng(15)
-    T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(200)])
-    done = ik.solve_batch(robot, T, priority="position")
-    assert (done.orientation_error <= 1e-5).mean() >= 0.98
+    """Attempts with all errors at once come first; without them 8 of these 400 poses end at another minimum."""
+    robot, rng = ik.Robot.load("planar_3r"), np.random.default_rng(15)
+    T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(400)])
+    assert ik.solve_batch(robot, T, priority="position").orientation_error.max() <= 1e-5
 
 
 def test_a_tracker_keeps_the_position_and_calls_it_ok():
