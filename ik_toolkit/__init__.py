@@ -54,6 +54,7 @@ _NAMES = {
     "reference_from_file": "motion.waypoints",
     "tune": "study.tune",
     "workspace": "study.workspace",
+    "analyse": "study.analyse",
     "best_gains": "servo.stability",
     "check_gains": "servo.stability",
     "view": "show.scene",

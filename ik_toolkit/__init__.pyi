@@ -49,6 +49,7 @@ from .solvers.solve import Solver as Solver
 from .solvers.solve import solve as solve
 from .solvers.solve import solve_all as solve_all
 from .solvers.status import Status as Status
+from .study.analyse import analyse as analyse
 from .study.benchmark import benchmark as benchmark
 from .study.tune import tune as tune
 from .study.workspace import workspace as workspace

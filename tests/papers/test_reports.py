@@ -6,7 +6,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.papers.burrell_2016 import gains, paper, solutions, speed, swarm
+from ik_toolkit.papers.burrell_2016 import gains, paper, solutions, speed, stability, swarm
 from ik_toolkit.papers.burrell_2016.gains import least_distance
 from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
 from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
@@ -173,3 +173,12 @@ def test_solutions_of_the_hydrolek_are_counted(hydrolek):
     assert (columns[~even][:, [1, 3]] == 0.0).all()  # solutions come and go in pairs
     assert columns[columns[:, 0] == 0][:, [1, 3, 4]].sum() == 0.0  # the poses are made from joint values
     assert min(report.data["solutions_certified"].values()) > 0.99
+
+
+def test_limits_and_not_instability_explain_lost_goals(hydrolek):
+    report, mid = Report("burrell", "stability"), paper.starts(hydrolek)["mid-range"]
+    stability.stability(report, hydrolek, {"mid-range": mid}, [paper.goals(hydrolek, 100, 300)])
+    (row,) = report.data["stability"]["rows"]
+    assert 65.0 < row[1] < 85.0 and row[2] > 90.0 and row[3] < 5.0 and row[5] >= 99.0
+    foretold, solved = np.array(report.data["gain_margin"]["rows"])[:, 1:].T
+    assert np.abs(foretold - solved).max() < 15.0 and np.corrcoef(foretold, solved)[0, 1] > 0.98

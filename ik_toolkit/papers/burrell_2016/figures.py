@@ -136,3 +136,25 @@ def draw_reach(
         return figure
 
     return draw
+
+
+def draw_stability(
+    gains: np.ndarray, bound: float, margins: np.ndarray, swept: list[list[float]]
+) -> Callable[[Any], Any]:
+    """Draw loop gains (N, r) in the complex plane with their bound, and margins (N,) of IK-PID beside runs (K_p, -, solved [%])."""
+
+    def draw(plt: Any) -> Any:
+        figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained")
+        left.plot(gains.real.ravel(), gains.imag.ravel(), ".", ms=2, alpha=0.3, color=COLOURS[0])
+        for at in (0.0, bound):
+            left.axvline(at, color=COLOURS[1], lw=1.2, ls="--")
+        left.set(xlabel="real part", ylabel="imaginary part", title="loop gain (dashed: bounds where it is real)")
+        right.plot(np.sort(margins), 100.0 * (1.0 - np.arange(len(margins)) / len(margins)), color=COLOURS[0])
+        kp, _, solved = np.array(swept).T
+        right.plot(kp, solved, "o", color=COLOURS[1])
+        right.annotate("margin above $K_p$", (0.035, 97.0), (0.06, 92.0), color=COLOURS[0])
+        right.annotate("solved by runs", (kp[3], solved[3]), (0.115, 45.0), color=COLOURS[1])
+        right.set(xlabel="$K_p$ (degrees a mm)", ylabel="goals (%)", title="IK-PID", ylim=(0.0, 104.0))
+        return figure
+
+    return draw

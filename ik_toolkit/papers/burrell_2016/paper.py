@@ -29,6 +29,7 @@ from .gains import existence, gains
 from .published import MISPRINTS, PAPER_OPTIONS, PLANAR_B, TABLE_1, TABLE_3, TO_PAPER
 from .solutions import solutions
 from .speed import speed
+from .stability import stability
 from .swarm import swarm
 
 SEEDS = range(100, 110)
@@ -91,6 +92,7 @@ def reproduce(seeds: int = 10) -> Report:
         _responses(report, robot, goal, some)
         speed(report, robot, starts(robot)["mid-range"])
         solutions(report, robot, some)
+        stability(report, robot, starts(robot), [goals(robot, k) for k in some])
         _planar(report, some)
         _other_robots(report)
         _misprints(report)

@@ -1,0 +1,245 @@
+"""Linear analysis of the paper's two feedback solvers: is the loop stable near a solution, and where can a run end?
+
+With the Jacobian J at a configuration and the error e = target - actual, one step of the state-space solver (`StateSpace`) is
+
+    e(k+1) = (I - J D) e(k) - J C x(k)
+    x(k+1) =           B e(k) + A x(k)
+
+to first order, so near a solution errors vanish if the spectral radius of [[I - J D, -J C], [B, A]] is below 1. Summed over a
+run whose state dies out, the joints have moved by S (e(0) + e(1) + ...) with the static map S = C (I - A)^-1 B + D. A run that no
+limit touches therefore ends on the slice q0 + S w, whatever A is; A decides how fast. J S is the loop gain.
+
+One step of IK-PID (`PID`) moves one joint by K_p |e|. To first order that lowers the error along the unit vector u if
+K_p < 2 |J_i . u| / |J_i|^2. The gain margin is the largest K_p for which some joint does so whatever u is.
+
+Burrell et al. (2016) announce such an analysis in their conclusion; this one is ours.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, whole
+from ..kernel.counted_error import POSE, POSITION
+from ..robot.robot import Robot
+from ..robot.tree import require_one_tip
+from ..solvers.batch.solve_batch import solve_batch
+from ..solvers.protocol import Asked
+from ..solvers.rules.state_space import HEAD, StateSpace
+
+# Iterations of the run that predicts outcomes: it makes no overshoot, and the slowest direction of the published gains falls by a
+# twentieth in a step.
+ITERATIONS = 3000
+FLAT = 1e-9  # a joint whose Jacobian column is below this share of the largest does not move the tip
+ROUND = 1e-9  # share by which rounding may put a vertex of `gain_margins` outside a facet
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """A state-space solver in base axes, metres and radians; M is its number of maps.
+
+    Attributes:
+        A: (m, m) state matrix.
+        B: (M, m, r) input matrices; r is 3 for positions, 6 for poses.
+        C: (n, m) output matrix.
+        D: (M, n, r) feedthrough.
+        starts: (M, n) the start [rad or m] at which each map is used.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    starts: np.ndarray
+
+    def nearest(self, robot: Robot, q: np.ndarray) -> np.ndarray:
+        """Return the index of the map that is used at each configuration q (N, n): that of the nearest start, full turns apart."""
+        apart = (q[:, None] - self.starts) / robot.chain.unit
+        apart -= 2.0 * np.pi * np.rint(apart / (2.0 * np.pi)) * (robot.chain.turns > 0.0)
+        return (apart**2).sum(axis=2).argmin(axis=1)
+
+    def static_maps(self) -> np.ndarray:
+        """Return S = C (I - A)^-1 B + D for each map, (M, n, r)."""
+        return self.C @ np.linalg.solve(np.eye(len(self.A)) - self.A, self.B) + self.D
+
+
+def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
+    """Return the matrices that a state-space rule uses for a robot. Raises InvalidOption as the solver does."""
+    made = rule.resolve(robot, position_only)
+    numbers = made.pack(robot, Asked(robot, (POSITION if position_only else POSE,)))
+    n, m, count = robot.n, int(numbers[0]), int(numbers[1])
+    parts = np.split(numbers[HEAD + n :], np.cumsum([m * m, n * m]))
+    table = parts[2].reshape(count, -1)
+    B, D = table[:, n : n + 6 * m].reshape(count, m, 6), np.zeros((count, n, 6))
+    if numbers[2] > 0.0:
+        D = table[:, n + 6 * m :].reshape(count, n, 6)
+    axes, unit = robot.chain.ends[:9].reshape(3, 3).T, robot.chain.unit[:, None]
+
+    def plain(maps: np.ndarray) -> np.ndarray:  # The kernel's errors are in its own axes, with lengths over the scale.
+        linear = maps[:, :, :3] @ axes / robot.chain.scale
+        return linear if position_only else np.concatenate([linear, maps[:, :, 3:] @ axes], axis=2)
+
+    return Matrices(
+        parts[0].reshape(m, m), plain(B), parts[1].reshape(n, m) * unit, plain(D) * unit, table[:, :n] * unit.T
+    )
+
+
+@dataclass(frozen=True)
+class LoopAnalysis:
+    """The loop of a state-space solver at N configurations.
+
+    Attributes:
+        robot: The robot.
+        matrices: The solver's matrices.
+        position_only: Whether targets are positions.
+        q: (N, n) configurations [rad or m].
+        spectral_radius: (N,) factor by which the slowest part of an error changes in each step, near a solution.
+        loop_gain: (N, r) complex eigenvalues of J S (1 - a) for A = a I, which is J C B + (1 - a) J D; of J S for any other A.
+        gain_bound: Without D and with A = a I, a real loop gain must be between 0 and this, 1 - a (Jury's test); else None.
+    """
+
+    robot: Robot
+    matrices: Matrices
+    position_only: bool
+    q: np.ndarray
+    spectral_radius: np.ndarray
+    loop_gain: np.ndarray
+    gain_bound: float | None
+
+    @property
+    def stable(self) -> np.ndarray:
+        """Whether the loop is stable near each configuration (N,)."""
+        return self.spectral_radius < 1.0
+
+    @property
+    def steps_per_decade(self) -> np.ndarray:
+        """Number of steps in which an error near each configuration falls to a tenth, (N,); infinite where it does not."""
+        with np.errstate(divide="ignore"):
+            return np.where(self.stable, -1.0 / np.log10(np.minimum(self.spectral_radius, 1.0)), np.inf)
+
+    def predict(self, targets: Any, q0: Any = None, tolerance: float = 1e-3) -> np.ndarray:
+        """Return whether the solver is expected to reach each target, from its static maps and the joint limits alone.
+
+        The static map is run as a solver of its own, without the state: what it misses lies off the slice within the limits.
+        What the solver reaches and this does not, it reaches because its state overshoots into a limit, which shifts the slice.
+
+        Args:
+            targets: As for `solve_batch`, N of them.
+            q0: (n,) start [rad or m]; default: the solver's own starts.
+            tolerance: As for `solve_batch` [m].
+
+        Returns:
+            (N,) booleans.
+        """
+        made = StateSpace(D=self.matrices.static_maps(), starts=self.matrices.starts)
+        if len(self.matrices.starts) == 1:
+            made = made._replace(D=made.D[0], starts=None if q0 is not None else made.starts)
+        options: dict[str, Any] = {"tolerance": tolerance, "max_iterations": ITERATIONS, "restarts": 0, "check": 0.0}
+        return solve_batch(self.robot, targets, made, q0=q0, **options).success
+
+    def off_slice(self, q: Any, q0: Any) -> np.ndarray:
+        """Return how far configurations q (N, n) are from the slice q0 + S w of the solver's only map [norm, rad or m].
+
+        Raises InvalidOption if the solver has several maps.
+        """
+        if len(self.matrices.starts) > 1:
+            raise InvalidOption(
+                f"each of {len(self.matrices.starts)} maps has a slice of its own; off_slice needs a single map"
+            )
+        moved = (np.atleast_2d(q) - np.asarray(q0)).T
+        S = self.matrices.static_maps()[0]
+        return np.linalg.norm(moved - S @ np.linalg.lstsq(S, moved, rcond=None)[0], axis=0)
+
+    def __str__(self) -> str:
+        """Return the analysis in a few lines."""
+        gain, steps = self.loop_gain.real, np.percentile(self.steps_per_decade, (5, 50, 95), method="nearest")
+        bound = "" if self.gain_bound is None else f" (stable between 0 and {self.gain_bound:g} where it is real)"
+        return (
+            f"{self.robot.name}, state space, {len(self.q)} configurations: {100 * self.stable.mean():.1f} % locally stable\n"
+            f"loop gain {gain.min():.3f} to {gain.max():.3f}{bound}\n"
+            f"steps for a tenth of the error: {steps[1]:.1f} (5 to 95 %: {steps[0]:.1f} to {steps[2]:.1f})"
+        )
+
+
+def analyse(
+    robot: Robot,
+    rule: Any = None,
+    q: Any = None,
+    *,
+    count: int = 3000,
+    seed: int = 0,
+    position_only: bool | None = None,
+) -> LoopAnalysis:
+    """Analyse the loop of the state-space solver at configurations of a robot, to first order.
+
+    Args:
+        robot: A robot with one tip.
+        rule: A `StateSpace`; default: the one that is designed for the robot.
+        q: (n,) or (N, n) configurations [rad or m]; default: `count` random ones within the limits, drawn with `seed`.
+        count: Number of random configurations.
+        seed: Seed of the random configurations.
+        position_only: Whether targets are positions; default: True if B or D has three columns.
+
+    Returns:
+        The analysis. With several maps each configuration takes the map of the start nearest to it.
+
+    Raises:
+        InvalidOption: The rule is no StateSpace, or does not fit the robot.
+    """
+    require_one_tip(robot, "the analysis of a loop")
+    rule = StateSpace() if rule is None else rule
+    if not isinstance(rule, StateSpace):
+        raise InvalidOption(
+            f"analyse takes ik.StateSpace(...) or ik.StateSpace.preset(name), not {rule!r}; "
+            "the other solvers have no linear loop (for ik.PID see study.analyse.gain_margins)"
+        )
+    if position_only is None:
+        given = next((part for part in (rule.B, rule.D) if part is not None), None)
+        position_only = given is not None and np.shape(given)[-1] == 3
+    count = whole(count, "count", 1)
+    Q = robot.random_q(np.random.default_rng(seed), count) if q is None else np.atleast_2d(np.asarray(q, dtype=float))
+    Q = np.array([robot.check_q(one, "q") for one in Q])
+    made = matrices(robot, rule, position_only)
+    J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if position_only else 6]
+    chosen = made.nearest(robot, Q)
+    r, m, a = J.shape[1], len(made.A), float(made.A[0, 0]) if len(made.A) else 0.0
+    B, D = made.B[chosen], made.D[chosen]
+    loop = np.zeros((len(Q), r + m, r + m))
+    loop[:, :r, :r], loop[:, :r, r:] = np.eye(r) - J @ D, -J @ made.C
+    loop[:, r:, :r], loop[:, r:, r:] = B, made.A
+    alike = bool(m) and np.array_equal(made.A, a * np.eye(m))
+    gain = J @ made.static_maps()[chosen] * (1.0 - a if alike else 1.0)
+    return LoopAnalysis(
+        robot, made, position_only, Q, np.abs(np.linalg.eigvals(loop)).max(axis=1),
+        np.linalg.eigvals(gain).astype(complex), 1.0 - a if alike and not made.D.any() else None,
+    )  # fmt: skip
+
+
+def gain_margins(robot: Robot, q: Any) -> np.ndarray:
+    """Return the gain margin of IK-PID for positions at each of N configurations q (N, n) [rad per m, or 1 for slides].
+
+    With a_i = 2 J_i / |J_i|^2 it is the least over all unit vectors u of max |a_i . u|: one over the norm of the farthest vertex
+    of the polytope |a_i . x| <= 1.
+
+    Returns:
+        (N,) largest K_p for which some joint lowers a small error whatever its direction; 0 where three joints do not span space.
+    """
+    require_one_tip(robot, "the gain margin")
+    found = []
+    for J in robot.chain.forward(np.atleast_2d(q), jacobian=True)[1][:, :3]:
+        size = np.linalg.norm(J, axis=0)
+        facets = (2.0 * J / np.maximum(size, 1e-300) ** 2).T[size > FLAT * size.max()]
+        far = 0.0
+        spans = False
+        for three in combinations(range(len(facets)), 3):
+            rows = facets[list(three)]
+            if abs(np.linalg.det(rows)) <= FLAT * np.prod(np.linalg.norm(rows, axis=1)):
+                continue
+            spans = True
+            corners = np.linalg.solve(rows, np.array(list(product((1.0,), (1.0, -1.0), (1.0, -1.0)))).T)
+            inside = (np.abs(facets @ corners) <= 1.0 + ROUND).all(axis=0)
+            far = max(far, float((np.linalg.norm(corners, axis=0) * inside).max()))
+        found.append(1.0 / far if spans else 0.0)
+    return np.array(found)
