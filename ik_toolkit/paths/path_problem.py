@@ -155,9 +155,12 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
 
 
 def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return joint values (N, n) at the poses, each found from the one before, and whether each meets the first level (N,)."""
+    """Return joint values (N, n) at the poses, each found near the one before, and whether each meets the first level (N,).
+
+    Where a minimum of the lower levels ends, the joints go to another one by steps, as far as the first level allows.
+    """
     robot = plan.robot
-    single = plan.varied(restarts=0)
+    single = plan.varied(restarts=0, follow=STEP[0])
     Q, good = np.empty((len(T), robot.n)), np.zeros(len(T), dtype=bool)
     for t in range(len(T)):
         row = single.solve(T[t : t + 1], kinds, q[None], True)

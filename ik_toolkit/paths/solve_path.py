@@ -123,17 +123,20 @@ def solve_path(
     asked = avoided(avoid_collisions)
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
-    wanted = None
-    if solver.options.priority is not None:  # The search follows poses that the arm can reach.
-        wanted, T = T, nearest_poses(solver, T, kinds, q0)
+    wanted, places = None, None
+    if (
+        solver.options.priority is not None
+    ):  # The search follows poses that the arm can reach, between those asked for as well.
+        dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
+        wanted, T = T, nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, q0)
         exact: dict[str, Any] = {**options, "priority": None, "slack": None}
         solver = Solver(robot, seed=seed, **exact)
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh() -> Search:
-        poses, at = turns.poses(), None
-        if not freedom(solver.plan_for(kinds), kinds).lacks:
+        poses, at = turns.poses(), places
+        if at is None and not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
         problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
@@ -143,7 +146,7 @@ def solve_path(
     try:
         search.run()
         for _ in range(OTHER_WAYS):
-            if not turns.turn_round(gaps(search.problem.at, search.found.breaks)):
+            if wanted is not None or not turns.turn_round(gaps(search.problem.at, search.found.breaks)):
                 break
             other = fresh()
             other.run()

@@ -23,7 +23,7 @@ class MotorMap:
 
     Raises:
         JointNotFound: A name is not a joint of the robot.
-        InvalidOption: A sign is not 1 or -1, or an offset is not a finite number.
+        InvalidOption: A sign is not 1 or -1, an offset is not a finite number, or one of a revolute joint exceeds a full turn.
     """
 
     def __init__(
@@ -40,6 +40,13 @@ class MotorMap:
         self.robot = robot
         self.sign = _by_joint(robot, "sign", sign, 1.0)
         self.offset = _by_joint(robot, "offset", offset, 0.0)
+        doubted = np.flatnonzero((np.abs(self.offset) > 2.0 * math.pi) & ~robot.slides)
+        if len(doubted):
+            joint, value = robot.joint_names[doubted[0]], self.offset[doubted[0]]
+            raise InvalidOption(
+                f"offset of {joint}: {value:g} rad is more than a full turn; offsets are in rad, {value:g} deg is "
+                f"{math.radians(value):.4g} rad"
+            )
         if not (np.abs(self.sign) == 1.0).all():
             raise InvalidOption(f"sign must be 1 or -1 for each joint, not {sign!r}")
         self.unit = np.where(robot.slides, 1.0, math.radians(1.0) if degrees else 1.0)
@@ -65,10 +72,15 @@ class MotorMap:
             )
         return self.sign * values * self.unit + self.offset
 
-    def to_motors(self, q: Any) -> dict[str, float]:
-        """Return the motor position of each joint, by name, at joint values q (n,) [rad or m]. Raises InvalidConfiguration."""
-        values = self.sign * (self.robot.check_q(q, "q") - self.offset) / self.unit
-        return dict(zip(self.robot.joint_names, values.tolist(), strict=True))
+    def to_motors(self, q: Any) -> dict[str, Any]:
+        """Return the motor position of each joint, by name, at joint values q (n,), or (N,) of them for (N, n) [rad or m].
+
+        Raises InvalidConfiguration.
+        """
+        several = np.ndim(q) == 2
+        rows = np.array([self.robot.check_q(row, "q") for row in (q if several else [q])]).reshape(-1, self.robot.n)
+        values = self.sign * (rows - self.offset) / self.unit
+        return dict(zip(self.robot.joint_names, values.T if several else values[0].tolist(), strict=True))
 
 
 def _by_joint(robot: Any, name: str, given: Mapping[str, float] | None, default: float) -> np.ndarray:

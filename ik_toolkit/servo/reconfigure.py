@@ -30,6 +30,7 @@ from ..kernel.records import ANSWER, AT, Ends
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import find_row, search_for
+from ..solvers.task import group_levels
 from .adapters import LEVER
 from .motion_limits import speeds
 from .target_stream import STAND, STILL, WAIT
@@ -72,7 +73,9 @@ class Postures:
         weights = tuple((speed / max(speed.max(), TINY)).tolist())
         self.quick = Plan(robot, row, row.load()(), replace(one_attempt, joint_weights=weights))
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
-        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips))
+        # An error of a lower level is as small as this posture allows, which is no reason to look for another.
+        firm = np.repeat(np.equal(group_levels(robot, options), 0), 3)
+        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips)) * firm
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FAR_AWAY
+from ..motion.reference import log
 from ..text import angle, length
 from . import viability
 from .target_jump import Choice
@@ -25,6 +26,7 @@ class Standards(NamedTuple):
     # of 0.1/s would ask for a share of about 1e-4.
     resting: float = 1e-6
     falling: float = 0.2  # The tip comes nearer if the error falls by this share of what feedback would remove.
+    rounding: float = 1e-6  # share by which an error may exceed what the target's own motion explains
     still: float = 1e-3  # The tip hardly comes nearer if a step removes less than this share of the error.
 
 
@@ -72,6 +74,8 @@ class Outcome(NamedTuple):
     code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
     before: np.ndarray  # (n,) previous command, in kernel units
     errors: np.ndarray  # (2, m) errors before and after the step [m, rad]
+    targets: np.ndarray  # (2, F, 4, 4) targets before and after the step [m]
+    told: np.ndarray  # (m,) how far the target was going to move by its twist before the step [m, rad]
     h: float  # length of the step [s]
     lost: float  # number of singular directions, in which the tip can hardly move
     down: bool  # whether the step was a damped descent towards the closest pose nearby (servo/damped_descent.py)
@@ -133,7 +137,7 @@ class Step:
             return StepStatus.LIMITED if leapt else StepStatus.RECONFIGURING
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
-        if (held or o.lost or self._rests()) and self.at_rest and self._away():
+        if (held or o.lost or self._rests()) and self.at_rest and self._away() and not self._falls():
             return StepStatus.BLOCKED if held & viability.ROW else StepStatus.AT_LIMIT
         hindered = held or (self._away() and (o.down or not self._falls()))
         return StepStatus.LIMITED if hindered else StepStatus.OK
@@ -167,13 +171,26 @@ class Step:
         o, (before, after) = self._outcome, self._sizes()
         gains = o.by.settings(o.h)
         rate = gains.get("kappa", gains["kp"] / gains["kd"] if gains.get("kd") else 1.0 / o.h)
-        return bool(after < (1.0 - JUDGE.falling * min(rate * o.h, 1.0)) * before)
+        swerve = (1.0 + JUDGE.rounding) * self._swerve()
+        return bool(after < (1.0 - JUDGE.falling * min(rate * o.h, 1.0)) * before + swerve)
 
     def _sizes(self) -> np.ndarray:
         """Return the size (2,) of the errors before and after the step, with lengths in arm reaches."""
+        return self._size(self._outcome.errors)
+
+    def _size(self, errors: np.ndarray) -> np.ndarray:
+        """Return the size (K,) of errors (K, m) of the first level, with lengths in arm reaches."""
         by = self._outcome.by
-        parts = self._outcome.errors.reshape(2, -1, 2, 3) * by.firm[:, :, None] * [[1.0 / by.robot.reach], [1.0]]
-        return np.linalg.norm(parts.reshape(2, -1), axis=1)
+        parts = errors.reshape(len(errors), -1, 2, 3) * by.firm[:, :, None] * [[1.0 / by.robot.reach], [1.0]]
+        return np.linalg.norm(parts.reshape(len(errors), -1), axis=1)
+
+    def _swerve(self) -> float:
+        """Return how far the target moved otherwise than its twist said, which no method could foresee, as `_size` measures it."""
+        T, told = self._outcome.targets, self._outcome.told
+        turns = [log(after[:3, :3] @ before[:3, :3].T) for before, after in zip(*T, strict=True)]
+        turns = np.array(turns) * np.array(self._outcome.by.posed)[:, None]
+        moved = np.concatenate([T[1, :, :3, 3] - T[0, :, :3, 3], turns], axis=1)
+        return float(self._size(moved.reshape(1, -1) - told)[0])
 
     def _away(self) -> bool:
         """Return whether the first level's error left exceeds JUDGE.position or JUDGE.angle, so that it is worth saying why."""
@@ -186,7 +203,9 @@ class Step:
         """A sentence that says why the status is not OK, or that the error still falls; '' if neither is worth saying."""
         o, status = self._outcome, self.status
         if status is StepStatus.OK:
-            return f"{self._left()} from the target and coming nearer" if self._away() else ""
+            before, after = self._sizes()
+            how = "the target and coming nearer" if after < before else "a target that moves otherwise than foreseen"
+            return f"{self._left()} from {how}" if self._away() else ""
         parts = []
         if o.resynced:
             parts.append("the measured joints were too far from the commanded ones: restarted from the measurement")

@@ -64,7 +64,7 @@ class Tracker(CopiesViews, ReadOnly):
         straight: Only with "direct". To a target that jumped and stands, the tip moves straight. If that takes more than `straight`
             times as long as a direct joint move, this move is made instead (inf: only if there is no straight line).
         delay, noise: Age [samples] and standard deviation [rad or arm reaches] of measured joints, see JointObserver.
-        options: Options of the method, and mask, slack, free_turn, frame, relative_to as in `ik.solve`.
+        options: Options of the method, and mask, slack, free_turn, frame, priority, relative_to as in `ik.solve`.
 
     Raises InvalidOption (here and in `update` also for a cost that is not finite), InvalidConfiguration.
     """
@@ -242,12 +242,13 @@ class Tracker(CopiesViews, ReadOnly):
             if (lost or stream.stand[STAND.still] or (code & viability.POSITION).any()) if behind else self._behind:
                 self._watch(stream.samples, h, dt, left)
                 self._behind = behind
+        targets, told = stream.samples.T.copy(), stream.samples.V[0] * dt
         if finite:
             stream.step_on()
         now = self._carried.motion * self._units
         out = make_outcome((
-            self._judged, code, before, self._out.E.copy(), h, lost, self._state[laws.STATE.share] > 0.0, finite, lag, resynced,
-            self._between, self._goes.why if self._goes else None,
+            self._judged, code, before, self._out.E.copy(), targets, told, h, lost, self._state[laws.STATE.share] > 0.0, finite,
+            lag, resynced, self._between, self._goes.why if self._goes else None,
         ))  # fmt: skip
         return Step(now[0], now[1], out)
 

@@ -39,7 +39,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     found = None
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
-    elif solver.name == "auto":
+    elif solver.name == "auto" and o.priority is None:
         found = listed_with_free_turns(plan, T, kinds, start, count)
     if found is None:
         found = search_solutions(plan, T, kinds, start, starts, count)

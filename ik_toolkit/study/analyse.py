@@ -105,7 +105,7 @@ class LoopAnalysis:
     position_only: bool
     q: np.ndarray
     spectral_radius: np.ndarray
-    loop_gain: np.ndarray
+    loop_gain: Any
     gain_bound: float | None
 
     @property
@@ -195,14 +195,13 @@ def analyse(
             f"analyse takes ik.StateSpace(...) or ik.StateSpace.preset(name), not {rule!r}; "
             "the other solvers have no linear loop (for ik.PID see study.analyse.gain_margins)"
         )
-    if position_only is None:
-        given = next((part for part in (rule.B, rule.D) if part is not None), None)
-        position_only = given is not None and np.shape(given)[-1] == 3
+    given = next((part for part in (rule.B, rule.D) if part is not None), None)
+    positions = (given is not None and np.shape(given)[-1] == 3) if position_only is None else position_only
     count = whole(count, "count", 1)
     Q = robot.random_q(np.random.default_rng(seed), count) if q is None else np.atleast_2d(np.asarray(q, dtype=float))
     Q = np.array([robot.check_q(one, "q") for one in Q])
-    made = matrices(robot, rule, position_only)
-    J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if position_only else 6]
+    made = matrices(robot, rule, positions)
+    J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if positions else 6]
     chosen = made.nearest(robot, Q)
     r, m, a = J.shape[1], len(made.A), float(made.A[0, 0]) if len(made.A) else 0.0
     B, D = made.B[chosen], made.D[chosen]
@@ -212,7 +211,7 @@ def analyse(
     alike = bool(m) and np.array_equal(made.A, a * np.eye(m))
     gain = J @ made.static_maps()[chosen] * (1.0 - a if alike else 1.0)
     return LoopAnalysis(
-        robot, made, position_only, Q, np.abs(np.linalg.eigvals(loop)).max(axis=1),
+        robot, made, positions, Q, np.abs(np.linalg.eigvals(loop)).max(axis=1),
         np.linalg.eigvals(gain).astype(complex), 1.0 - a if alike and not made.D.any() else None,
     )  # fmt: skip
 

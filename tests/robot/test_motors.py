@@ -23,6 +23,16 @@ def test_sign_offset_and_degrees_both_ways():
         assert motors.to_q(motors.to_motors(q)) == pytest.approx(q, abs=1e-12)
 
 
+def test_many_rows_at_once_and_an_offset_in_degrees_is_doubted():
+    robot = ik.Robot.load("scara")
+    motors, Q = ik.MotorMap(robot, offset={"shoulder": 0.5}, degrees=True), robot.random_q(np.random.default_rng(2), 7)
+    many = motors.to_motors(Q)
+    for k, q in enumerate(Q):
+        assert {joint: row[k] for joint, row in many.items()} == motors.to_motors(q)
+    with pytest.raises(InvalidOption, match=r"shoulder: 90 rad is more than a full turn.*1\.571 rad"):
+        ik.MotorMap(robot, offset={"shoulder": 90}, degrees=True)
+
+
 def test_names_of_lerobot_and_other_entries():
     robot = ik.Robot.load("scara")
     observed = {"elbow.pos": 0.2, "shoulder.pos": 0.1, "spin.pos": 0.3, "slide.pos": -0.1, "gripper.pos": 50.0}

@@ -22,8 +22,7 @@ def step(
     left = np.concatenate(errors)
     out = (
         Judged(robot, lambda h: {}, (True, True), np.ones((2, 2)), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before),
-        np.array([left, left]),
-        0.01, lost, down, True, 0.0, False, None, None,
+        np.array([left, left]), np.tile(np.eye(4), (2, 2, 1, 1)), np.zeros(12), 0.01, lost, down, True, 0.0, False, None, None,
     )  # fmt: skip
     return Step(np.array(q), np.array(rate), make_outcome(out))
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+import serial_arms
 from robots import have_data, urdf
 
 import ik_toolkit as ik
@@ -184,6 +185,33 @@ def test_solve_all_lists_local_minima_the_least_first():
     found = ik.solve_all(robot, turned(robot, rng, 0.5), priority="position", starts=100)
     assert len(found) and not found.complete and "local minim" in found.message
     assert (np.diff(found.orientation_error) >= -1e-9).all() and found.position_error.max() <= 1e-6
+
+
+def nearly_along(robot):
+    """Directions near the home of an arm, which its tip nearly has there: function of two shifts [m] that returns a target."""
+    q = robot.home
+    place = robot.fk(q).translation
+    away = robot.fk(q).rotation @ np.array([0.5, 0.3, 0.8])
+    return lambda x, y: ik.pose(xyz=place + np.array([0.0, x, y]), direction=away)
+
+
+def test_a_direction_with_a_priority_lists_minima_too():
+    joints = [("revolute", (0.0, 0.0, 0.3), (0, 0, 0), axis, -2.5, 2.5) for axis in np.eye(3)[[2, 1, 1, 0, 1]]]
+    robot = ik.Robot.load(serial_arms.urdf(joints, ((0.1, 0.05, 0.2), (0.3, 0.0, 0.0))), tip="tip")
+    target = ik.pose(xyz=robot.fk(np.full(5, 1.0)).translation, direction=(0.2, 1.0, 0.3))
+    for first in ("position", "orientation"):
+        found = ik.solve_all(robot, target, priority=first, starts=50)
+        assert len(found) and not found.complete and found.solver == "sqp"
+
+
+def test_a_path_of_directions_with_a_priority_is_one_motion():
+    robot = five_joints()
+    at = nearly_along(robot)
+    for count in (2, 12):
+        poses = [at(x, 0.3 * x) for x in np.linspace(0.0, 0.06, count)]
+        path = ik.solve_path(robot, poses, priority="position", reconfigurations="none")
+        assert path.status == ik.PathStatus.FOLLOWED, path.message
+        assert np.abs(np.diff(path.curve, axis=0)).max() < 0.15
 
 
 def test_masks_slack_and_free_turns_count_within_their_level():

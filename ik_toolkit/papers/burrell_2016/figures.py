@@ -138,9 +138,7 @@ def draw_reach(
     return draw
 
 
-def draw_stability(
-    gains: np.ndarray, bound: float, margins: np.ndarray, swept: list[list[float]]
-) -> Callable[[Any], Any]:
+def draw_stability(gains: Any, bound: float, margins: np.ndarray, swept: list[list[float]]) -> Callable[[Any], Any]:
     """Draw loop gains (N, r) in the complex plane with their bound, and margins (N,) of IK-PID beside runs (K_p, -, solved [%])."""
 
     def draw(plt: Any) -> Any:

@@ -1,6 +1,5 @@
 """Convergence and stability of the two solvers, which Burrell et al. (2016) announce for future articles; the analysis is ours."""
 
-
 import numpy as np
 
 from ...robot.robot import Robot

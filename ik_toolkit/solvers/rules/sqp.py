@@ -92,7 +92,9 @@ class SQP(NamedTuple):
             widths = np.array(counts.slack or (0.0,) * 6).reshape(2, 3)
             bounded = ((widths > 0.0) & (widths < [[np.inf], [np.pi]])).any(axis=1)
             if (bounded & (level < levels.max())).any():
-                return f"keeps no slack in a level that others come after ({tip}); give a looser tolerance instead"
+                return (
+                    f"keeps no slack in a level that others come after ({tip}); a mask or a free turn may stand there"
+                )
         return ""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
