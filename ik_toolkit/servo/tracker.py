@@ -242,14 +242,13 @@ class Tracker(CopiesViews, ReadOnly):
             if (lost or stream.stand[STAND.still] or (code & viability.POSITION).any()) if behind else self._behind:
                 self._watch(stream.samples, h, dt, left)
                 self._behind = behind
-        targets, told = stream.samples.T.copy(), stream.samples.V[0] * dt
-        if finite:
-            stream.step_on()
         now = self._carried.motion * self._units
         out = make_outcome((
-            self._judged, code, before, self._out.E.copy(), targets, told, h, lost, self._state[laws.STATE.share] > 0.0, finite,
-            lag, resynced, self._between, self._goes.why if self._goes else None,
+            self._judged, code, before, self._out.E.copy(), stream.samples.T.copy(), stream.samples.V[0] * dt, h, lost,
+            self._state[laws.STATE.share] > 0.0, finite, lag, resynced, self._between, self._goes.why if self._goes else None,
         ))  # fmt: skip
+        if finite:
+            stream.step_on()
         return Step(now[0], now[1], out)
 
     def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
