@@ -32,6 +32,16 @@ SEARCHED = -1.0  # excess in a closed form's row if q came from the search after
 DECIDED = -2.0  # excess in a search's row if the elimination found q, or certified that there is none (see `decide`)
 
 
+def proves_none(status: Any, excess: Any, closed: bool) -> Any:
+    """Return whether failures are proofs that no joint values within the limits reach the target; arrays or single numbers.
+
+    The elimination certifies it (DECIDED), or the search has found the target beyond a bound from the link lengths; closed: whether
+    the solver is a closed form, whose row says how far away the target is but not whether its structure is exact.
+    """
+    beyond = (status == Status.UNREACHABLE) & (not closed)
+    return beyond | ((excess == DECIDED) & (status != Status.CONVERGED))
+
+
 def count_statuses(numbers: np.ndarray) -> dict[str, int]:
     """Count how many of the numbers (N,) mean each status, by name; only those that occur are listed."""
     found, counts = np.unique(numbers, return_counts=True)
