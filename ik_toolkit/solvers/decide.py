@@ -7,7 +7,7 @@ A search that fails says nothing about the target. For six revolute joints all s
 import functools
 import math
 from copy import deepcopy
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,13 +23,13 @@ from .options import Options
 from .plan import Plan
 from .protocol import Asked, misfit, refusal
 from .registry import GENERAL, find_row
-from .status import DECIDED
+from .status import DECIDED, NEAREST
 from .task import POSES
 
 OPEN = (STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, SINGULAR)  # statuses that prove nothing
 # Options that a decision honours; with any other the search goes on alone.
 HONOURED = {
-    "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale",
+    "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest",
 }  # fmt: skip
 
 
@@ -40,6 +40,9 @@ class DecisionMargins(NamedTuple):
     near: float = 0.1  # solutions that break a limit by less [rad] are moved onto it and polished
     # Two complex solutions that are at most this many sqrt(e) from real ones may have a real pose within e between them.
     gap: float = 30.0
+    same: float = (
+        1e-6  # [rad] an answer is the nearest solution if it is farther from q0 than the nearest listed by no more
+    )
     gain: float = 10.0  # a solution that breaks a limit by d has errors of gain * d at it, which must be this many e
 
 
@@ -65,7 +68,7 @@ class Listed(NamedTuple):
 
 def elimination_plan(plan: Plan) -> Plan | None:
     """Return the plan of the elimination with the options of a search's plan, or None if it cannot do what is asked."""
-    robot, o = plan.robot, plan.options
+    robot, o = plan.robot, replace(plan.options, closest=False)
     if robot.n != 6 or robot.pose_shape != (4, 4):
         return None
     if "elimination" not in plan.memo:
@@ -84,6 +87,15 @@ def deciding(plan: Plan) -> "Deciding | None":
     if not plain or not asked <= HONOURED or elimination_plan(plan) is None:
         return None
     return Deciding(plan.robot, plan.row, plan.rule, o)
+
+
+@inline
+def _apart(a, b):
+    """Return the Euclidean distance [rad] of two configurations."""
+    total = 0.0
+    for i in range(N):
+        total += (a[i] - b[i]) ** 2
+    return math.sqrt(total)
 
 
 @inline
@@ -110,11 +122,11 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         box: (2, n) lower and upper limits [rad].
         Q0: (M, n) starts [rad].
         orders: (2, .) orders of the elimination's plan, with limits and without.
-        terms: (3,) `near` and the least excess times gain (see `decide.DecisionMargins`), and the length [m] that counts as much as
-            one radian where configurations that fail are compared.
+        terms: (4,) `near` and the least excess times gain (see `decide.DecisionMargins`), the length [m] that counts as much as
+            one radian where configurations that fail are compared, and `same` if the solution nearest the start is asked for, else 0.
         out: (M, width) results of the short search.
     """
-    edge, clear, length = terms
+    edge, clear, length, same = terms
     silent, bounds = np.empty((0, 0)), np.empty((3, N))
     bounds[:2] = box
     for t in range(T.shape[0]):
@@ -125,21 +137,29 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         Q = found[t, 1 : 1 + count + max(near, 0), :N].copy()
         excess = np.empty_like(Q)
         into_limits(Q.copy(), bounds, Q, excess)
-        legal, kept, far = np.empty_like(Q), 0, True
+        legal, kept, far, told, least = np.empty((Q.shape[0] + 1, N)), 0, True, True, np.inf
         for k in range(Q.shape[0]):
             worst = excess[k].max()
             if k >= count or worst < edge:
                 legal[kept] = Q[k]
                 kept += 1
-            far = far and (k >= count or worst * found[t, 1 + k, N] >= clear)
+            known = k >= count or worst * found[t, 1 + k, N] >= clear
+            far, told = far and known, told and (known or worst == 0.0)
+            if k < count and worst == 0.0:
+                least = min(least, _apart(Q[k], start))
+        if row[AT.status] == CONVERGED:
+            copy(row[ANSWER : ANSWER + N], legal[kept])
+            kept += 1
         made = row.copy()
         if kept:
             choose(rows, ends[0], T[t], legal[:kept], STEPS, -1, start, orders[0], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
             if made[0] == CONVERGED:
                 _take(made, row)
+                if same > 0.0 and certain and told and _apart(row[ANSWER:], start) <= least + same:
+                    row[AT.excess] = NEAREST
                 continue
-        if not certain or not far:
+        if row[AT.status] == CONVERGED or not certain or not far:
             continue
         if count == 0 and near > 0:
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
@@ -161,7 +181,7 @@ class Deciding(Plan):
     @functools.cached_property
     def first(self) -> Plan:
         """The short search."""
-        return self.varied(restarts=MARGINS.attempts - 1)
+        return self.varied(restarts=MARGINS.attempts - 1, closest=False)
 
     @functools.cached_property
     def exact(self) -> Plan:
@@ -190,7 +210,7 @@ class Deciding(Plan):
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
         """Return the result row (width,) of one target T (1, 4, 4)."""
         row = self.first.solve(T, kinds, start, given)
-        if row[AT.status] in OPEN:
+        if row[AT.status] in OPEN or self.options.closest:
             self.decide(T, kinds, start, given, row[None])
         return row
 
@@ -199,7 +219,7 @@ class Deciding(Plan):
 
         Where the elimination is not certain, the whole search goes on.
         """
-        (left,) = np.nonzero(np.isin(out[:, AT.status], OPEN))
+        (left,) = np.nonzero(np.isin(out[:, AT.status], (*OPEN, CONVERGED) if self.options.closest else OPEN))
         if not len(left):
             return
         robot, o, made = self.robot, self.options, out[left]
@@ -210,13 +230,18 @@ class Deciding(Plan):
         ends, orders = (np.array(both) for both in (
             (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
         ))  # fmt: skip
-        terms = np.array([MARGINS.near, MARGINS.gain * self.error, o.length_scale or robot.reach])
+        terms = np.array(
+            [MARGINS.near, MARGINS.gain * self.error, o.length_scale or robot.reach, MARGINS.same * o.closest]
+        )
         decide_rows(exact.chain[0], ends, at, found, self.box, starts, orders, terms, made)
-        (still,) = np.nonzero(made[:, AT.excess] != DECIDED)
+        unsure = made[:, AT.excess] != (NEAREST if o.closest else DECIDED)
+        (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CONVERGED)))
         if len(still):
             rest = np.zeros((len(still), made.shape[1]))
             self.run(at[still], kinds, starts[still], given, rest)
-            made[still] = rest
+            far = [np.linalg.norm(rows[:, ANSWER : ANSWER + N] - starts[still], axis=1) for rows in (rest, made[still])]
+            taken = (made[still, AT.status] != CONVERGED) | (rest[:, AT.status] == CONVERGED) & (far[0] < far[1])
+            made[still[taken]] = rest[taken]
         out[left] = made
 
     @property

@@ -1,14 +1,17 @@
 """Lists every solution of a target: from a closed form if one fits, otherwise from many starts."""
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from ..errors import whole
+from ..errors import InvalidOption, whole
 from ..kernel.checks import is_rigid
 from ..kernel.counted_error import AXIS, POSITION
+from ..kernel.kinematics import TAU
 from ..kernel.records import WEIGHTS
 from ..robot.rotation import rpy_matrix
+from .closed_form.geometry import SNAP
 from .closed_form.polish import list_branches
 from .collision_free import collision_model
 from .decide import elimination_plan
@@ -22,14 +25,14 @@ from .task import POSES, Counts, read_target, what_counts
 APART = 1e-6  # solutions of the real joints are the same if no joint differs by more [rad]; each occurs twice for a free position
 
 
-def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
+def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count = whole(starts, "starts"), whole(count, "count")
     places = int(solver.robot.by_tip)  # leading axes of a Tree's single target
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
-        return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
+        return SolutionsBatch([find_all(solver, one, q0, starts, count, all_turns) for one in target])
     T, kinds, notice = _read(solver, target)
     plan = solver.plan_for(kinds)
     o = plan.options
@@ -43,6 +46,8 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         found = listed_with_free_turns(plan, T, kinds, start, count)
     if found is None:
         found = search_solutions(plan, T, kinds, start, starts, count)
+    if all_turns:
+        found = on_all_turns(found, plan, start[0], count)
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
@@ -71,6 +76,27 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     if notice:
         found._put(message=f"{found.message}; {notice}")
     return found
+
+
+def on_all_turns(found: Solutions, plan: Plan, start: np.ndarray, count: int) -> Solutions:
+    """Return each solution on every full turn inside the limits, nearest to start (n,) first; at most `count` of them."""
+    robot = plan.robot
+    if not plan.options.limits:
+        raise InvalidOption("all_turns lists the full turns inside the limits, so it cannot be given with limits=False")
+    low, high, rows, Q = robot.lower - SNAP, robot.upper + SNAP, [], []
+    turning = np.flatnonzero((robot.chain.turns > 0) & np.isfinite(low) & np.isfinite(high))
+    for k, q in enumerate(found.q):
+        first, last = np.ceil((low - q) / TAU)[turning], np.floor((high - q) / TAU)[turning]
+        for turns in product(*(np.arange(a, b + 1.0) for a, b in zip(first, last, strict=True))):
+            rows.append(k)
+            Q.append(q.copy())
+            Q[-1][turning] += TAU * np.array(turns)
+    every = found.keep(np.array(rows, dtype=int))
+    every._put(q=np.clip(np.array(Q).reshape(-1, robot.n), robot.lower, robot.upper))
+    every._put(distance=np.linalg.norm((every.q - start) / robot.chain.unit, axis=1))
+    order = np.argsort(every.distance, kind="stable")
+    every._put(message=f"{every.message}; {len(Q)} on all full turns", complete=found.complete and len(Q) <= count)
+    return every.keep(order[:count])
 
 
 def _read(solver: Any, target: Any) -> tuple[np.ndarray, Any, str]:

@@ -319,43 +319,6 @@ def test_a_solution_that_three_attempts_miss_is_found():
     assert all((one.q >= robot.lower).all() and (one.q <= robot.upper).all() for one in found)
 
 
-def mixed(robot, count, seed):
-    """Poses (2 count, 4, 4): one half reached within the limits, the other mostly not."""
-    rng = np.random.default_rng(seed)
-    return np.concatenate([robots.sample(robot, count, seed=seed)[1], [outside(robot, rng) for _ in range(count)]])
-
-
-@pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix"])
-def test_a_batch_proves_what_a_single_call_proves(name):
-    robot = robots.load(name)
-    T = mixed(robot, 80, seed=25)
-    T[110:, :3, 3] *= np.linspace(0.2, 1.2, 50)[:, None]
-    batch, hard = ik.solve_batch(robot, T), ik.solve_batch(robot, T, restarts=400)
-    single = [ik.Solver(robot)(t) for t in T]
-    assert (batch.status == [one.status for one in single]).all()
-    assert (batch.proven == [one.proven for one in single]).all()
-    assert batch.success[:80].all() and (batch.proven ^ batch.success).mean() > 0.98 and batch.proven.sum() >= 30
-    assert not (batch.proven & (hard.success | batch.success)).any()
-    k = int(np.flatnonzero(batch.proven & (batch.status == ik.Status.LIMIT_BLOCKED))[0])
-    assert batch[k].blocked.joint == single[k].blocked.joint and batch[k].message == single[k].message
-    searched = ik.solve_batch(robot, T, "lm")
-    assert not searched.proven[searched.status != ik.Status.UNREACHABLE].any()
-
-
-def test_a_batch_with_proofs_is_the_same_for_any_parts():
-    robot = robots.load("hydrolek_7w")
-    T = mixed(robot, 300, seed=26)
-    q0 = np.random.default_rng(27).uniform(robot.lower, robot.upper, (600, 6))
-    for starts in (None, q0):
-        whole = ik.solve_batch(robot, T, q0=starts, threads=1)
-        halves = ik.solve_batch(robot, T, q0=starts, threads=3)
-        alone = [
-            ik.solve_batch(robot, T[k : k + 1], q0=None if starts is None else q0[k : k + 1]) for k in range(290, 310)
-        ]
-        assert whole.table.tobytes() == halves.table.tobytes()
-        assert whole.table[290:310].tobytes() == b"".join(one.table.tobytes() for one in alone)
-
-
 @pytest.mark.parametrize("options", [
     dict(solver="lm"), dict(restarts=249), dict(max_evaluations=5000), dict(slack=(0.0,) * 6), dict(wrap=False),
     dict(joint_weights=(1, 1, 1, 1, 1, 0.5)),
