@@ -7,8 +7,9 @@ solutions that are merely close are never joined. One solution followed along th
 """
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,14 @@ from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached_small, inline, inner, spliced
 from ..kernel.algebra import V3
 from ..kernel.dispatch import problem_on
+from ..kernel.kinematics import TAU
 from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
 from ..kernel.records import HEAD, TASK, Array, Orders, copy, read
+from ..motion.reference import interpolate_poses
 from .path_problem import Problem
 
+PARTS = 64  # parts of the way between two poses, in which the reason for the end of a track is sought
 SHORTEST = 1.0 / 256  # smallest step, as a share of the distance between two poses; below it continuation stops
 TURNED = 1e-12  # two rotations count as equal if the sine of the angle between them is below this
 
@@ -227,6 +231,38 @@ class Tracks:
         np.add.at(steps, self.span[:, 0], 1)
         np.add.at(steps, self.span[:, 1] + 1, -1)
         return np.cumsum(steps)[:-1]
+
+    def end_with_reason(self, listed: Callable[[np.ndarray], Any]) -> bool:
+        """Return whether every track that ends between two poses has to: at a limit, or where its solution vanishes (a fold).
+
+        Each is continued in PARTS steps towards the pose that it does not reach. One step beyond its end no solution within the
+        largest joint step may keep the limits. `listed` lists all solutions of poses, see `exact_branches.every_solution`.
+        """
+        p, N = self.problem, len(self.problem.T)
+        ends, poses = [], []
+        for k, t in ((k, int(t)) for k, span in enumerate(self.span) for t in span):
+            for way in (-1, 1):
+                if t != self.span[k, (way + 1) // 2] or not 0 <= t + way < N:
+                    continue
+                T = interpolate_poses(p.poses[[t, t + way]], np.arange(PARTS + 1.0) / PARTS, p.kinds).reshape(
+                    -1, *p.T.shape[1:]
+                )
+                Q, span = np.zeros((PARTS + 1, 1, p.robot.n), np.float32), np.zeros((1, 2), np.int64)
+                start = self._Q[t, k].astype(float)[None]
+                zero = np.zeros(1, dtype=np.int64)
+                carry_along(p.rows, p.ends, T, p.orders, p.room, p.most, p.deviation, start, zero, zero, Q, span)
+                if span[0, 1] == PARTS:
+                    return False
+                ends.append(Q[span[0, 1], 0])
+                poses.append(T[span[0, 1] + 1])
+        if not ends:
+            return True
+        Q, sure = listed(np.array(poses))
+        near = Q / p.unit - np.array(ends)[:, None]
+        near -= np.where(p.robot.slides, 0.0, TAU * np.rint(near / TAU))
+        next_to = near + np.array(ends)[:, None]
+        legal = ((next_to >= p.room[0]) & (next_to <= p.room[1])).all(axis=2)
+        return bool(sure.all() and not (legal & (np.abs(near) <= p.most).all(axis=2)).any())
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
         """Continue the solutions `seeds` (M, n) [kernel units] of the poses numbered `at` (M,) while there is room."""

@@ -16,7 +16,7 @@ from ..solvers.task import counts_in_part
 from ..text import length
 from .contact import Margins
 from .continuation import ISOLATED, MOST, POOL, SAME, STARTS, THIN, Tracks, spread
-from .exact_branches import ROUNDING, alive, copies, solutions, unwound
+from .exact_branches import ROUNDING, alive, copies, every_solution, unwound
 from .path_problem import Problem
 from .result import Unreachable
 from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_first
@@ -27,6 +27,7 @@ EVERY = 20
 ANCHORS = 13
 SHARE = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
 TRIED = 3  # number of solutions tested for contact, per track that an anchor may add
+ROUNDS = 8  # in so many rounds at most, solutions that lie on no track are added; two are usual
 PATIENCE = 2  # the search ends after this many successive rounds of further anchors without a gain
 # The first search keeps a margin of NEAR [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
 # This margin makes it easy to prove the motion between poses free of contact.
@@ -102,8 +103,8 @@ class Search:
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        self.sure: np.ndarray | None = None  # (N,) whether all solutions of a pose are proven to be known
-        self.legal = np.empty((0, 0), dtype=bool)  # (N, K) which of the K solutions of a pose keep the joint limits
+        # All solutions (N, K, n) of the poses [kernel units], whether (N,) that is proven; None if they cannot be listed.
+        self.listing, self.legal = self.list_solutions()  # legal (N, K): which of them keep the joint limits
         self.copied: set[int] = set()  # joints of more than a full turn, whose tracks are copied to every turn
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
@@ -120,12 +121,16 @@ class Search:
         count: largest number of new tracks of a redundant robot. Returns the number of tracks added.
         """
         p, tracks = self.problem, self.tracks
-        Q0 = p.robot.random_q(tracks.rng, STARTS)
-        for q in self.ends:
-            if q is not None:
-                Q0[0] = q * p.unit
-        Q0[:, p.plan.held] = (p.stand * p.unit)[p.plan.held]
-        found, beyond = p.solutions(t, Q0)
+        listed = self.listing is not None and self.listing[1][t]
+        if listed and self.legal[t].any():
+            found, beyond = p.turned(self.listing[0][t, self.legal[t]]), 0.0
+        else:
+            Q0 = p.robot.random_q(tracks.rng, 1 if listed else STARTS)
+            for q in self.ends:
+                if q is not None:
+                    Q0[0] = q * p.unit
+            Q0[:, p.plan.held] = (p.stand * p.unit)[p.plan.held]
+            found, beyond = p.solutions(t, Q0)
         self.anchored[t] = beyond
         if not len(found):
             return 0
@@ -289,25 +294,15 @@ class Search:
     def prove(self) -> None:
         """Set `lower_bound` if the number of reconfigurations is proven to be the least.
 
-        That is so if it is 0, or if every solution of every pose, from a closed form, lies on a track.
+        That is so if it is 0, or if every solution of every pose lies on a track, and every track ends for a reason.
         """
-        p = self.problem
         if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
             self.lower_bound = 0
             return
-        if p.kinds != (POSE,) or counts_in_part(p.kinds, p.plan.options) or len(p.plan.held):
+        if self.listing is None:
             return
-        listed = solutions(p.robot, p.T)
-        if listed is None:
-            return
-        Q, self.sure = listed
-        Q = Q / p.unit
-        low, high = p.limits[:2] + np.array([[-ROUNDING], [ROUNDING]])
-        turn = np.isin(np.arange(p.robot.n), np.append(p.turning, np.flatnonzero(p.endless)))
-        nearest = Q + np.where(turn, TAU * np.ceil((low - Q) / TAU), 0.0) if turn.any() else Q
-        nearest = np.where(np.isfinite(low), nearest, Q)
-        self.legal = ((nearest >= low) & (nearest <= high)).all(axis=2)
-        for _ in range(PATIENCE):
+        p, (Q, sure) = self.problem, self.listing
+        for _ in range(ROUNDS):
             missing = self.legal & ~self.known(Q)
             if not missing.any():
                 break
@@ -315,8 +310,26 @@ class Search:
                 places = np.array([run[len(run) // 2] for run in _runs(np.flatnonzero(missing[:, j]))], dtype=int)
                 self.tracks.add(p.turned(Q[places, j]), places)
             self.link()
-        if self.sure.all() and not (self.legal & ~self.known(Q)).any():
+        else:
+            return
+        # A branch at one pose alone, whose neighbours are sure, is entered and left by reconfigurations, which saves none.
+        unsure = ~np.pad(sure, 1, constant_values=True)
+        lone = ~(unsure[:-2] | unsure[2:]) & (self.tracks.alive() > 0)
+        if (sure | lone).all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):
             self.lower_bound = len(self.found.breaks)
+
+    def list_solutions(self) -> tuple[tuple[np.ndarray, np.ndarray] | None, np.ndarray]:
+        """Return `listing` and `legal`, see __init__."""
+        p = self.problem
+        isolated = p.kinds == (POSE,) and not counts_in_part(p.kinds, p.plan.options) and not len(p.plan.held)
+        listed = every_solution(p.single, p.T) if isolated and not p.redundant else None
+        if listed is None:
+            return None, np.empty((0, 0), dtype=bool)
+        Q = listed[0] / p.unit
+        low, high = p.limits[:2] + np.array([[-ROUNDING], [ROUNDING]])
+        bounded = np.isfinite(low) & ~p.robot.slides
+        Q = Q + np.where(bounded, TAU * np.ceil((np.where(bounded, low, 0.0) - Q) / TAU), 0.0)
+        return (Q, listed[1]), ((Q >= low) & (Q <= high)).all(axis=2)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
         """Return whether (N, K) each of the solutions Q (N, K, n) [kernel units] lies on a track; full turns are ignored."""
@@ -372,7 +385,7 @@ class Search:
                 reason = f"no solution found from {STARTS} starts"
             if beyond > 0.0:
                 reason = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)"
-            elif self.sure is not None and self.sure[t] and not self.legal[t].any():
+            elif self.listing is not None and self.listing[1][t] and not self.legal[t].any():
                 reason, beyond = "every solution violates a joint limit, or none exists", np.inf
             said.append(Unreachable(int(place), reason, beyond > 0.0))
         return said

@@ -131,9 +131,9 @@ def solve_path(
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
-    def fresh() -> Search:
+    def fresh(between: bool = True) -> Search:
         poses, at = turns.poses(), None
-        if not freedom(solver.plan_for(kinds), kinds).lacks:
+        if between and not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
         problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
@@ -153,7 +153,15 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # half turns the other way may need fewer
         search.progress(0.9, "shortening and verifying the path")
-        made = _result(search, allowed, step, tolerance, model, seed, began)
+        tried = [search]
+        if search.found.breaks and len(search.problem.T) > len(T):
+            # Beside a singular pose a motion may keep the path tolerance without meeting the poses inserted.
+            tried.append(fresh(between=False))
+            tried[1].run()
+            bounds = [one.lower_bound for one in tried]
+            search.lower_bound = tried[1].lower_bound = None if None in bounds else min(1, *bounds)
+        results = [_result(one, allowed, step, tolerance, model, seed, began) for one in tried]
+        made = min(results, key=lambda one: (not one.success, len(one.reconfigurations)))
         made = replace(made, tolerance_given=path_tolerance is not None)
         return made if wanted is T else _against(made, wanted)
     except KeyboardInterrupt:

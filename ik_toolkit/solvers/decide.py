@@ -123,7 +123,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         Q0: (M, n) starts [rad].
         orders: (2, .) orders of the elimination's plan, with limits and without.
         terms: (4,) `near` and the least excess times gain (see `decide.DecisionMargins`), the length [m] that counts as much as
-            one radian where configurations that fail are compared, and `same` if the solution nearest the start is asked for, else 0.
+            one radian where configurations that fail are compared, and `same` if the solution nearest the start is asked for, or 0.
         out: (M, width) results of the short search.
     """
     edge, clear, length, same = terms
@@ -175,6 +175,12 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         row[0], row[AT.excess] = LIMIT_BLOCKED if count > 0 else UNREACHABLE, DECIDED
 
 
+def listed(exact: Plan, T: np.ndarray, within: float = 0.0) -> np.ndarray:
+    """Return what the elimination's plan says of targets T (N, 4, 4), see `kernel.elimination.binding.answers`."""
+    p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
+    return answers(forms_of(p.tobytes()), p, np.ascontiguousarray(T), within)
+
+
 class Deciding(Plan):
     """The general search with a few attempts, then the elimination, then, where that is not certain, the whole search."""
 
@@ -224,9 +230,9 @@ class Deciding(Plan):
             return
         robot, o, made = self.robot, self.options, out[left]
         exact, free = self.exact, self.exact_free
-        p, at = exact.orders(POSES, True)[WEIGHTS + robot.n :].copy(), T[left]
+        at = T[left]
         starts = np.repeat(start, len(out) // len(start), axis=0)[left]
-        found = answers(forms_of(p.tobytes()), p, at, self.within)
+        found = listed(exact, at, self.within)
         ends, orders = (np.array(both) for both in (
             (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
         ))  # fmt: skip
