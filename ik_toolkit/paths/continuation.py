@@ -24,7 +24,6 @@ from ..kernel.records import HEAD, TASK, Array, Orders, copy, read
 from ..motion.reference import interpolate_poses
 from .path_problem import Problem
 
-PARTS = 64  # parts of the way between two poses, in which the reason for the end of a track is sought
 SHORTEST = 1.0 / 256  # smallest step, as a share of the distance between two poses; below it continuation stops
 TURNED = 1e-12  # two rotations count as equal if the sine of the angle between them is below this
 
@@ -235,23 +234,24 @@ class Tracks:
     def end_with_reason(self, listed: Callable[[np.ndarray], Any]) -> bool:
         """Return whether every track that ends between two poses has to: at a limit, or where its solution vanishes (a fold).
 
-        Each is continued in PARTS steps towards the pose that it does not reach. One step beyond its end no solution within the
-        largest joint step may keep the limits. `listed` lists all solutions of poses, see `exact_branches.every_solution`.
+        Each is continued in small parts of the way to the pose that it does not reach. One part beyond its end no solution that
+        keeps the limits may be within the largest joint step. `listed` lists all solutions of poses, as does
+        `exact_branches.every_solution`.
         """
-        p, N = self.problem, len(self.problem.T)
+        p, N, parts = self.problem, len(self.problem.T), int(0.25 / SHORTEST)
         ends, poses = [], []
         for k, t in ((k, int(t)) for k, span in enumerate(self.span) for t in span):
             for way in (-1, 1):
                 if t != self.span[k, (way + 1) // 2] or not 0 <= t + way < N:
                     continue
-                T = interpolate_poses(p.poses[[t, t + way]], np.arange(PARTS + 1.0) / PARTS, p.kinds).reshape(
+                T = interpolate_poses(p.poses[[t, t + way]], np.arange(parts + 1.0) / parts, p.kinds).reshape(
                     -1, *p.T.shape[1:]
                 )
-                Q, span = np.zeros((PARTS + 1, 1, p.robot.n), np.float32), np.zeros((1, 2), np.int64)
+                Q, span = np.zeros((parts + 1, 1, p.robot.n), np.float32), np.zeros((1, 2), np.int64)
                 start = self._Q[t, k].astype(float)[None]
                 zero = np.zeros(1, dtype=np.int64)
                 carry_along(p.rows, p.ends, T, p.orders, p.room, p.most, p.deviation, start, zero, zero, Q, span)
-                if span[0, 1] == PARTS:
+                if span[0, 1] == parts:
                     return False
                 ends.append(Q[span[0, 1], 0])
                 poses.append(T[span[0, 1] + 1])

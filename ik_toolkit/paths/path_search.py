@@ -21,20 +21,26 @@ from .path_problem import Problem
 from .result import Unreachable
 from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_first
 
-# Anchors are poses solved from many starts: every 20th pose if solutions are finitely many, so that none is missed.
-EVERY = 20
-# Number of first anchors for a redundant robot. Few suffice, because its solutions can be continued far.
-ANCHORS = 13
-SHARE = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
-TRIED = 3  # number of solutions tested for contact, per track that an anchor may add
-ROUNDS = 8  # in so many rounds at most, solutions that lie on no track are added; two are usual
-PATIENCE = 2  # the search ends after this many successive rounds of further anchors without a gain
-# The first search keeps a margin of NEAR [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
-# This margin makes it easy to prove the motion between poses free of contact.
-NEAR = 0.003
-# A gap is a run of poses without tracks. After this many of its poses had no solution, the others are given up.
-PROBES = 9
-LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.
+
+class Effort(NamedTuple):
+    """How much a search does."""
+
+    every: int = 20  # every 20th pose is an anchor if solutions are finitely many, so that none is missed
+    anchors: int = 13  # first anchors for a redundant robot; few suffice, because its solutions can be continued far
+    share: int = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
+    tried: int = 3  # number of solutions tested for contact, per track that an anchor may add
+    patience: int = 2  # the search ends after this many successive rounds of further anchors without a gain
+    rounds: int = 8  # in so many rounds at most, listed solutions that lie on no track are added; two are usual
+    # The first search keeps a margin of `near` [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
+    near: float = 0.003  # It makes it easy to prove the motion between poses free of contact.
+    probes: int = (
+        9  # after this many poses of a gap (a run of poses without tracks) had no solution, the others are given up
+    )
+    least: int = 20_000  # A search may make `budget` collision tests per pose, but at least so many in all.
+    budget: int = 200
+
+
+EFFORT = Effort()
 
 
 def _runs(places: np.ndarray) -> list[np.ndarray]:
@@ -43,12 +49,12 @@ def _runs(places: np.ndarray) -> list[np.ndarray]:
 
 
 def model_near(model: Any, limits: np.ndarray) -> Callable[[Any], bool]:
-    """Return a function of q (n,) that says whether any two parts of a CollisionModel are nearer than the margin NEAR.
+    """Return a function of q (n,) that says whether any two parts of a CollisionModel are nearer than the margin EFFORT.near.
 
     limits (2, n) [rad or m]: lower and upper; they bound the lever arms.
     """
     margins = Margins(model, np.where(np.isfinite(limits), np.abs(limits), 0.0).max(axis=0))
-    return lambda q: not margins.free(q, NEAR)
+    return lambda q: not margins.free(q, EFFORT.near)
 
 
 def _within(best: tuple[int, int], allowed: float) -> bool:
@@ -112,7 +118,7 @@ class Search:
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
         """Test contact with the function collides(q), q (n,) [rad or m], from now on; forget earlier results."""
         self.collides = collides
-        self.tester = Tester(collides, self.problem.unit, max(BUDGET * len(self.problem.T), LEAST))
+        self.tester = Tester(collides, self.problem.unit, max(EFFORT.budget * len(self.problem.T), EFFORT.least))
 
     # ---------------------------------------------------------------------------------------------------------- anchors
     def anchor(self, t: int, count: int) -> int:
@@ -137,7 +143,9 @@ class Search:
         if not p.redundant:
             seeds = spread(found, tracks.at(t), ISOLATED, SAME)
         else:
-            seeds = spread(found[:POOL], tracks.at(t), TRIED * count if self.collides else count, THIN * p.most.min())
+            seeds = spread(
+                found[:POOL], tracks.at(t), EFFORT.tried * count if self.collides else count, THIN * p.most.min()
+            )
             if self.collides is not None:
                 seeds = self.without_contact(seeds, count)
         tracks.add(seeds, np.full(len(seeds), t))
@@ -164,12 +172,12 @@ class Search:
                 self.fixed[k] = True
                 self.tracks.add(p.settled(q[None], np.array([t]))[0], np.array([t]))
         if p.redundant:
-            places = np.unique(np.linspace(0, N - 1, min(N, ANCHORS)).astype(int))
+            places = np.unique(np.linspace(0, N - 1, min(N, EFFORT.anchors)).astype(int))
             places = places[middle_first(len(places))]
         else:
-            places = np.unique(np.append(np.arange(0, N, EVERY), N - 1))
+            places = np.unique(np.append(np.arange(0, N, EFFORT.every), N - 1))
         for k, t in enumerate(places):
-            self.anchor(int(t), SHARE)
+            self.anchor(int(t), EFFORT.share)
             self.progress(0.7 * (k + 1) / len(places), "extending solutions along the path")
         self.fill()
 
@@ -179,7 +187,7 @@ class Search:
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses at which no track exists: in each gap in bisection order, until PROBES poses had no solution.
+        """Solve poses at which no track exists: in each gap in bisection order, until EFFORT.probes poses had no solution.
 
         Requested poses come before inserted ones, because an arm with too few joints may reach only the former.
         """
@@ -189,10 +197,10 @@ class Search:
             inserted = self.problem.at[order] % 1.0 > 0.0
             missed = 0
             for t in np.append(order[~inserted], order[inserted]).tolist():
-                if missed == PROBES:
+                if missed == EFFORT.probes:
                     break
                 if alive[t] == 0 and t not in self.anchored:
-                    self.anchor(t, SHARE)
+                    self.anchor(t, EFFORT.share)
                     alive = self.tracks.alive()
                     missed += int(alive[t] == 0)
 
@@ -275,18 +283,20 @@ class Search:
         """Search until the path has no reconfiguration or contact, or more anchors do not help; return the path."""
         self.first_anchors()
         self.link()
-        if self.worth() and self.model is not None:  # A narrow passage may be free without the extra margin NEAR.
+        if (
+            self.worth() and self.model is not None
+        ):  # A narrow passage may be free without the extra margin EFFORT.near.
             self.keep_away(self.model.collides)
             self.link()
-        left = PATIENCE
+        left = EFFORT.patience
         while self.worth() and left:
             worst = self.worth()
             places = [t for k in self.found.breaks for t in (k, k + 1)]
-            fresh = [t for t in places if t not in self.anchored or self.problem.redundant][: 2 * ANCHORS]
-            if not sum(self.anchor(t, SHARE) for t in fresh):
+            fresh = [t for t in places if t not in self.anchored or self.problem.redundant][: 2 * EFFORT.anchors]
+            if not sum(self.anchor(t, EFFORT.share) for t in fresh):
                 break
             self.link()
-            left = PATIENCE if self.worth() < worst else left - 1
+            left = EFFORT.patience if self.worth() < worst else left - 1
         self.prove()
         return self.found
 
@@ -302,7 +312,7 @@ class Search:
         if self.listing is None:
             return
         p, (Q, sure) = self.problem, self.listing
-        for _ in range(ROUNDS):
+        for _ in range(EFFORT.rounds):
             missing = self.legal & ~self.known(Q)
             if not missing.any():
                 break

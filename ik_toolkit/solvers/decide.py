@@ -175,7 +175,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         row[0], row[AT.excess] = LIMIT_BLOCKED if count > 0 else UNREACHABLE, DECIDED
 
 
-def listed(exact: Plan, T: np.ndarray, within: float = 0.0) -> np.ndarray:
+def said_of(exact: Plan, T: np.ndarray, within: float = 0.0) -> np.ndarray:
     """Return what the elimination's plan says of targets T (N, 4, 4), see `kernel.elimination.binding.answers`."""
     p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
     return answers(forms_of(p.tobytes()), p, np.ascontiguousarray(T), within)
@@ -232,7 +232,7 @@ class Deciding(Plan):
         exact, free = self.exact, self.exact_free
         at = T[left]
         starts = np.repeat(start, len(out) // len(start), axis=0)[left]
-        found = listed(exact, at, self.within)
+        found = said_of(exact, at, self.within)
         ends, orders = (np.array(both) for both in (
             (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
         ))  # fmt: skip
@@ -261,7 +261,7 @@ class Deciding(Plan):
         free = np.full(self.robot.n, np.inf)
         return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
 
-    def listed(self, T: np.ndarray, near: np.ndarray) -> Listed:
+    def list_at(self, T: np.ndarray, near: np.ndarray) -> Listed:
         """List the solutions of T (4, 4), on the full turns nearest to `near` (n,)."""
         said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + self.robot.n :], T)
         q, excess = np.empty_like(said.q), np.empty_like(said.q)
@@ -274,7 +274,7 @@ def blocked(result: Any) -> Blocked | None:
     of = result._of
     if of.row[AT.excess] != DECIDED or of.row[AT.status] != LIMIT_BLOCKED:
         return None
-    found = of.plan.listed(of.T[0], of.start[0])
+    found = of.plan.list_at(of.T[0], of.start[0])
     worst = found.excess.max(axis=1)
     best = int(np.argmin(worst))
     joint = int(np.argmax(found.excess[best]))

@@ -11,13 +11,15 @@ from ..kernel.counted_error import AXIS, POSITION
 from ..kernel.kinematics import TAU
 from ..kernel.records import WEIGHTS
 from ..robot.rotation import rpy_matrix
-from .closed_form.geometry import SNAP
+from .closed_form.elimination import into_limits, solutions_of
+from .closed_form.geometry import SNAP, Family
 from .closed_form.polish import list_branches
 from .collision_free import collision_model
 from .decide import elimination_plan
 from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
+from .self_motion import END, FOLLOWING, SelfMotion, self_motions, slicings_of
 from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
@@ -39,11 +41,13 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
     start = plan.home if q0 is None else plan.check_start(q0)[0]
     if solver.name == "auto" and kinds == POSES and not plan.row.closed:
         plan = elimination_plan(plan) or plan
-    found = None
+    found, sliced = None, ""
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
     elif solver.name == "auto":
         found = listed_with_free_turns(plan, T, kinds, start, count)
+        if found is None and kinds == POSES:
+            found, sliced = on_self_motions(plan, T, start, count)
     if found is None:
         found = search_solutions(plan, T, kinds, start, starts, count)
     if all_turns:
@@ -71,7 +75,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
     if not len(found):
         failed = solver(target, q0)
         if not failed.success:
-            found._put(message=failed.message)
+            found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:
         found._put(message=f"{found.message}; {notice}")
@@ -215,8 +219,6 @@ def loop_of(plan: Plan, kinds: tuple) -> np.ndarray | None:
 
 def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions | None:
     """List all solutions within limits of T (1, 4, 4), nearest to start (1, n) first; None if they are not certified to be all."""
-    from .closed_form.elimination import into_limits, solutions_of
-
     if (key := ("virtual joints", kinds)) not in plan.memo:
         plan.memo[key] = loop_of(plan, kinds)
     arm = plan.memo[key]
@@ -244,3 +246,46 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
         message=f"{len(legal)} of {len(Q)} branches are inside the limits",
     )  # fmt: skip
     return found
+
+
+def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
+    """Return samples of the self-motions of an arm of seven joints at T (1, 4, 4), None if none is found; and where was looked."""
+    robot, cuts = plan.robot, slicings_of(plan)
+    where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
+    where = where and f"{FOLLOWING.slices} slices of {where}"
+    curves = self_motions(plan, T[0]) if cuts else []
+    if not curves:
+        return None, where
+    free, rows = np.full(robot.n, np.inf), []
+    box = np.array([robot.lower, robot.upper] if plan.options.limits else [-free, free])
+    for curve in curves[:count]:
+        Q, excess = np.empty_like(curve.points), np.empty_like(curve.points)
+        into_limits(curve.points, np.vstack([box, start]), Q, excess)
+        some = np.linspace(0, len(Q) - 1, max(1, count // len(curves) - 1)).round().astype(int)
+        rows.append(Q[np.unique([*some, np.linalg.norm(Q - start, axis=1).argmin()])])
+    found = search_solutions(plan, T, POSES, start, 0, count, np.clip(np.vstack(rows), *box))
+    if not len(found):
+        return None, where
+    plural = "s" * (len(curves) > 1)
+    said = f"{len(found)} solutions on {len(curves)} curve{plural} of infinitely many, found in {where}; there may be others"
+    families = tuple(family_of(robot, curve) for curve in curves)
+    found._put(families=families, solver="elimination", found_by=("elimination",) * len(found), message=said)
+    return found, where
+
+
+def family_of(robot: Any, curve: SelfMotion) -> Family:
+    """Return what a person is told of a curve: the joint that moves most leads, with its range."""
+    width = curve.upper - curve.lower
+    order = [int(i) for i in np.argsort(-width, kind="stable") if width[i] > FOLLOWING.same]
+    names, lead = robot.joint_names, order[0]
+    low, high = float(curve.lower[lead]), float(curve.upper[lead])
+    if curve.ends[0][0] == END.closed:
+        ends = "a closed curve"
+    else:
+        said = []
+        for (kind, joint), q in zip(curve.ends, (curve.points[0], curve.points[-1]), strict=True):
+            side = "lower" if joint >= 0 and q[joint] - robot.lower[joint] < robot.upper[joint] - q[joint] else "upper"
+            at = {END.limit: f"at the {side} limit of {names[joint]}", END.singular: "where the arm is singular"}
+            said.append(at.get(kind, "where it was not followed further"))
+        ends = f"a curve that ends {' and '.join(said)}"
+    return Family(tuple(names[i] for i in order), low, high, f"{ends}; {names[lead]} from {low:.4g} to {high:.4g} rad")
