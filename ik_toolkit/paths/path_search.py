@@ -127,11 +127,11 @@ class Search:
         count: largest number of new tracks of a redundant robot. Returns the number of tracks added.
         """
         p, tracks = self.problem, self.tracks
-        listed = self.listing is not None and self.listing[1][t]
-        if listed and self.legal[t].any():
-            found, beyond = p.turned(self.listing[0][t, self.legal[t]]), 0.0
+        Q, sure = self.listing or (None, np.zeros(t + 1, dtype=bool))
+        if Q is not None and sure[t] and self.legal[t].any():
+            found, beyond = p.turned(Q[t, self.legal[t]]), 0.0
         else:
-            Q0 = p.robot.random_q(tracks.rng, 1 if listed else STARTS)
+            Q0 = p.robot.random_q(tracks.rng, 1 if sure[t] else STARTS)
             for q in self.ends:
                 if q is not None:
                     Q0[0] = q * p.unit
@@ -308,8 +308,7 @@ class Search:
         """
         if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
             self.lower_bound = 0
-            return
-        if self.listing is None:
+        if self.lower_bound == 0 or self.listing is None:
             return
         p, (Q, sure) = self.problem, self.listing
         for _ in range(EFFORT.rounds):
@@ -323,9 +322,9 @@ class Search:
         else:
             return
         # A branch at one pose alone, whose neighbours are sure, is entered and left by reconfigurations, which saves none.
-        unsure = ~np.pad(sure, 1, constant_values=True)
-        lone = ~(unsure[:-2] | unsure[2:]) & (self.tracks.alive() > 0)
-        if (sure | lone).all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):
+        beside = np.pad(sure, 1, constant_values=True)
+        known = sure | (beside[:-2] & beside[2:] & (self.tracks.alive() > 0))
+        if known.all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):
             self.lower_bound = len(self.found.breaks)
 
     def list_solutions(self) -> tuple[tuple[np.ndarray, np.ndarray] | None, np.ndarray]:

@@ -158,8 +158,8 @@ def solve_path(
             # Beside a singular pose a motion may keep the path tolerance without meeting the poses inserted.
             tried.append(fresh(between=False))
             tried[1].run()
-            bounds = [one.lower_bound for one in tried]
-            search.lower_bound = tried[1].lower_bound = None if None in bounds else min(1, *bounds)
+            bounds = [one.lower_bound for one in tried if one.lower_bound is not None]
+            search.lower_bound = tried[1].lower_bound = min(1, *bounds) if len(bounds) == len(tried) else None
         results = [_result(one, allowed, step, tolerance, model, seed, began) for one in tried]
         made = min(results, key=lambda one: (not one.success, len(one.reconfigurations)))
         made = replace(made, tolerance_given=path_tolerance is not None)
