@@ -131,11 +131,11 @@ def solve_path(
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
-    def fresh(between: bool = True) -> Search:
-        poses, at = turns.poses(), None
+    def fresh(between: bool = True, longer: int = 1) -> Search:
+        poses, at, most = turns.poses(), None, (longer * step[0], longer * step[1])
         if between and not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
-        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, step, tolerance, q0, at)
+        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, most, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 
@@ -156,7 +156,7 @@ def solve_path(
         tried = [search]
         if search.found.breaks and len(search.problem.T) > len(T):
             # Beside a singular pose a motion may keep the path tolerance without meeting the poses inserted.
-            tried.append(fresh(between=False))
+            tried.append(fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max())))
             tried[1].run()
             bounds = [one.lower_bound for one in tried if one.lower_bound is not None]
             search.lower_bound = tried[1].lower_bound = min(1, *bounds) if len(bounds) == len(tried) else None

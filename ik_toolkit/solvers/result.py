@@ -324,6 +324,7 @@ class Result(ReadOnly):
         plain = {
             "success": self.success,
             "status": self.status.name,
+            "proven": self.proven,
             "message": self.message,
             "solver": self.solver,
             "robot": self.robot.name,
