@@ -225,21 +225,14 @@ class Deciding(Plan):
 
         Where the elimination is not certain, the whole search goes on.
         """
-        (left,) = np.nonzero(np.isin(out[:, AT.status], (*OPEN, CONVERGED) if self.options.closest else OPEN))
+        wanted = (*OPEN, CONVERGED) if self.options.closest else OPEN
+        (left,) = np.nonzero((out[:, AT.status, None] == wanted).any(axis=1))
         if not len(left):
             return
-        robot, o, made = self.robot, self.options, out[left]
-        exact, free = self.exact, self.exact_free
-        at = T[left]
+        o, at, made = self.options, T[left], out[left]
         starts = np.repeat(start, len(out) // len(start), axis=0)[left]
-        found = said_of(exact, at, self.within)
-        ends, orders = (np.array(both) for both in (
-            (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
-        ))  # fmt: skip
-        terms = np.array(
-            [MARGINS.near, MARGINS.gain * self.error, o.length_scale or robot.reach, MARGINS.same * o.closest]
-        )
-        decide_rows(exact.chain[0], ends, at, found, self.box, starts, orders, terms, made)
+        rows, ends, box, orders, terms = self._fixed(given)
+        decide_rows(rows, ends, at, said_of(self.exact, at, self.within), box, starts, orders, terms, made)
         unsure = made[:, AT.excess] != (NEAREST if o.closest else DECIDED)
         (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CONVERGED)))
         if len(still):
@@ -250,7 +243,21 @@ class Deciding(Plan):
             made[still[taken]] = rest[taken]
         out[left] = made
 
-    @property
+    def _fixed(self, given: bool) -> tuple[np.ndarray, ...]:
+        """Return what `decide_rows` takes and does not depend on the targets: rows, ends, box, orders and terms."""
+        if ("fixed", given) not in self.memo:
+            exact, free, o = self.exact, self.exact_free, self.options
+            terms = (
+                MARGINS.near,
+                MARGINS.gain * self.error,
+                o.length_scale or self.robot.reach,
+                MARGINS.same * o.closest,
+            )
+            ends, orders = (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
+            self.memo["fixed", given] = (exact.chain[0], *map(np.array, (ends, self.box, orders, terms)))
+        return self.memo["fixed", given]
+
+    @functools.cached_property
     def within(self) -> float:
         """How far from real a root may be for a pose within the tolerances to be near its configuration."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
