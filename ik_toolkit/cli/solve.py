@@ -315,7 +315,8 @@ def _solve_all(
     if not out.as_json:
         show(*_solutions(found, deg))
         complete = "these are all" if found.complete else "there may be more"
-        show(facts({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message}))
+        told = {f"family {k}": family.message for k, family in enumerate(found.families, 1)}
+        show(facts({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message, **told}))
     if not len(found):
         notice(f"no solution: {found.message}")
         raise typer.Exit(1)

@@ -90,7 +90,7 @@ def step_down(p, error, damping, weights, box, pressed):
 
 @inline
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
-    """Do the work of `approach_target`, whose arrays are given as views; block: scratch memory."""
+    """Do the work of `approach_targets` for one, whose arrays are given as views; block: scratch memory."""
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
@@ -141,23 +141,27 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 
 
 @cached
-def approach_target(rows, ends, T, row, orders, n, length, steps):
-    """Lower the error of a failed search; q, errors and number of evaluations in its result `row` are replaced.
+def approach_targets(rows, ends, T, out, orders, n, length, steps, left):
+    """Lower the errors of failed searches; q, errors and number of evaluations in their result rows `out` are replaced.
 
-    Returns the squared error of the new q, in which a position error of `length` counts as much as one radian. If the descent
-    reaches the target, the row's status becomes CONVERGED.
+    left (N,) becomes the squared error of each new q, in which a position error of `length` counts as much as one radian. If a
+    descent reaches its target, the row's status becomes CONVERGED.
 
     Args:
         rows: (L, 10) geometry of the chain or tree.
         ends: `records.Ends` of the chain or tree.
-        T: (F, 4, 4) targets [m] of F tips, base frame.
-        row: The answer of a search, see `search.entry`.
+        T: (N, F, 4, 4) targets [m] of F tips, base frame.
+        out: (N, width) answers of a search, see `search.entry`.
         orders: See `search.entry`.
         n: Number of coordinates.
         length: Position error [m] that counts as much as a rotation error of one radian.
-        steps: Highest number of evaluations.
+        steps: (N,) highest numbers of evaluations; below 2 a row stays as it is, and its `left` too.
+        left: (N,) see above.
     """
     block = np.empty(space(n, 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
-    value = descend_on_views(view(rows), view(ends), view(T), view(row), view(orders), n, length, steps, view(block))
+    for k in range(T.shape[0]):
+        if steps[k] >= 2:
+            left[k] = descend_on_views(
+                view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps[k], view(block)
+            )
     keep(block)
-    return value

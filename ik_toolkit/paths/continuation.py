@@ -7,8 +7,9 @@ solutions that are merely close are never joined. One solution followed along th
 """
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +17,11 @@ from ..compile.array_view import cut, flat, keep, space, view
 from ..compile.jit import cached_small, inline, inner, spliced
 from ..kernel.algebra import V3
 from ..kernel.dispatch import problem_on
+from ..kernel.kinematics import TAU
 from ..kernel.null_space import Bounds, onto_target
 from ..kernel.problem import NOW
 from ..kernel.records import HEAD, TASK, Array, Orders, copy, read
+from ..motion.reference import interpolate_poses
 from .path_problem import Problem
 
 SHORTEST = 1.0 / 256  # smallest step, as a share of the distance between two poses; below it continuation stops
@@ -227,6 +230,39 @@ class Tracks:
         np.add.at(steps, self.span[:, 0], 1)
         np.add.at(steps, self.span[:, 1] + 1, -1)
         return np.cumsum(steps)[:-1]
+
+    def end_with_reason(self, listed: Callable[[np.ndarray], Any]) -> bool:
+        """Return whether every track that ends between two poses has to: at a limit, or where its solution vanishes (a fold).
+
+        Each is continued in small parts of the way to the pose that it does not reach. One part beyond its end no solution that
+        keeps the limits may be within the largest joint step. `listed` lists all solutions of poses, as does
+        `exact_branches.every_solution`.
+        """
+        p, N, parts = self.problem, len(self.problem.T), int(0.25 / SHORTEST)
+        ends, poses = [], []
+        for k, t in ((k, int(t)) for k, span in enumerate(self.span) for t in span):
+            for way in (-1, 1):
+                if t != self.span[k, (way + 1) // 2] or not 0 <= t + way < N:
+                    continue
+                T = interpolate_poses(p.poses[[t, t + way]], np.arange(parts + 1.0) / parts, p.kinds).reshape(
+                    -1, *p.T.shape[1:]
+                )
+                Q, span = np.zeros((parts + 1, 1, p.robot.n), np.float32), np.zeros((1, 2), np.int64)
+                start = self._Q[t, k].astype(float)[None]
+                zero = np.zeros(1, dtype=np.int64)
+                carry_along(p.rows, p.ends, T, p.orders, p.room, p.most, p.deviation, start, zero, zero, Q, span)
+                if span[0, 1] == parts:
+                    return False
+                ends.append(Q[span[0, 1], 0])
+                poses.append(T[span[0, 1] + 1])
+        if not ends:
+            return True
+        Q, sure = listed(np.array(poses))
+        near = Q / p.unit - np.array(ends)[:, None]
+        near -= np.where(p.robot.slides, 0.0, TAU * np.rint(near / TAU))
+        next_to = near + np.array(ends)[:, None]
+        legal = ((next_to >= p.room[0]) & (next_to <= p.room[1])).all(axis=2)
+        return bool(sure.all() and not (legal & (np.abs(near) <= p.most).all(axis=2)).any())
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
         """Continue the solutions `seeds` (M, n) [kernel units] of the poses numbered `at` (M,) while there is room."""

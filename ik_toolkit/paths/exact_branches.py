@@ -1,8 +1,9 @@
-"""All solutions of all poses in closed form for two kinds of arm, and the choice of full turns along a path.
+"""All solutions of all poses of a path, and the choice of full turns along it.
 
-The arms have three parallel axes, or six axes of which 2, 3, 4 are parallel and 5, 6 meet (Universal Robots). A path
-needs all solutions to prove that it has the fewest reconfigurations. The geometry is that of Hawkins (2013), "Analytic
-inverse kinematics for the Universal Robots UR-5/UR-10 arms", with joint screws instead of its tables.
+A path needs all solutions to prove that it has the fewest reconfigurations. Two kinds of arm have them in closed form: three
+parallel axes, or six axes of which 2, 3, 4 are parallel and 5, 6 meet (Universal Robots). The geometry is that of Hawkins (2013),
+"Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms", with joint screws instead of its tables. For other arms
+of six revolute joints the elimination lists and certifies them.
 
 A joint whose range exceeds a full turn has each solution several times, whole turns apart. Whether a continuous piece
 of a path fits the limits of such a joint depends on how far the joint winds up along the whole piece, which no single
@@ -14,14 +15,29 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.elimination.terms import CERTAIN
 from ..kernel.kinematics import TAU
 from ..solvers.closed_form.geometry import Screws, read_screws
+from ..solvers.decide import elimination_plan, said_of
 
 PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
 # Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
 DOUBTFUL = 1e-7
 # largest pose error of a solution [m, or in rotation matrix entries]; not smaller, because robot files hold rounded numbers
 EXACT = 1e-5
+
+
+def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return what `solutions` does, by the elimination for other arms of six revolute joints; None for all others."""
+    found = solutions(plan.robot, T)
+    exact = elimination_plan(plan) if found is None else None
+    if exact is None:
+        return found
+    said = said_of(exact, T)
+    count = said[:, 0, 0].astype(int)
+    Q = said[:, 1 : 1 + max(1, int(count.max(initial=0))), :6].copy()
+    Q[np.arange(Q.shape[1]) >= count[:, None]] = np.nan
+    return Q, said[:, 0, 1] == CERTAIN
 
 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

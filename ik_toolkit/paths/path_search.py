@@ -16,24 +16,31 @@ from ..solvers.task import counts_in_part
 from ..text import length
 from .contact import Margins
 from .continuation import ISOLATED, MOST, POOL, SAME, STARTS, THIN, Tracks, spread
-from .exact_branches import ROUNDING, alive, copies, solutions, unwound
+from .exact_branches import ROUNDING, alive, copies, every_solution, unwound
 from .path_problem import Problem
 from .result import Unreachable
 from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_first
 
-# Anchors are poses solved from many starts: every 20th pose if solutions are finitely many, so that none is missed.
-EVERY = 20
-# Number of first anchors for a redundant robot. Few suffice, because its solutions can be continued far.
-ANCHORS = 13
-SHARE = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
-TRIED = 3  # number of solutions tested for contact, per track that an anchor may add
-PATIENCE = 2  # the search ends after this many successive rounds of further anchors without a gain
-# The first search keeps a margin of NEAR [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
-# This margin makes it easy to prove the motion between poses free of contact.
-NEAR = 0.003
-# A gap is a run of poses without tracks. After this many of its poses had no solution, the others are given up.
-PROBES = 9
-LEAST, BUDGET = 20_000, 200  # A search may make BUDGET collision tests per pose, but at least LEAST in all.
+
+class Effort(NamedTuple):
+    """How much a search does."""
+
+    every: int = 20  # every 20th pose is an anchor if solutions are finitely many, so that none is missed
+    anchors: int = 13  # first anchors for a redundant robot; few suffice, because its solutions can be continued far
+    share: int = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
+    tried: int = 3  # number of solutions tested for contact, per track that an anchor may add
+    patience: int = 2  # the search ends after this many successive rounds of further anchors without a gain
+    rounds: int = 8  # in so many rounds at most, listed solutions that lie on no track are added; two are usual
+    # The first search keeps a margin of `near` [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
+    near: float = 0.003  # It makes it easy to prove the motion between poses free of contact.
+    probes: int = (
+        9  # after this many poses of a gap (a run of poses without tracks) had no solution, the others are given up
+    )
+    least: int = 20_000  # A search may make `budget` collision tests per pose, but at least so many in all.
+    budget: int = 200
+
+
+EFFORT = Effort()
 
 
 def _runs(places: np.ndarray) -> list[np.ndarray]:
@@ -42,12 +49,12 @@ def _runs(places: np.ndarray) -> list[np.ndarray]:
 
 
 def model_near(model: Any, limits: np.ndarray) -> Callable[[Any], bool]:
-    """Return a function of q (n,) that says whether any two parts of a CollisionModel are nearer than the margin NEAR.
+    """Return a function of q (n,) that says whether any two parts of a CollisionModel are nearer than the margin EFFORT.near.
 
     limits (2, n) [rad or m]: lower and upper; they bound the lever arms.
     """
     margins = Margins(model, np.where(np.isfinite(limits), np.abs(limits), 0.0).max(axis=0))
-    return lambda q: not margins.free(q, NEAR)
+    return lambda q: not margins.free(q, EFFORT.near)
 
 
 def _within(best: tuple[int, int], allowed: float) -> bool:
@@ -102,8 +109,8 @@ class Search:
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        self.sure: np.ndarray | None = None  # (N,) whether all solutions of a pose are proven to be known
-        self.legal = np.empty((0, 0), dtype=bool)  # (N, K) which of the K solutions of a pose keep the joint limits
+        # All solutions (N, K, n) of the poses [kernel units], whether (N,) that is proven; None if they cannot be listed.
+        self.listing, self.legal = self.list_solutions()  # legal (N, K): which of them keep the joint limits
         self.copied: set[int] = set()  # joints of more than a full turn, whose tracks are copied to every turn
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
@@ -111,7 +118,7 @@ class Search:
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
         """Test contact with the function collides(q), q (n,) [rad or m], from now on; forget earlier results."""
         self.collides = collides
-        self.tester = Tester(collides, self.problem.unit, max(BUDGET * len(self.problem.T), LEAST))
+        self.tester = Tester(collides, self.problem.unit, max(EFFORT.budget * len(self.problem.T), EFFORT.least))
 
     # ---------------------------------------------------------------------------------------------------------- anchors
     def anchor(self, t: int, count: int) -> int:
@@ -120,19 +127,25 @@ class Search:
         count: largest number of new tracks of a redundant robot. Returns the number of tracks added.
         """
         p, tracks = self.problem, self.tracks
-        Q0 = p.robot.random_q(tracks.rng, STARTS)
-        for q in self.ends:
-            if q is not None:
-                Q0[0] = q * p.unit
-        Q0[:, p.plan.held] = (p.stand * p.unit)[p.plan.held]
-        found, beyond = p.solutions(t, Q0)
+        Q, sure = self.listing or (None, np.zeros(t + 1, dtype=bool))
+        if Q is not None and sure[t] and self.legal[t].any():
+            found, beyond = p.turned(Q[t, self.legal[t]]), 0.0
+        else:
+            Q0 = p.robot.random_q(tracks.rng, 1 if sure[t] else STARTS)
+            for q in self.ends:
+                if q is not None:
+                    Q0[0] = q * p.unit
+            Q0[:, p.plan.held] = (p.stand * p.unit)[p.plan.held]
+            found, beyond = p.solutions(t, Q0)
         self.anchored[t] = beyond
         if not len(found):
             return 0
         if not p.redundant:
             seeds = spread(found, tracks.at(t), ISOLATED, SAME)
         else:
-            seeds = spread(found[:POOL], tracks.at(t), TRIED * count if self.collides else count, THIN * p.most.min())
+            seeds = spread(
+                found[:POOL], tracks.at(t), EFFORT.tried * count if self.collides else count, THIN * p.most.min()
+            )
             if self.collides is not None:
                 seeds = self.without_contact(seeds, count)
         tracks.add(seeds, np.full(len(seeds), t))
@@ -159,12 +172,12 @@ class Search:
                 self.fixed[k] = True
                 self.tracks.add(p.settled(q[None], np.array([t]))[0], np.array([t]))
         if p.redundant:
-            places = np.unique(np.linspace(0, N - 1, min(N, ANCHORS)).astype(int))
+            places = np.unique(np.linspace(0, N - 1, min(N, EFFORT.anchors)).astype(int))
             places = places[middle_first(len(places))]
         else:
-            places = np.unique(np.append(np.arange(0, N, EVERY), N - 1))
+            places = np.unique(np.append(np.arange(0, N, EFFORT.every), N - 1))
         for k, t in enumerate(places):
-            self.anchor(int(t), SHARE)
+            self.anchor(int(t), EFFORT.share)
             self.progress(0.7 * (k + 1) / len(places), "extending solutions along the path")
         self.fill()
 
@@ -174,7 +187,7 @@ class Search:
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses at which no track exists: in each gap in bisection order, until PROBES poses had no solution.
+        """Solve poses at which no track exists: in each gap in bisection order, until EFFORT.probes poses had no solution.
 
         Requested poses come before inserted ones, because an arm with too few joints may reach only the former.
         """
@@ -184,10 +197,10 @@ class Search:
             inserted = self.problem.at[order] % 1.0 > 0.0
             missed = 0
             for t in np.append(order[~inserted], order[inserted]).tolist():
-                if missed == PROBES:
+                if missed == EFFORT.probes:
                     break
                 if alive[t] == 0 and t not in self.anchored:
-                    self.anchor(t, SHARE)
+                    self.anchor(t, EFFORT.share)
                     alive = self.tracks.alive()
                     missed += int(alive[t] == 0)
 
@@ -270,18 +283,20 @@ class Search:
         """Search until the path has no reconfiguration or contact, or more anchors do not help; return the path."""
         self.first_anchors()
         self.link()
-        if self.worth() and self.model is not None:  # A narrow passage may be free without the extra margin NEAR.
+        if (
+            self.worth() and self.model is not None
+        ):  # A narrow passage may be free without the extra margin EFFORT.near.
             self.keep_away(self.model.collides)
             self.link()
-        left = PATIENCE
+        left = EFFORT.patience
         while self.worth() and left:
             worst = self.worth()
             places = [t for k in self.found.breaks for t in (k, k + 1)]
-            fresh = [t for t in places if t not in self.anchored or self.problem.redundant][: 2 * ANCHORS]
-            if not sum(self.anchor(t, SHARE) for t in fresh):
+            fresh = [t for t in places if t not in self.anchored or self.problem.redundant][: 2 * EFFORT.anchors]
+            if not sum(self.anchor(t, EFFORT.share) for t in fresh):
                 break
             self.link()
-            left = PATIENCE if self.worth() < worst else left - 1
+            left = EFFORT.patience if self.worth() < worst else left - 1
         self.prove()
         return self.found
 
@@ -289,25 +304,14 @@ class Search:
     def prove(self) -> None:
         """Set `lower_bound` if the number of reconfigurations is proven to be the least.
 
-        That is so if it is 0, or if every solution of every pose, from a closed form, lies on a track.
+        That is so if it is 0, or if every solution of every pose lies on a track, and every track ends for a reason.
         """
-        p = self.problem
         if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
             self.lower_bound = 0
+        if self.lower_bound == 0 or self.listing is None:
             return
-        if p.kinds != (POSE,) or counts_in_part(p.kinds, p.plan.options) or len(p.plan.held):
-            return
-        listed = solutions(p.robot, p.T)
-        if listed is None:
-            return
-        Q, self.sure = listed
-        Q = Q / p.unit
-        low, high = p.limits[:2] + np.array([[-ROUNDING], [ROUNDING]])
-        turn = np.isin(np.arange(p.robot.n), np.append(p.turning, np.flatnonzero(p.endless)))
-        nearest = Q + np.where(turn, TAU * np.ceil((low - Q) / TAU), 0.0) if turn.any() else Q
-        nearest = np.where(np.isfinite(low), nearest, Q)
-        self.legal = ((nearest >= low) & (nearest <= high)).all(axis=2)
-        for _ in range(PATIENCE):
+        p, (Q, sure) = self.problem, self.listing
+        for _ in range(EFFORT.rounds):
             missing = self.legal & ~self.known(Q)
             if not missing.any():
                 break
@@ -315,8 +319,26 @@ class Search:
                 places = np.array([run[len(run) // 2] for run in _runs(np.flatnonzero(missing[:, j]))], dtype=int)
                 self.tracks.add(p.turned(Q[places, j]), places)
             self.link()
-        if self.sure.all() and not (self.legal & ~self.known(Q)).any():
+        else:
+            return
+        # A branch at one pose alone, whose neighbours are sure, is entered and left by reconfigurations, which saves none.
+        beside = np.pad(sure, 1, constant_values=True)
+        known = sure | (beside[:-2] & beside[2:] & (self.tracks.alive() > 0))
+        if known.all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):
             self.lower_bound = len(self.found.breaks)
+
+    def list_solutions(self) -> tuple[tuple[np.ndarray, np.ndarray] | None, np.ndarray]:
+        """Return `listing` and `legal`, see __init__."""
+        p = self.problem
+        isolated = p.kinds == (POSE,) and not counts_in_part(p.kinds, p.plan.options) and not len(p.plan.held)
+        listed = every_solution(p.single, p.T) if isolated and not p.redundant else None
+        if listed is None:
+            return None, np.empty((0, 0), dtype=bool)
+        Q = listed[0] / p.unit
+        low, high = p.limits[:2] + np.array([[-ROUNDING], [ROUNDING]])
+        bounded = np.isfinite(low) & ~p.robot.slides
+        Q = Q + np.where(bounded, TAU * np.ceil((np.where(bounded, low, 0.0) - Q) / TAU), 0.0)
+        return (Q, listed[1]), ((Q >= low) & (Q <= high)).all(axis=2)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
         """Return whether (N, K) each of the solutions Q (N, K, n) [kernel units] lies on a track; full turns are ignored."""
@@ -372,7 +394,7 @@ class Search:
                 reason = f"no solution found from {STARTS} starts"
             if beyond > 0.0:
                 reason = f"beyond reach by {length(beyond, 4)} (a bound from the link lengths)"
-            elif self.sure is not None and self.sure[t] and not self.legal[t].any():
+            elif self.listing is not None and self.listing[1][t] and not self.legal[t].any():
                 reason, beyond = "every solution violates a joint limit, or none exists", np.inf
             said.append(Unreachable(int(place), reason, beyond > 0.0))
         return said

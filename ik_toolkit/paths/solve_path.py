@@ -134,11 +134,11 @@ def solve_path(
     turns = HalfTurns(T.reshape(len(T), -1, 4, 4), kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole(threads, "threads")
 
-    def fresh() -> Search:
-        poses, at = turns.poses(), places
-        if at is None and not freedom(solver.plan_for(kinds), kinds).lacks:
+    def fresh(between: bool = True, longer: int = 1) -> Search:
+        poses, at, most = turns.poses(), places, (longer * step[0], longer * step[1])
+        if at is None and between and not freedom(solver.plan_for(kinds), kinds).lacks:
             poses, at = inserted(robot, poses, kinds)
-        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, step, tolerance, q0, at)
+        problem = Problem(solver, poses.reshape(-1, *robot.pose_shape), kinds, most, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 
@@ -156,7 +156,15 @@ def solve_path(
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # half turns the other way may need fewer
         search.progress(0.9, "shortening and verifying the path")
-        made = _result(search, allowed, step, tolerance, model, seed, began)
+        tried = [search]
+        if wanted is None and search.found.breaks and len(search.problem.T) > len(T):
+            # Beside a singular pose a motion may keep the path tolerance without meeting the poses inserted.
+            tried.append(fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max())))
+            tried[1].run()
+            bounds = [one.lower_bound for one in tried if one.lower_bound is not None]
+            search.lower_bound = tried[1].lower_bound = min(1, *bounds) if len(bounds) == len(tried) else None
+        results = [_result(one, allowed, step, tolerance, model, seed, began) for one in tried]
+        made = min(results, key=lambda one: (not one.success, len(one.reconfigurations)))
         return _against(replace(made, tolerance_given=path_tolerance is not None), wanted)
     except KeyboardInterrupt:
         if search.found is None:

@@ -4,28 +4,32 @@ A search that fails says nothing about the target. For six revolute joints all s
 (`closed_form/elimination`), and a list that is certified and has no legal member is a proof, as far as a certificate is one.
 """
 
-import copy
 import functools
 import math
-from dataclasses import fields
+from copy import deepcopy
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..compile.jit import cached, inline
 from ..kernel.checks import CONVERGED, ITERATION_LIMIT, LIMIT_BLOCKED, SINGULAR, STALLED, UNREACHABLE
-from ..kernel.records import ANSWER, AT, WEIGHTS
-from .closed_form_then_search import error_size
+from ..kernel.elimination.binding import answers
+from ..kernel.elimination.terms import CERTAIN
+from ..kernel.records import ANSWER, AT, WEIGHTS, copy
+from .closed_form.elimination import STEPS, N, forms_of, into_limits, solutions_of
+from .closed_form.nearest import choose
 from .options import Options
 from .plan import Plan
 from .protocol import Asked, misfit, refusal
 from .registry import GENERAL, find_row
-from .status import DECIDED
+from .status import DECIDED, NEAREST
 from .task import POSES
 
 OPEN = (STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, SINGULAR)  # statuses that prove nothing
 # Options that a decision honours; with any other the search goes on alone.
 HONOURED = {
-    "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale",
+    "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest",
 }  # fmt: skip
 
 
@@ -36,6 +40,9 @@ class DecisionMargins(NamedTuple):
     near: float = 0.1  # solutions that break a limit by less [rad] are moved onto it and polished
     # Two complex solutions that are at most this many sqrt(e) from real ones may have a real pose within e between them.
     gap: float = 30.0
+    same: float = (
+        1e-6  # [rad] an answer is the nearest solution if it is farther from q0 than the nearest listed by no more
+    )
     gain: float = 10.0  # a solution that breaks a limit by d has errors of gain * d at it, which must be this many e
 
 
@@ -56,15 +63,13 @@ class Listed(NamedTuple):
 
     q: np.ndarray  # (K, n) [rad], on the full turns inside the limits that are nearest the start
     excess: np.ndarray  # (K, n) by how much each joint breaks its limits [rad]
-    gain: np.ndarray  # (K,) see `elimination.Said`
     certificate: Any
-    near: np.ndarray | None  # (M, n) where else a pose may be within the tolerances [rad]; None if that is not known
 
 
 def elimination_plan(plan: Plan) -> Plan | None:
     """Return the plan of the elimination with the options of a search's plan, or None if it cannot do what is asked."""
-    robot, o = plan.robot, plan.options
-    if robot.n != 6 or robot.pose_shape != (4, 4):  # Nothing is imported for other robots.
+    robot, o = plan.robot, replace(plan.options, closest=False)
+    if robot.n != 6 or robot.pose_shape != (4, 4):
         return None
     if "elimination" not in plan.memo:
         row = find_row("elimination")
@@ -84,13 +89,105 @@ def deciding(plan: Plan) -> "Deciding | None":
     return Deciding(plan.robot, plan.row, plan.rule, o)
 
 
+@inline
+def _apart(a, b):
+    """Return the Euclidean distance [rad] of two configurations."""
+    total = 0.0
+    for i in range(N):
+        total += (a[i] - b[i]) ** 2
+    return math.sqrt(total)
+
+
+@inline
+def _take(made, row):
+    """Write q, errors and status of the result row `made` to `row`."""
+    row[AT.status], row[AT.excess] = made[AT.status], DECIDED
+    row[AT.position], row[AT.rotation] = made[AT.position], made[AT.rotation]
+    for i in range(N):
+        row[ANSWER + i] = made[ANSWER + i]
+
+
+@cached
+def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
+    """Write what is decided on M targets to their result rows `out` (M, width), with AT.excess = DECIDED; others stay as they are.
+
+    A solution within the limits, or near them and polished onto them, solves a target. If the list is certified, nothing is
+    near a limit or near real, and no pose beyond the limits is within the tolerances, there is none.
+
+    Args:
+        rows: (L, 10) geometry of the chain.
+        ends: (2, .) `records.Ends` of the chain, with its limits and without.
+        T: (M, 4, 4) targets [m].
+        found: (M, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
+        box: (2, n) lower and upper limits [rad].
+        Q0: (M, n) starts [rad].
+        orders: (2, .) orders of the elimination's plan, with limits and without.
+        terms: (4,) `near` and the least excess times gain (see `decide.DecisionMargins`), the length [m] that counts as much as
+            one radian where configurations that fail are compared, and `same` if the solution nearest the start is asked for, or 0.
+        out: (M, width) results of the short search.
+    """
+    edge, clear, length, same = terms
+    silent, bounds = np.empty((0, 0)), np.empty((3, N))
+    bounds[:2] = box
+    for t in range(T.shape[0]):
+        row, start = out[t], Q0[t]
+        copy(start, bounds[2])
+        count, near = int(found[t, 0, 0]), int(found[t, 0, 7])
+        certain = found[t, 0, 1] == CERTAIN and near >= 0
+        Q = found[t, 1 : 1 + count + max(near, 0), :N].copy()
+        excess = np.empty_like(Q)
+        into_limits(Q.copy(), bounds, Q, excess)
+        legal, kept, far, told, least = np.empty((Q.shape[0] + 1, N)), 0, True, True, np.inf
+        for k in range(Q.shape[0]):
+            worst = excess[k].max()
+            if k >= count or worst < edge:
+                legal[kept] = Q[k]
+                kept += 1
+            known = k >= count or worst * found[t, 1 + k, N] >= clear
+            far, told = far and known, told and (known or worst == 0.0)
+            if k < count and worst == 0.0:
+                least = min(least, _apart(Q[k], start))
+        if row[AT.status] == CONVERGED:
+            copy(row[ANSWER : ANSWER + N], legal[kept])
+            kept += 1
+        made = row.copy()
+        if kept:
+            choose(rows, ends[0], T[t], legal[:kept], STEPS, -1, start, orders[0], silent, made)
+            row[AT.evaluations] += made[AT.evaluations]
+            if made[0] == CONVERGED:
+                _take(made, row)
+                if same > 0.0 and certain and told and _apart(row[ANSWER:], start) <= least + same:
+                    row[AT.excess] = NEAREST
+                continue
+        if row[AT.status] == CONVERGED or not certain or not far:
+            continue
+        if count == 0 and near > 0:
+            choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
+            row[AT.evaluations] += made[AT.evaluations]
+            if made[0] == CONVERGED:
+                continue  # A pose beyond the limits is within the tolerances, though none is exact.
+        if count > 0:  # solutions moved onto their limits
+            choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)
+            row[AT.evaluations] += made[AT.evaluations]
+            now = (row[AT.position] / length) ** 2 + row[AT.rotation] ** 2
+            if (made[AT.position] / length) ** 2 + made[AT.rotation] ** 2 < now:
+                _take(made, row)
+        row[0], row[AT.excess] = LIMIT_BLOCKED if count > 0 else UNREACHABLE, DECIDED
+
+
+def said_of(exact: Plan, T: np.ndarray, within: float = 0.0) -> np.ndarray:
+    """Return what the elimination's plan says of targets T (N, 4, 4), see `kernel.elimination.binding.answers`."""
+    p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
+    return answers(forms_of(p.tobytes()), p, np.ascontiguousarray(T), within)
+
+
 class Deciding(Plan):
     """The general search with a few attempts, then the elimination, then, where that is not certain, the whole search."""
 
     @functools.cached_property
     def first(self) -> Plan:
         """The short search."""
-        return self.varied(restarts=MARGINS.attempts - 1)
+        return self.varied(restarts=MARGINS.attempts - 1, closest=False)
 
     @functools.cached_property
     def exact(self) -> Plan:
@@ -114,77 +211,69 @@ class Deciding(Plan):
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Deciding":
         """Return the same plan for a copy of the robot."""
-        return Deciding(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
+        return Deciding(*deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
         """Return the result row (width,) of one target T (1, 4, 4)."""
         row = self.first.solve(T, kinds, start, given)
-        status = row[AT.status]
-        if status == CONVERGED or status not in OPEN or self.decide(T[0], start, given, row):
-            return row
-        return super().solve(T, kinds, start, given)
+        if row[AT.status] in OPEN or self.options.closest:
+            self.decide(T, kinds, start, given, row[None])
+        return row
 
-    def listed(self, T: np.ndarray, near: np.ndarray) -> Listed:
+    def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
+        """Write what is decided on the targets T (N, 4, 4) that the short search left open to its result rows out (N, width).
+
+        Where the elimination is not certain, the whole search goes on.
+        """
+        wanted = (*OPEN, CONVERGED) if self.options.closest else OPEN
+        (left,) = np.nonzero((out[:, AT.status, None] == wanted).any(axis=1))
+        if not len(left):
+            return
+        o, at, made = self.options, T[left], out[left]
+        starts = np.repeat(start, len(out) // len(start), axis=0)[left]
+        rows, ends, box, orders, terms = self._fixed(given)
+        decide_rows(rows, ends, at, said_of(self.exact, at, self.within), box, starts, orders, terms, made)
+        unsure = made[:, AT.excess] != (NEAREST if o.closest else DECIDED)
+        (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CONVERGED)))
+        if len(still):
+            rest = np.zeros((len(still), made.shape[1]))
+            self.run(at[still], kinds, starts[still], given, rest)
+            far = [np.linalg.norm(rows[:, ANSWER : ANSWER + N] - starts[still], axis=1) for rows in (rest, made[still])]
+            taken = (made[still, AT.status] != CONVERGED) | (rest[:, AT.status] == CONVERGED) & (far[0] < far[1])
+            made[still[taken]] = rest[taken]
+        out[left] = made
+
+    def _fixed(self, given: bool) -> tuple[np.ndarray, ...]:
+        """Return what `decide_rows` takes and does not depend on the targets: rows, ends, box, orders and terms."""
+        if ("fixed", given) not in self.memo:
+            exact, free, o = self.exact, self.exact_free, self.options
+            terms = (
+                MARGINS.near,
+                MARGINS.gain * self.error,
+                o.length_scale or self.robot.reach,
+                MARGINS.same * o.closest,
+            )
+            ends, orders = (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
+            self.memo["fixed", given] = (exact.chain[0], *map(np.array, (ends, self.box, orders, terms)))
+        return self.memo["fixed", given]
+
+    @functools.cached_property
+    def within(self) -> float:
+        """How far from real a root may be for a pose within the tolerances to be near its configuration."""
+        return min(1.0, MARGINS.gap * math.sqrt(self.error))
+
+    @property
+    def box(self) -> np.ndarray:
+        """Lower and upper limits (2, n) [rad]."""
+        free = np.full(self.robot.n, np.inf)
+        return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
+
+    def list_at(self, T: np.ndarray, near: np.ndarray) -> Listed:
         """List the solutions of T (4, 4), on the full turns nearest to `near` (n,)."""
-        from .closed_form.elimination import into_limits, solutions_of
-
-        robot = self.robot
-        within = min(1.0, MARGINS.gap * math.sqrt(self.error))
-        said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + robot.n :], T, within)
-        free = np.full(robot.n, np.inf)
-        box = np.array([robot.lower, robot.upper, near] if self.options.limits else [-free, free, near])
-        Q = said.q if said.near is None else np.vstack([said.q, said.near])
-        q, excess = np.empty_like(Q), np.empty_like(Q)
-        into_limits(Q, box, q, excess)
-        count = len(said.q)
-        return Listed(q[:count], excess[:count], said.gain, said.certificate, None if said.near is None else q[count:])
-
-    def decide(self, T: np.ndarray, start: np.ndarray, given: bool, row: np.ndarray) -> bool:
-        """Write the decision on the target T (4, 4) to the short search's result row (width,); return False if there is none."""
-        from .closed_form.elimination import STEPS
-
-        found = self.listed(T, start[0])
-        near = np.empty((0, self.robot.n)) if found.near is None else found.near
-        legal = np.vstack([found.q[found.excess.max(axis=1, initial=0.0) < MARGINS.near], near])
-        made = self._chosen(self.exact, T, legal, STEPS, start, given, row)
-        if made[AT.status] == CONVERGED:
-            self._take(made, row)
-            return True
-        if found.certificate.status != "CERTAIN" or found.near is None:
-            return False
-        if (found.excess.max(axis=1, initial=0.0) * found.gain < MARGINS.gain * self.error).any():
-            return False
-        free = self._chosen(self.exact_free, T, near if not len(found.q) else near[:0], STEPS, start, given, row)
-        if free[AT.status] == CONVERGED:
-            return False  # A pose beyond the limits is within the tolerances, though none is exact.
-        made = self._chosen(self.exact, T, found.q, 0, start, given, row)  # solutions moved onto their limits
-        nearer, now = error_size(np.array([made, row]), self.options.length_scale or self.robot.reach)
-        if nearer < now:
-            self._take(made, row)
-        row[AT.status], row[AT.excess] = (LIMIT_BLOCKED if len(found.q) else UNREACHABLE), DECIDED
-        return True
-
-    def _chosen(
-        self, exact: Plan, T: np.ndarray, Q: np.ndarray, steps: int, start: np.ndarray, given: bool, row: np.ndarray
-    ) -> np.ndarray:
-        """Return a result row for the best of Q (K, n) after some Newton steps, and count the evaluations in `row`."""
-        from .closed_form.nearest import choose
-
-        made = row.copy()
-        if not len(Q):
-            made[[AT.status, AT.position, AT.rotation]] = STALLED, math.inf, math.inf
-            return made
-        orders, silent = exact.orders(POSES, given), np.empty((0, 0))
-        choose(*exact.chain[:2], T, np.ascontiguousarray(Q), steps, -1, start[0], orders, silent, made)
-        row[AT.evaluations] += made[AT.evaluations]
-        return made
-
-    def _take(self, made: np.ndarray, row: np.ndarray) -> None:
-        """Write q, errors and status of the row `made` to `row`."""
-        for place in (AT.status, AT.position, AT.rotation):
-            row[place] = made[place]
-        row[ANSWER:] = made[ANSWER:]
-        row[AT.excess] = DECIDED
+        said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + self.robot.n :], T)
+        q, excess = np.empty_like(said.q), np.empty_like(said.q)
+        into_limits(said.q, np.vstack([self.box, near]), q, excess)
+        return Listed(q, excess, said.certificate)
 
 
 def blocked(result: Any) -> Blocked | None:
@@ -192,7 +281,7 @@ def blocked(result: Any) -> Blocked | None:
     of = result._of
     if of.row[AT.excess] != DECIDED or of.row[AT.status] != LIMIT_BLOCKED:
         return None
-    found = of.plan.listed(of.T[0], of.start[0])
+    found = of.plan.list_at(of.T[0], of.start[0])
     worst = found.excess.max(axis=1)
     best = int(np.argmin(worst))
     joint = int(np.argmax(found.excess[best]))

@@ -1,20 +1,25 @@
 """Lists every solution of a target: from a closed form if one fits, otherwise from many starts."""
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 
-from ..errors import whole
+from ..errors import InvalidOption, whole
 from ..kernel.checks import is_rigid
 from ..kernel.counted_error import AXIS, POSITION
+from ..kernel.kinematics import TAU
 from ..kernel.records import WEIGHTS
 from ..robot.rotation import rpy_matrix
+from .closed_form.elimination import into_limits, solutions_of
+from .closed_form.geometry import SNAP, Family
 from .closed_form.polish import list_branches
 from .collision_free import collision_model
 from .decide import elimination_plan
 from .enumerate import distinct_rows, search_solutions, spread_rows
 from .plan import Plan
 from .postprocess import confirmed
+from .self_motion import END, FOLLOWING, SelfMotion, self_motions, slicings_of
 from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
@@ -22,27 +27,31 @@ from .task import POSES, Counts, read_target, what_counts
 APART = 1e-6  # solutions of the real joints are the same if no joint differs by more [rad]; each occurs twice for a free position
 
 
-def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
+def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
     """Find Solutions of a target, or a SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver (see `Solver.all`)."""
     starts, count = whole(starts, "starts"), whole(count, "count")
     places = int(solver.robot.by_tip)  # leading axes of a Tree's single target
     shape = getattr(target, "shape", ())
     shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + places or (len(shape) == 2 + places and shape[-1:] == (3,)):
-        return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
+        return SolutionsBatch([find_all(solver, one, q0, starts, count, all_turns) for one in target])
     T, kinds, notice = _read(solver, target)
     plan = solver.plan_for(kinds)
     o = plan.options
     start = plan.home if q0 is None else plan.check_start(q0)[0]
     if solver.name == "auto" and kinds == POSES and not plan.row.closed:
         plan = elimination_plan(plan) or plan
-    found = None
+    found, sliced = None, ""
     if plan.row.closed:
         found = _listed(plan, T, kinds, start[0], starts, count)
     elif solver.name == "auto" and o.priority is None:
         found = listed_with_free_turns(plan, T, kinds, start, count)
+        if found is None and kinds == POSES:
+            found, sliced = on_self_motions(plan, T, start, count)
     if found is None:
         found = search_solutions(plan, T, kinds, start, starts, count)
+    if all_turns:
+        found = on_all_turns(found, plan, start[0], count)
     if o.avoid_collisions is not False and len(found):  # 0.0 is a margin [m], not False
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
@@ -66,11 +75,32 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     if not len(found):
         failed = solver(target, q0)
         if not failed.success:
-            found._put(message=failed.message)
+            found._put(message=f"{failed.message}; none in {sliced}" if sliced else failed.message)
         found._put(families=())
     if notice:
         found._put(message=f"{found.message}; {notice}")
     return found
+
+
+def on_all_turns(found: Solutions, plan: Plan, start: np.ndarray, count: int) -> Solutions:
+    """Return each solution on every full turn inside the limits, nearest to start (n,) first; at most `count` of them."""
+    robot = plan.robot
+    if not plan.options.limits:
+        raise InvalidOption("all_turns lists the full turns inside the limits, so it cannot be given with limits=False")
+    low, high, rows, Q = robot.lower - SNAP, robot.upper + SNAP, [], []
+    turning = np.flatnonzero((robot.chain.turns > 0) & np.isfinite(low) & np.isfinite(high))
+    for k, q in enumerate(found.q):
+        first, last = np.ceil((low - q) / TAU)[turning], np.floor((high - q) / TAU)[turning]
+        for turns in product(*(np.arange(a, b + 1.0) for a, b in zip(first, last, strict=True))):
+            rows.append(k)
+            Q.append(q.copy())
+            Q[-1][turning] += TAU * np.array(turns)
+    every = found.keep(np.array(rows, dtype=int))
+    every._put(q=np.clip(np.array(Q).reshape(-1, robot.n), robot.lower, robot.upper))
+    every._put(distance=np.linalg.norm((every.q - start) / robot.chain.unit, axis=1))
+    order = np.argsort(every.distance, kind="stable")
+    every._put(message=f"{every.message}; {len(Q)} on all full turns", complete=found.complete and len(Q) <= count)
+    return every.keep(order[:count])
 
 
 def _read(solver: Any, target: Any) -> tuple[np.ndarray, Any, str]:
@@ -189,8 +219,6 @@ def loop_of(plan: Plan, kinds: tuple) -> np.ndarray | None:
 
 def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, count: int) -> Solutions | None:
     """List all solutions within limits of T (1, 4, 4), nearest to start (1, n) first; None if they are not certified to be all."""
-    from .closed_form.elimination import into_limits, solutions_of
-
     if (key := ("virtual joints", kinds)) not in plan.memo:
         plan.memo[key] = loop_of(plan, kinds)
     arm = plan.memo[key]
@@ -218,3 +246,46 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
         message=f"{len(legal)} of {len(Q)} branches are inside the limits",
     )  # fmt: skip
     return found
+
+
+def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
+    """Return samples of the self-motions of an arm of seven joints at T (1, 4, 4), None if none is found; and where was looked."""
+    robot, cuts = plan.robot, slicings_of(plan)
+    where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
+    where = where and f"{FOLLOWING.slices} slices of {where}"
+    curves = self_motions(plan, T[0]) if cuts else []
+    if not curves:
+        return None, where
+    free, rows = np.full(robot.n, np.inf), []
+    box = np.array([robot.lower, robot.upper] if plan.options.limits else [-free, free])
+    for curve in curves[:count]:
+        Q, excess = np.empty_like(curve.points), np.empty_like(curve.points)
+        into_limits(curve.points, np.vstack([box, start]), Q, excess)
+        some = np.linspace(0, len(Q) - 1, max(1, count // len(curves) - 1)).round().astype(int)
+        rows.append(Q[np.unique([*some, np.linalg.norm(Q - start, axis=1).argmin()])])
+    found = search_solutions(plan, T, POSES, start, 0, count, np.clip(np.vstack(rows), *box))
+    if not len(found):
+        return None, where
+    plural = "s" * (len(curves) > 1)
+    said = f"{len(found)} solutions on {len(curves)} curve{plural} of infinitely many, found in {where}; there may be others"
+    families = tuple(family_of(robot, curve) for curve in curves)
+    found._put(families=families, solver="elimination", found_by=("elimination",) * len(found), message=said)
+    return found, where
+
+
+def family_of(robot: Any, curve: SelfMotion) -> Family:
+    """Return what a person is told of a curve: the joint that moves most leads, with its range."""
+    width = curve.upper - curve.lower
+    order = [int(i) for i in np.argsort(-width, kind="stable") if width[i] > FOLLOWING.same]
+    names, lead = robot.joint_names, order[0]
+    low, high = float(curve.lower[lead]), float(curve.upper[lead])
+    if curve.ends[0][0] == END.closed:
+        ends = "a closed curve"
+    else:
+        said = []
+        for (kind, joint), q in zip(curve.ends, (curve.points[0], curve.points[-1]), strict=True):
+            side = "lower" if joint >= 0 and q[joint] - robot.lower[joint] < robot.upper[joint] - q[joint] else "upper"
+            at = {END.limit: f"at the {side} limit of {names[joint]}", END.singular: "where the arm is singular"}
+            said.append(at.get(kind, "where it was not followed further"))
+        ends = f"a curve that ends {' and '.join(said)}"
+    return Family(tuple(names[i] for i in order), low, high, f"{ends}; {names[lead]} from {low:.4g} to {high:.4g} rad")

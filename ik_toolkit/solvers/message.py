@@ -11,7 +11,7 @@ from ..kernel.records import ANSWER, AT
 from ..text import angle, figure, length
 from .decide import blocked
 from .options import GROUPS
-from .status import DECIDED, SEARCHED, Status, constraints_of
+from .status import DECIDED, NEAREST, SEARCHED, Status, constraints_of
 from .task import Counts, all_errors, counted_rows, what_counts
 
 ATTEMPTS = 20  # number of starts of a search for a part of the target
@@ -56,7 +56,7 @@ def sentence(result: Any) -> str:
         touching = " and ".join(result.collision)
         text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"
         return f"{text}; {ADVICE[status]}"
-    if row[AT.excess] == DECIDED:
+    if row[AT.excess] <= DECIDED:
         return _decided_says(result, left)
     if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
         far = status == Status.UNREACHABLE and row[AT.excess] > FAR_AWAY * result.robot.reach
@@ -104,6 +104,8 @@ def _joints(n: int) -> str:
 
 def _decided_says(result: Any, left: str) -> str:
     """Say what the elimination found out about a target."""
+    if result._of.row[AT.excess] == NEAREST:
+        return f"the nearest of all solutions within the limits (certified by elimination); residual {left}"
     if result.status == Status.CONVERGED:
         return f"found by elimination after {_starts(result.restarts + 1)} of the search; residual {left}"
     least = blocked(result)

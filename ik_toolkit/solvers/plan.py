@@ -105,6 +105,14 @@ class Plan:
         return Plan(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     # ---------------------------------------------------------------------------------------------------------- running
+    @property
+    def first(self) -> "Plan":
+        """The plan whose loop comes first; `decide` finishes what it leaves open."""
+        return self
+
+    def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
+        """Decide, in place, the result rows (N, width) of targets T that the first loop has left open: here it leaves none."""
+
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
         """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; rows of `out` (N, width) are written.
 

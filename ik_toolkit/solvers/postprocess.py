@@ -75,51 +75,50 @@ def finish_failures(
     LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then, if the plan
     descends, the row's q is moved to the configuration nearby that is closest to the target.
     """
-    for k in np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1)):
-        at, row = start[k : k + 1] if len(start) > 1 else start, rows[k]
+    these = np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1))
+    if not len(these):
+        return
+    start = np.repeat(start, len(rows) // len(start), axis=0)
+    for k in these:
+        row = rows[k]
         if row[AT.status] == LIMIT_BLOCKED and plan.options.limits and row[AT.excess] != DECIDED:
-            if plan.unlimited.solve(T[k : k + 1], kinds, at, given)[AT.status] != CONVERGED:
+            if plan.unlimited.solve(T[k : k + 1], kinds, start[k : k + 1], given)[AT.status] != CONVERGED:
                 row[AT.status] = STALLED
-        if plan.descends:
-            _descend(plan, T[k], kinds, at, given, row)
+    if plan.descends:
+        rows[these] = _descended(plan, T[these], kinds, start[these], given, rows[these])
 
 
-def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, row: np.ndarray) -> None:
-    """Move the configuration of a row (width,) to a local minimum of the error, in place.
+def _descended(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> np.ndarray:
+    """Return rows (m, width) with their configurations moved to a local minimum of the error.
 
     The search compares its attempts by errors whose lengths are divided by about the reach. If the option length_scale is
     given, another attempt may be the best one, so the descent begins at the start and at random configurations as well.
     """
-    from ..kernel.closest import approach_target
+    from ..kernel.closest import approach_targets
 
     o, robot = plan.options, plan.robot
-    begins = [row[ANSWER : ANSWER + robot.n].copy()]
+    here = slice(ANSWER, ANSWER + robot.n)
+    beyond = slice(ANSWER + robot.n + 2, None, MISS)  # Distances proven out of reach are kept.
+    begins = [rows[:, here].copy()]
     if o.length_scale is not None and not len(plan.held):
-        begins += [start[0].copy(), *robot.random_q(np.random.default_rng(o.seed), MOST.begins)]
-    misses = row[ANSWER + robot.n :].reshape(-1, MISS)
-    beyond = misses[:, 2].copy()  # The column of distances proven out of reach is kept.
-    length, least = o.length_scale or robot.reach, np.inf
-    targets, orders = T.reshape(-1, 4, 4), plan.orders(kinds, given)
+        begins += [start, *robot.random_q(np.random.default_rng(o.seed), MOST.begins)]
+    m = len(rows)
+    targets, orders = np.ascontiguousarray(T).reshape(m, -1, 4, 4), plan.orders(kinds, given)
+    least, rows = np.full(m, np.inf), rows.copy()
     for q in begins:
-        steps = int(min(MOST.descending, (o.max_evaluations or np.inf) - row[AT.evaluations]))
-        if steps < 2:
-            break
-        made = row.copy()
-        made[ANSWER : ANSWER + robot.n] = q
-        left = approach_target(*plan.chain[:2], targets, made, orders, robot.n, length, steps)
-        row[AT.evaluations] = made[AT.evaluations]
-        if left < least or made[AT.status] == CONVERGED:
-            least = left
-            row[:] = made
-            if made[AT.status] == CONVERGED:
-                break
-    misses[:, 2] = beyond
-    if (
-        row[AT.status] == LIMIT_BLOCKED
-        and row[AT.excess] != DECIDED
-        and not robot.at_limits(row[ANSWER : ANSWER + robot.n])
-    ):
-        row[AT.status] = STALLED
+        steps = np.minimum(MOST.descending, (o.max_evaluations or np.inf) - rows[:, AT.evaluations]).astype(np.int64)
+        steps[rows[:, AT.status] == CONVERGED] = 0
+        made, left = rows.copy(), np.full(m, np.inf)
+        made[:, here] = q
+        approach_targets(*plan.chain[:2], targets, made, orders, robot.n, o.length_scale or robot.reach, steps, left)
+        made[:, beyond] = rows[:, beyond]
+        rows[:, AT.evaluations] = made[:, AT.evaluations]
+        better = (left < least) | (made[:, AT.status] == CONVERGED) & (steps > 0)
+        least[better], rows[better] = left[better], made[better]
+    for row in rows:
+        if row[AT.status] == LIMIT_BLOCKED and row[AT.excess] != DECIDED and not robot.at_limits(row[here]):
+            row[AT.status] = STALLED
+    return rows
 
 
 def extend(outcome: Any) -> Any:

@@ -18,7 +18,7 @@ from .message import sentence
 from .options import GROUPS
 from .outcome import SPOKEN, SolveRecord
 from .registry import GENERAL
-from .status import DECIDED, SEARCHED, Status, constraints_of
+from .status import DECIDED, SEARCHED, Status, constraints_of, is_proven
 from .task import all_errors, group_levels
 
 SINGULAR = 1e-8  # share of the largest singular value of the Jacobian, lengths over the scale, below which the least counts as 0
@@ -209,9 +209,19 @@ class Result(ReadOnly):
     def solver(self) -> str:
         """Name of the solver that was used."""
         row = self._of.plan.row
-        if self._of.row[AT.excess] == DECIDED:
+        if self._of.row[AT.excess] <= DECIDED:
             return "elimination"
         return GENERAL if row.closed and self._of.row[AT.excess] == SEARCHED else row.name
+
+    @property
+    def proven(self) -> bool:
+        """Whether a failure is a proof that no joint values within the limits reach the target.
+
+        Of a success with `closest`: whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`),
+        or the target is beyond a bound from the link lengths.
+        """
+        row = self._of.row
+        return bool(is_proven(row[AT.status], row[AT.excess], self._of.plan.row.closed))
 
     @property
     def blocked(self) -> Blocked | None:
@@ -314,6 +324,7 @@ class Result(ReadOnly):
         plain = {
             "success": self.success,
             "status": self.status.name,
+            "proven": self.proven,
             "message": self.message,
             "solver": self.solver,
             "robot": self.robot.name,

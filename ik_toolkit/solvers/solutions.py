@@ -23,7 +23,7 @@ class Solutions(ReadOnly):
         branches: Signs (K, 3) of shoulder, elbow and wrist in one of our closed forms (0 if two branches merge or the
             arm has no such joint), otherwise None.
         found_by: Names (K,) of the solvers that found them.
-        complete: Whether these are proven to be all of them, up to turns by 2 pi.
+        complete: Whether these are proven to be all of them, up to turns by 2 pi (with `all_turns`, on each of their turns).
         certificate: What is known about all solutions, limits or not (`Certificate`, by the elimination), otherwise None.
         families: Families (tuple of Family) of which the rows are a sample.
         solver, message: Name of the solver, and one sentence.

@@ -152,7 +152,7 @@ class Solver(ReadOnly):
             outcome = outcome._replace(elapsed=perf_counter() - started - waited, compile_time=waited)
         return Result(outcome)
 
-    def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64) -> Any:
+    def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64, all_turns: bool = False) -> Any:
         """Find every distinct solution of a target, nearest to q0 first (see `solve_all`).
 
         Answers are evaluated by the kernel, with check=True also by Pinocchio. With a built-in closed form without a
@@ -163,13 +163,14 @@ class Solver(ReadOnly):
             q0: Configuration (n,) [rad or m], by default home.
             starts: Number of random starts of a search.
             count: Largest number of solutions.
+            all_turns: List each solution on every full turn inside the limits, not only on the one nearest q0.
 
         Returns:
             Solutions, or a SolutionsBatch for several targets. It raises what the solver raises.
         """
         from .every import find_all
 
-        return find_all(self, target, q0, starts, count)
+        return find_all(self, target, q0, starts, count, all_turns)
 
 
 def require_robot(robot: Any) -> None:
@@ -288,6 +289,7 @@ def solve_all(
     *,
     starts: int = 1000,
     count: int = 64,
+    all_turns: bool = False,
     **options: Unpack[AllOptions],
 ) -> Solutions:
     """Find every distinct solution inside the limits, nearest to q0 first; Pinocchio checks each.
@@ -306,6 +308,8 @@ def solve_all(
         q0: Configuration (n,) [rad or m], by default home.
         starts: Number of random starts of a search.
         count: Largest number of solutions.
+        all_turns: List each solution on every full turn inside the limits, not only on the one nearest q0. Joints without limits
+            stay on that one.
         options: As for `solve`, but for closest, objective, follow, timeout and history; limits=False lists what the
             limits forbid too.
 
@@ -322,4 +326,4 @@ def solve_all(
     options.setdefault("check", True)
     from .every import find_all
 
-    return find_all(bound_solver(robot, solver, options), target, q0, starts, count)
+    return find_all(bound_solver(robot, solver, options), target, q0, starts, count, all_turns)

@@ -30,6 +30,16 @@ class Status(enum.IntEnum):
 
 SEARCHED = -1.0  # excess in a closed form's row if q came from the search after it
 DECIDED = -2.0  # excess in a search's row if the elimination found q, or certified that there is none (see `decide`)
+NEAREST = -3.0  # the same if it found q, and certified that no solution within the limits is nearer to q0
+
+
+def is_proven(status: Any, excess: Any, closed: bool) -> Any:
+    """Return whether what a row says is proven, see `Result.proven`; arrays or single numbers.
+
+    closed: whether the solver is a closed form, whose row says how far away the target is but not whether its structure is exact.
+    """
+    beyond = (status == Status.UNREACHABLE) & (not closed)
+    return beyond | (excess == NEAREST) | ((excess == DECIDED) & (status != Status.CONVERGED))
 
 
 def count_statuses(numbers: np.ndarray) -> dict[str, int]:

@@ -80,18 +80,20 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
         return
     T, kinds, start, given, first = part
+    quick = plan.first
     if side_by_side is not None:
-        side_by_side(*plan.arrays(kinds, start), T, start, out, plan.orders(kinds, given))
+        side_by_side(*quick.arrays(kinds, start), T, start, out, quick.orders(kinds, given))
         left = np.flatnonzero(out[:, AT.status] == LEFT)
         rest = np.zeros((len(left), out.shape[1]))
-        plan.run(T[left], kinds, start if len(start) == 1 else start[left], given, rest)
+        quick.run(T[left], kinds, start if len(start) == 1 else start[left], given, rest)
         out[left] = rest
     else:
-        plan.run(T, kinds, start, given, out)
+        quick.run(T, kinds, start, given, out)
     for k in np.flatnonzero(out[:, AT.status] == BAD_TARGET):
         one = part.rows(slice(k, k + 1))
         T[k] = mended(T[k], kinds, plan.robot.tips, first + int(k))
-        plan.run(one.T, kinds, one.start, given, out[k : k + 1])
+        quick.run(one.T, kinds, one.start, given, out[k : k + 1])
+    plan.decide(T, kinds, start, given, out)
     finish_failures(plan, T, kinds, start, given, out)
     if plan.improving:
         for k in np.flatnonzero(out[:, AT.status] == CONVERGED):

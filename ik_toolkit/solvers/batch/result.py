@@ -13,7 +13,7 @@ from ..collision_free import collision_model
 from ..outcome import SPOKEN, SolveRecord
 from ..plan import Plan
 from ..result import Result
-from ..status import Status, count_statuses
+from ..status import Status, count_statuses, is_proven
 
 
 class BatchInterrupted(Portable, KeyboardInterrupt):
@@ -79,6 +79,8 @@ class BatchResult(ReadOnly):
     Attributes:
         q: Solutions (N, n) [rad or m].
         status, success: Numbers of Status (N,), and whether they are CONVERGED (N,).
+        proven: Whether (N,) a failure is a proof: no joint values within the limits reach the target (or, with `closest`, that
+            no solution is nearer; see `Result.proven`).
         position_error: Distance (N,) [m] from the target; of several tips the largest.
         orientation_error: Rotation angle (N,) [rad] left; of several tips the largest. None if orientation is free.
         position_errors, orientation_errors: The errors of each tip, by its name.
@@ -124,6 +126,7 @@ class BatchResult(ReadOnly):
     q = property(lambda self: self.table[:, ANSWER : ANSWER + self.plan.robot.n])
     status = property(lambda self: self.table[:, AT.status].astype(np.int64))
     success = property(lambda self: self.table[:, AT.status] == Status.CONVERGED)
+    proven = property(lambda self: is_proven(self.table[:, AT.status], self.table[:, AT.excess], self.plan.row.closed))
     position_error = property(lambda self: self.table[:, AT.position])
     orientation_error = property(lambda self: None if self.position_only else self.table[:, AT.rotation])
 
@@ -155,7 +158,7 @@ class BatchResult(ReadOnly):
 
     def to_dict(self) -> dict[str, Any]:
         """Return arrays by name, for np.savez and tables; of several tips also TIP.position_error and TIP.orientation_error."""
-        names = ("q", "status", "success", "position_error", "orientation_error", "iterations", "restarts")
+        names = ("q", "status", "success", "proven", "position_error", "orientation_error", "iterations", "restarts")
         arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations")}
         if len(self.kinds) > 1:
             for name, errors in (

@@ -1,0 +1,399 @@
+"""Self-motions of arms of seven revolute joints: the curves on which the arm moves while its tip stays, and where they end.
+
+With its first or last joint fixed, such an arm has six joints, whose solutions the elimination lists. Slices at some values of
+that joint give a point or more of every curve that is not too short, and continuation follows each around to its beginning. The
+limits cut it, at places found by bisection. A curve that lies between two slices is missed, so nothing is proven. Source: Burdick
+(1989), "On the inverse kinematics of redundant manipulators: characterization of the self-motion manifolds".
+"""
+
+# Pyright must ignore what numba's type hints lack.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..compile.jit import cached, compiled, inline
+from ..kernel.elimination.binding import answers, make_arm, make_forms
+from ..kernel.elimination.terms import CERTAIN
+from ..kernel.kinematics import TAU, aim
+from ..kernel.null_space import Bounds, direction
+from ..kernel.records import HEAD, Orders, copy, read
+from ..kernel.serial import make_serial
+from .closed_form.geometry import Screws, read_revolute
+from .plan import Plan
+from .task import POSES
+
+N = 7
+
+
+@compiled
+class MotionEnd(NamedTuple):
+    """What a curve ends at."""
+
+    closed: int = 0  # its own beginning
+    limit: int = 1
+    singular: int = 2  # a pose where the next step would be too short
+    long: int = 3  # nothing: it was not followed any further
+
+
+@compiled
+class Following(NamedTuple):
+    """Constants of the continuation; joint values in rad, lengths in the kernel's units."""
+
+    slices: int = 64  # values of the fixed joint
+    longest: float = 0.1  # longest step
+    shortest: float = 1e-6  # a curve on which a step is shorter ends at a singular pose
+    straight: float = 0.99  # least cosine of the angle between the directions at the two ends of a step
+    newton: int = 8  # highest number of Newton steps onto the target
+    closed: float = 1e-22  # squared error at which they end
+    damping: float = 1e-12  # damping of these steps
+    level: float = 1e-5  # a joint that moves by a smaller share of a step is where it turns back
+    same: float = 1e-6  # a point is on a curve if it is this near
+    past: int = 64  # point that a curve may come back to, though not to its first; later every point twice as far
+    halvings: int = 40  # bisections that locate an end
+    points: int = 2000  # highest number of points of a curve in either direction
+
+
+END, FOLLOWING = MotionEnd(), Following()
+
+
+class SelfMotion(NamedTuple):
+    """A self-motion within the limits: a curve of solutions of one pose."""
+
+    points: np.ndarray  # (M, 7) [rad], joint values up to full turns; those where a joint turns back are among them
+    lower: np.ndarray  # (7,) least value of each joint on it, at an end or where the joint turns back (a fold)
+    upper: np.ndarray  # (7,) largest value
+    ends: tuple[tuple[int, int], ...]  # for each end what it is, and the joint that is at its limit there, or -1
+
+
+@inline
+def onto_pose(p):
+    """Bring p.desk.q onto the target by the least joint motion; return whether it is there. p.desk.J is its Jacobian."""
+    s = p.desk
+    for _ in range(FOLLOWING.newton):
+        e = p.evaluate(s.q)
+        p.jacobian(e)
+        if e.linear.square() + e.angular.square() < FOLLOWING.closed:
+            return True
+        for i in range(N):
+            s.w[i] = 1.0
+        p.damped(e, FOLLOWING.damping)
+        for i in range(N):
+            s.q[i] += s.dq[i]
+    return False
+
+
+@inline
+def direction_at(p, box, t, u):
+    """Write to u (7,) the unit vector of the self-motion at p.desk.q that is nearest the direction t (7,); return their cosine."""
+    s, size, cosine = p.desk, 0.0, 0.0
+    for i in range(N):
+        s.w[i] = 1.0
+    direction(p, t, box)
+    for i in range(N):
+        size += s.dq[i] * s.dq[i]
+    size = max(math.sqrt(size), 1e-300)
+    for i in range(N):
+        u[i] = s.dq[i] / size
+        cosine += u[i] * t[i]
+    return cosine
+
+
+@inline
+def step_along(p, box, q, t, h, x, u):
+    """Write to x (7,) the point a step h from q along t (7,), and to u the direction there; return whether the step is sound."""
+    for i in range(N):
+        p.desk.q[i] = q[i] + h * t[i]
+    if not onto_pose(p):
+        return False
+    far = 0.0
+    for i in range(N):
+        x[i] = p.desk.q[i]
+        far += (x[i] - q[i]) ** 2
+    return far <= (1.1 * h + FOLLOWING.shortest) ** 2 and direction_at(p, box, t, u) >= FOLLOWING.straight
+
+
+@inline
+def passes(p, box, q, t, h, point, x, u):
+    """Return whether a point (7,), up to full turns, lies on the curve within the step h from q along t."""
+    off, a = 0.0, 0.0
+    for i in range(N):
+        d = point[i] - q[i]
+        d -= TAU * np.rint(d / TAU)
+        off += d * d
+        a += d * t[i]
+    if off > (1.5 * h) ** 2 or a < -0.1 * h or a > 1.1 * h:
+        return False
+    for _ in range(6):
+        if not step_along(p, box, q, t, a, x, u):
+            return False
+        worst, more = 0.0, 0.0
+        for i in range(N):
+            d = point[i] - x[i]
+            d -= TAU * np.rint(d / TAU)
+            worst = max(worst, abs(d))
+            more += d * t[i]
+        if worst < FOLLOWING.same:
+            return True
+        a += more
+    return False
+
+
+@inline
+def turning_point(p, box, q, t, h, i, x, u):
+    """Write to x (7,) the point within the step h where joint i turns back, by bisection; return the length of the step to it."""
+    low, high = 0.0, h
+    for _ in range(FOLLOWING.halvings // 2):
+        middle = 0.5 * (low + high)
+        if step_along(p, box, q, t, middle, x, u) and u[i] * t[i] > 0.0:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@cached
+def follow(rows, ends, opt, T, seeds, seen, first, out):
+    """Follow the curve through seed number `first`, without limits, and mark the seeds on it in `seen`.
+
+    Every place where a joint turns back is a point of it, so that each joint moves one way from point to point.
+
+    Args:
+        rows: geometry of the chain.
+        ends: `records.Ends` of the chain.
+        opt: orders of a plan.
+        T: (4, 4) target [m].
+        seeds: (S, 7) solutions [rad].
+        seen: (S,) 1 for those on a curve.
+        first: the seed to begin at.
+        out: (2, points, 7) receives the curve forwards and backwards, each from the seed on.
+
+    Returns:
+        The numbers of points (2,), and what either way ends at (2,).
+    """
+    p = make_serial(rows, ends, opt[HEAD:], N, read(Orders, opt))
+    aim(p.ends, T, p.goal)
+    counts, stops = np.zeros(2, np.int64), np.full(2, -1)
+    places, vectors = np.zeros((3, N)), np.zeros((7, N))
+    places[0], places[1] = -np.inf, np.inf
+    box = Bounds(places)
+    q, t, x, u, y, v, start = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5], vectors[6]
+    seen[first] = 1
+    for way in range(2):
+        copy(seeds[first], p.desk.q)
+        onto_pose(p)
+        copy(p.desk.q, q)
+        copy(q, out[way, 0])
+        counts[way], past = 1, FOLLOWING.past
+        if way == 0:
+            first_direction(p, box, y, v, start)
+        for i in range(N):
+            t[i] = start[i] if way == 0 else -start[i]
+        h = FOLLOWING.longest
+        while stops[way] < 0:
+            if not step_along(p, box, q, t, h, x, u):
+                h *= 0.5
+                if h < FOLLOWING.shortest:
+                    stops[way] = END.singular
+                continue
+            step = h
+            for i in range(N):
+                if u[i] * t[i] < 0.0 and min(abs(u[i]), abs(t[i])) > FOLLOWING.level:
+                    step = min(step, turning_point(p, box, q, t, step, i, y, v))
+            if step < h:
+                step_along(p, box, q, t, step, x, u)
+            for k in range(seeds.shape[0]):
+                if seen[k] == 0 and passes(p, box, q, t, step, seeds[k], y, v):
+                    seen[k] = 1
+            if counts[way] > 3 and passes(p, box, q, t, step, out[way, 0], y, v):
+                stops[way] = END.closed
+                copy(y, x)
+            copy(x, out[way, counts[way]])
+            counts[way] += 1
+            if counts[way] > past + 3 and stops[way] < 0 and passes(p, box, q, t, step, out[way, past], y, v):
+                # Beside a singular pose it has come to another curve: this is kept, without the way to it.
+                copy(y, out[way, counts[way] - 1])
+                stops[way], stops[0], counts[0], counts[1] = END.closed, END.closed, counts[way] - past, 1
+                for k in range(counts[0]):
+                    copy(out[way, past + k], out[0, k])
+            if counts[way] == 2 * past:
+                past = counts[way] - 1
+            if stops[way] < 0 and counts[way] == out.shape[1]:
+                stops[way] = END.long
+            copy(x, q)
+            copy(u, t)
+            h = min(1.5 * h, FOLLOWING.longest)
+        if stops[0] == END.closed:
+            break
+    return counts, stops
+
+
+@inline
+def first_direction(p, box, y, v, start):
+    """Write to start (7,) the direction of the self-motion at p.desk.q, as that of the joint that moves most; y, v: scratch."""
+    best = -1.0
+    for i in range(N):
+        for k in range(N):
+            y[k] = 1.0 if k == i else 0.0
+        cosine = direction_at(p, box, y, v)
+        if cosine > best:
+            best = cosine
+            copy(v, start)
+
+
+@cached
+def cross(rows, ends, opt, T, a, b, i, value, y):
+    """Write to y (7,) the point between the neighbouring points a and b of a curve where joint i has a value; return its share."""
+    p = make_serial(rows, ends, opt[HEAD:], N, read(Orders, opt))
+    aim(p.ends, T, p.goal)
+    low, high = 0.0, 1.0
+    for _ in range(FOLLOWING.halvings):
+        middle = 0.5 * (low + high)
+        for k in range(N):
+            p.desk.q[k] = a[k] + middle * (b[k] - a[k])
+        onto_pose(p)
+        if (p.desk.q[i] < value) == (a[i] < value):
+            low = middle
+        else:
+            high = middle
+    copy(p.desk.q, y)
+    return low
+
+
+def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any) -> list[SelfMotion]:
+    """Cut a curve (M, 7) at the limits (2, 7), and return the parts that keep them.
+
+    stops: what it ends at. A limit counts for a joint up to full turns. crossing(a, b, joint, value): as `cross`, the share and the
+    point.
+    """
+    half = 0.5 * (limits[1] - limits[0])
+    middle = np.where(np.isfinite(half), limits[0], 0.0) + np.where(np.isfinite(half), half, 0.0)
+
+    def off(x: np.ndarray) -> np.ndarray:
+        """Return how far each joint is from the middle of its range, on its nearest turn."""
+        return (x - middle + np.pi) % TAU - np.pi
+
+    def curve(points: np.ndarray, ends: tuple) -> SelfMotion:
+        """Return a part on the turns inside the limits, or nearest 0."""
+        turns = np.rint((0.5 * (points.min(axis=0) + points.max(axis=0)) - middle) / TAU)
+        points = points - TAU * turns
+        return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
+
+    if stops[0] == END.closed:
+        wrong = np.flatnonzero((np.abs(off(points)) > half).any(axis=1))
+        if not len(wrong):
+            return [curve(points, ((END.closed, -1),) * 2)]
+        turns = TAU * np.rint((points[-1] - points[0]) / TAU)
+        points = np.vstack([points[wrong[0] :], points[1 : wrong[0] + 1] + turns])  # It begins outside.
+    bad = np.abs(off(points)) > half
+    made, part, came = [], [], (stops[0], -1)
+
+    def finish(end: tuple[int, int]) -> None:
+        if len(part) > 1:
+            made.append(curve(np.array(part), (came, end)))
+        part.clear()
+
+    if not bad[0].any():
+        part.append(points[0])
+    for k in range(len(points) - 1):
+        a, b = points[k], points[k + 1]
+        if (bad[k] & bad[k + 1]).any():
+            continue
+        where: list[tuple[float, np.ndarray, int]] = [(0.0, a, -1), (1.0, b, -1)]
+        for side, place in enumerate((k, k + 1)):
+            for i in np.flatnonzero(bad[place]):
+                outside = off(points[place])[i]
+                value = points[place, i] - outside + np.copysign(half[i], outside)
+                found = (*crossing(a, b, int(i), value), int(i))
+                if found[0] > where[0][0] if side == 0 else found[0] < where[1][0]:
+                    where[side] = found
+        if where[0][0] > where[1][0]:
+            continue
+        if bad[k].any():
+            came = END.limit, where[0][2]
+            part.append(where[0][1])
+        part.append(where[1][1])
+        if bad[k + 1].any():
+            finish((END.limit, where[1][2]))
+    finish((stops[-1], -1))
+    return made
+
+
+class Slicing(NamedTuple):
+    """How an arm is cut into arms of six joints: by its first joint, or by its last."""
+
+    joint: int  # index of the fixed joint, 0 or 6
+    screws: Screws
+    arm: np.ndarray  # (52,) numbers of the six others
+    forms: np.ndarray  # ways to read their loop
+
+
+def slicings_of(plan: Plan) -> list[Slicing]:
+    """Return how the arm of a plan is cut; nothing if it cannot be, or if the options do not ask for plain poses."""
+    if "slicing" not in plan.memo:
+        plan.memo["slicing"] = _slicings(plan)
+    return plan.memo["slicing"]
+
+
+def _slicings(plan: Plan) -> list[Slicing]:
+    robot, o = plan.robot, plan.options
+    if robot.n != N or robot.pose_shape != (4, 4) or o.in_part or o.priority is not None or len(plan.held):
+        return []
+    screws = read_revolute(robot.chain, N)
+    if isinstance(screws, str):
+        return []
+    found, rng = [], np.random.default_rng(0)
+    T = robot.chain.forward(rng.uniform(-np.pi, np.pi, (16, N)))[0].reshape(-1, 4, 4)
+    for joint, others in ((N - 1, slice(0, N - 1)), (0, slice(1, N))):
+        arm = make_arm(screws.axis[others], screws.point[others], screws.T)
+        forms = make_forms(arm)
+        if len(forms) and (answers(forms, arm, T)[:, 0, 1] == CERTAIN).mean() > 0.5:
+            found.append(Slicing(joint, screws, arm, forms))
+    return found
+
+
+def sliced(cut: Slicing, T: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the poses (K, 4, 4) that the six other joints must reach if the fixed joint has these values (K,) [rad]."""
+    axis, point = cut.screws.axis[cut.joint], cut.screws.point[cut.joint]
+    cross = np.cross(np.eye(3), axis)
+    s, c = -np.sin(values)[:, None, None], np.cos(values)[:, None, None]
+    back = np.tile(np.eye(4), (len(values), 1, 1))
+    back[:, :3, :3] += s * cross + (1.0 - c) * cross @ cross
+    back[:, :3, 3] = point - back[:, :3, :3] @ point
+    return back @ T if cut.joint == 0 else T @ np.linalg.inv(cut.screws.T) @ back @ cut.screws.T
+
+
+def self_motions(plan: Plan, T: np.ndarray, slices: int = FOLLOWING.slices) -> list[SelfMotion]:
+    """Return the curves of solutions of T (4, 4) within the limits that so many slices of each joint meet."""
+    cuts, robot = slicings_of(plan), plan.robot
+    free = np.array([[-np.inf], [np.inf]])
+    limits = np.array([robot.lower, robot.upper]) if plan.options.limits else free * np.ones(N)
+    limits = np.where(limits[1] - limits[0] >= TAU, free, limits)  # Such a joint reaches every angle.
+    values, found = (np.arange(slices) + 0.5) / slices * TAU - np.pi, []
+    for cut in cuts:
+        said = answers(cut.forms, cut.arm, sliced(cut, T, values))
+        count = said[:, 0, 0].astype(int)
+        Q = np.vstack([said[k, 1 : 1 + count[k], : N - 1] for k in range(slices)])
+        found.append(np.insert(Q, cut.joint, np.repeat(values, count), axis=1))
+    seeds = np.vstack(found)
+    seen, curves, arrays = np.zeros(len(seeds)), [], (*plan.chain[:2], plan.orders(POSES, True), T)
+    out, y = np.empty((2, FOLLOWING.points, N)), np.empty(N)
+
+    def crossing(*where: Any) -> tuple[float, np.ndarray]:
+        return cross(*arrays, *where, y), y.copy()
+
+    while not seen.all():
+        counts, stops = follow(*arrays, seeds, seen, int(np.argmin(seen)), out)
+        points = np.vstack([out[1, 1 : counts[1]][::-1], out[0, : counts[0]]])
+        found = arcs(points, [END.closed] if stops[0] == END.closed else stops[::-1].tolist(), limits, crossing)
+        curves += [one for one in found if not any(_same(one, other) for other in curves)]
+    return curves
+
+
+def _same(one: SelfMotion, other: SelfMotion) -> bool:
+    """Return whether two curves have one range in every joint, and the first passes where the other begins."""
+    if max(np.abs(one.lower - other.lower).max(), np.abs(one.upper - other.upper).max()) > 10.0 * FOLLOWING.same:
+        return False
+    apart = np.abs((one.points - other.points[0] + np.pi) % TAU - np.pi)
+    return bool(apart.max(axis=1).min() < FOLLOWING.longest)

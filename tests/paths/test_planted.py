@@ -1,0 +1,92 @@
+"""Paths of arms of six joints: what all solutions of every pose make certain."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.kernel.counted_error import POSE
+from ik_toolkit.motion.reference import interpolate_poses
+from ik_toolkit.paths.exact_branches import every_solution
+from ik_toolkit.paths.path_problem import STEP, Problem
+from ik_toolkit.paths.path_search import Search
+from ik_toolkit.paths.result import PathStatus
+from ik_toolkit.paths.solve_path import TOLERANCE
+
+
+def motion(robot, rng, count):
+    """Joint values (count, n) along a random curve between three configurations."""
+    low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    points = [rng.uniform(low, high)]
+    for _ in range(2):
+        points.append(np.clip(points[-1] + rng.uniform(-1.2, 1.2, robot.n), low, high))
+    a, middle, c = points
+    s = np.linspace(0.0, 1.0, count)[:, None]
+    return (1 - s) ** 2 * a + 2 * s * (1 - s) * middle + s * s * c
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix", *(["ur5"] if robots.have_data() else [])])
+def test_a_motion_of_the_arm_itself_is_followed_in_one_piece(name):
+    robot, rng = robots.load(name), np.random.default_rng(5)
+    for k in range(17 if name == "ur5" else 4):
+        Q = motion(robot, rng, 60)
+        if name == "ur5" and k not in (
+            2,
+            6,
+            16,
+            23,
+        ):  # These pass singular poses, beside which poses in between are out of reach.
+            continue
+        made = ik.solve_path(robot, np.array([robot.fk(q).homogeneous for q in Q]))
+        assert made.status == PathStatus.FOLLOWED and made.lower_bound == 0
+
+
+def fewest(layers):
+    """Fewest reconfigurations through layers of solutions (K, n) whose joints move by at most 7 degrees; None if one is empty."""
+    counts = np.zeros(len(layers[0]), dtype=int)
+    for before, layer in pairwise(layers):
+        if not len(layer):
+            return None
+        gap = layer[:, None] - before
+        gap -= 2 * np.pi * np.rint(gap / (2 * np.pi))  # the joints with more than a full turn have no limits
+        near = (np.abs(gap) <= np.radians(7.0)).all(axis=2)
+        counts = np.array([min([counts.min() + 1, *counts[row]]) for row in near])
+    return int(counts.min())
+
+
+def test_what_is_called_the_fewest_is():
+    robot, rng, proven = robots.load("continuous_mix"), np.random.default_rng(3), 0
+    solver = ik.Solver(robot)
+    while proven < 2:
+        a = robot.random_q(rng)
+        ends = [robot.fk(q).homogeneous for q in (a, a + rng.uniform(-1.5, 1.5, 6))]
+        T, fine = (interpolate_poses(np.array(ends)[:, None], np.linspace(0, 1, n), (POSE,))[:, 0] for n in (60, 591))
+        if not ik.solve_batch(robot, T).success.all():
+            continue
+        made = ik.solve_path(robot, T)
+        if made.status != PathStatus.RECONFIGURES or made.lower_bound is None:
+            continue
+        least = fewest([solver.all(x).q for x in fine])
+        assert made.lower_bound == len(made.reconfigurations) and "provably the fewest" in made.message
+        proven += 1
+        assert least is None or made.lower_bound <= least
+
+
+def test_a_track_that_ends_early_has_no_reason():
+    """A continuation that gives up must not be taken for the end of a branch."""
+    robot, rng = robots.load("continuous_mix"), np.random.default_rng(7)
+    T = np.array([robot.fk(q).homogeneous for q in motion(robot, rng, 60)])
+    problem = Problem(ik.Solver(robot), T, (POSE,), STEP, TOLERANCE)
+    search = Search(problem, None, None, None, 1, 0, lambda *_: None)
+    search.run()
+    tracks = search.tracks
+
+    def sound():
+        return tracks.end_with_reason(lambda poses: every_solution(problem.single, poses))
+
+    whole = int(np.argmax(np.diff(tracks.span, axis=1)))
+    assert (tracks.span != [0, 59]).any() and sound()  # limits and folds end some
+    tracks.span[whole, 1] -= 5
+    assert not sound()

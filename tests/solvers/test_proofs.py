@@ -1,0 +1,88 @@
+"""What the certified lists of the elimination are used for: batches, the nearest of all solutions, all turns."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+
+
+def outside(robot, rng):
+    """A pose reached only beyond a limit, most likely."""
+    return robot.fk(rng.uniform(-np.pi, np.pi, 6)).homogeneous
+
+
+def mixed(robot, count, seed):
+    """Poses (2 count, 4, 4): one half reached within the limits, the other mostly not."""
+    rng = np.random.default_rng(seed)
+    return np.concatenate([robots.sample(robot, count, seed=seed)[1], [outside(robot, rng) for _ in range(count)]])
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix"])
+def test_a_batch_proves_what_a_single_call_proves(name):
+    robot = robots.load(name)
+    T = mixed(robot, 80, seed=25)
+    T[110:, :3, 3] *= np.linspace(0.2, 1.2, 50)[:, None]
+    batch, hard = ik.solve_batch(robot, T), ik.solve_batch(robot, T, restarts=400)
+    single = [ik.Solver(robot)(t) for t in T]
+    assert (batch.status == [one.status for one in single]).all()
+    assert (batch.proven == [one.proven for one in single]).all()
+    assert batch.success[:80].all() and (batch.proven ^ batch.success).mean() > 0.98 and batch.proven.sum() >= 30
+    assert not (batch.proven & (hard.success | batch.success)).any()
+    k = int(np.flatnonzero(batch.proven & (batch.status == ik.Status.LIMIT_BLOCKED))[0])
+    assert batch[k].blocked.joint == single[k].blocked.joint and batch[k].message == single[k].message
+    searched = ik.solve_batch(robot, T, "lm")
+    assert not searched.proven[searched.status != ik.Status.UNREACHABLE].any()
+
+
+def test_a_batch_with_proofs_is_the_same_for_any_parts():
+    robot = robots.load("hydrolek_7w")
+    T = mixed(robot, 300, seed=26)
+    q0 = np.random.default_rng(27).uniform(robot.lower, robot.upper, (600, 6))
+    for starts in (None, q0):
+        whole = ik.solve_batch(robot, T, q0=starts, threads=1)
+        halves = ik.solve_batch(robot, T, q0=starts, threads=3)
+        alone = [
+            ik.solve_batch(robot, T[k : k + 1], q0=None if starts is None else q0[k : k + 1]) for k in range(290, 310)
+        ]
+        assert whole.table.tobytes() == halves.table.tobytes()
+        assert whole.table[290:310].tobytes() == b"".join(one.table.tobytes() for one in alone)
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix"])
+def test_the_nearest_of_all_solutions_is_found_and_proven(name):
+    robot, rng, proven = robots.load(name), np.random.default_rng(28), 0
+    Q, T = robots.sample(robot, 25, seed=29)
+    near = rng.uniform(np.maximum(robot.lower, -6.0), np.minimum(robot.upper, 6.0), (25, 6))
+    batch = ik.solve_batch(robot, T, q0=near, closest=True)
+    for k, (q, t) in enumerate(zip(near, T, strict=True)):
+        found = ik.solve(robot, t, closest=q)
+        every = ik.solve_all(robot, t, q0=q, all_turns=True)
+        least = min(np.linalg.norm(every.q - q, axis=1).min(), np.linalg.norm(Q[k] - q))
+        assert found.success and batch.success[k]
+        for got, sure in ((found.q, found.proven), (batch.q[k], batch.proven[k])):
+            if sure:
+                proven += 1
+                assert np.linalg.norm(got - q) < least + 1e-5
+        assert not found.proven or "nearest of all" in found.message
+    assert proven > 40
+    assert not ik.solve(robot, T[0], "lm", closest=near[0]).proven
+
+
+def test_all_turns_are_listed_within_limits():
+    robot = robots.load("hydrolek_7w")
+    T = robot.fk(np.r_[robot.home[:5], 2.5]).homogeneous
+    assert robot.upper[5] > 2 * np.pi - 2.5
+    one, every = ik.solve_all(robot, T), ik.solve_all(robot, T, all_turns=True)
+    assert one.complete and every.complete and (np.diff(every.distance) >= 0.0).all()
+    wanted = {
+        tuple(np.round(np.r_[q[:5], q[5] + 2 * np.pi * k], 6))
+        for q in one.q for k in (-1, 0, 1) if abs(q[5] + 2 * np.pi * k) <= robot.upper[5]
+    }  # fmt: skip
+    assert len(wanted) > len(one) and {tuple(np.round(q, 6)) for q in every.q} == wanted
+    assert max(robot.errors(q, T)[0] for q in every.q) < 1e-9
+    few = ik.solve_all(robot, T, all_turns=True, count=1)
+    assert len(few) == 1 and not few.complete and few.distance[0] == every.distance[0]
+    with pytest.raises(InvalidOption, match="full turns inside the limits"):
+        ik.solve_all(robot, T, all_turns=True, limits=False)

@@ -1,0 +1,118 @@
+"""Seven revolute joints: the curves of solutions of a pose, and where they end."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.solvers.every import on_self_motions
+from ik_toolkit.solvers.self_motion import END, self_motions
+
+LENGTHS = ("0 0 0.3", "0 0 0.05", "0.06 0 0.35", "0 0.04 0", "-0.05 0 0.3", "0 0 0", "0.08 0 0.05")
+
+
+def seven(tmp_path, reach=2.6, limits=None):
+    """An arm of seven joints, whose axes turn by right angles, with short offsets."""
+    axes = ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
+    path = tmp_path / "seven.urdf"
+    limits = limits or [(-reach, reach)] * 7
+    joints = (
+        dict(kind="revolute", axis=a, xyz=x, limits=both) for a, x, both in zip(axes, LENGTHS, limits, strict=True)
+    )
+    path.write_text(robots.urdf(*joints))
+    return ik.Robot.load(path)
+
+
+def apart(Q, q):
+    return np.abs((Q - q + np.pi) % (2 * np.pi) - np.pi).max(axis=-1)
+
+
+def test_every_point_of_a_curve_is_a_solution_and_its_ends_are_where_limits_are_met(tmp_path):
+    robot, rng, ends = seven(tmp_path), np.random.default_rng(1), 0
+    plan = ik.Solver(robot).plan
+    for _ in range(8):
+        q = robot.random_q(rng)
+        T = robot.fk(q).homogeneous
+        curves = self_motions(plan, T)
+        assert min(apart(curve.points, q).min() for curve in curves) < 0.06  # it passes by where the pose was made
+        for curve in curves:
+            reached = robot.chain.forward(curve.points)[0].reshape(-1, 4, 4)
+            assert np.abs(reached - T).max() < 1e-9
+            assert (curve.points >= robot.lower - 1e-9).all() and (curve.points <= robot.upper + 1e-9).all()
+            assert np.abs(np.diff(curve.points, axis=0)).max() < 0.12  # one piece
+            for (kind, joint), x in zip(curve.ends, (curve.points[0], curve.points[-1]), strict=True):
+                if kind == END.limit:
+                    ends += 1
+                    assert min(x[joint] - robot.lower[joint], robot.upper[joint] - x[joint]) < 1e-8
+                else:
+                    assert kind == END.closed and apart(curve.points[-1], curve.points[0]) < 1e-5
+    assert ends > 10
+
+
+def test_slices_twice_as_many_find_as_many_curves(tmp_path):
+    robot, rng = seven(tmp_path), np.random.default_rng(2)
+    plan = ik.Solver(robot).plan
+    for _ in range(8):
+        T = robot.fk(robot.random_q(rng)).homogeneous
+        assert len(self_motions(plan, T)) == len(self_motions(plan, T, 128)) > 0
+
+
+def test_no_start_of_a_search_finds_a_solution_off_the_curves(tmp_path):
+    robot, rng = seven(tmp_path), np.random.default_rng(3)
+    plan, T = ik.Solver(robot).plan, robot.fk(robot.random_q(rng)).homogeneous
+    points = np.vstack([curve.points for curve in self_motions(plan, T)])
+    found = ik.solve_all(robot, T, "lm", starts=300, count=300)
+    assert len(found) > 50 and max(apart(points, q).min() for q in found.q) < 0.06
+
+
+def test_a_range_is_exact_at_folds_and_limits(tmp_path):
+    """The largest value of a joint on a curve, where it turns back, is no less than any that a fine search finds."""
+    robot, rng = seven(tmp_path), np.random.default_rng(4)
+    plan, T = ik.Solver(robot).plan, robot.fk(robot.random_q(rng)).homogeneous
+    for curve in self_motions(plan, T):
+        for i in range(7):
+            at = int(np.argmax(curve.points[:, i]))
+            if not 0 < at < len(curve.points) - 1:
+                continue
+            J = robot.chain.forward(curve.points[at : at + 1], jacobian=True)[1][0]
+            others = np.linalg.svd(np.delete(J, i, axis=1))[1]
+            assert others[-1] < 1e-4  # the six other joints are singular: a fold
+
+
+def test_solve_all_names_the_curves_and_proves_nothing(tmp_path):
+    robot, rng = seven(tmp_path), np.random.default_rng(5)
+    q = robot.random_q(rng)
+    found = ik.solve_all(robot, robot.fk(q), q0=q)
+    assert found.solver == "elimination" and not found.complete and len(found) > 5
+    assert "64 slices" in found.message and "there may be others" in found.message
+    assert found.distance[0] < 0.1 and (np.diff(found.distance) >= 0.0).all()
+    family = found.families[0]
+    lead = robot.joint_names.index(family.joints[0])
+    assert robot.lower[lead] <= family.lower < family.upper <= robot.upper[lead]
+    assert "limit of" in family.message or "closed" in family.message
+    assert (found.q >= robot.lower).all() and (found.q <= robot.upper).all()
+    searched = ik.solve_all(robot, robot.fk(q), "lm", starts=50)
+    assert searched.solver == "lm"
+
+
+def test_none_in_so_many_slices_is_no_proof(tmp_path):
+    robot = seven(tmp_path)
+    T = robot.fk(robot.home + 0.3).homogeneous
+    T[0, 3] += 5.0
+    found = ik.solve_all(robot, T, starts=20)
+    assert not len(found) and not found.complete and not found.families and "none in 64 slices of" in found.message
+
+
+@pytest.mark.parametrize(
+    "options", [dict(free_turn="z"), dict(mask=(1, 1, 1, 1, 1, 0)), dict(joint_weights=(0, 1, 1, 1, 1, 1, 1))]
+)
+def test_other_targets_are_searched(tmp_path, options):
+    robot = seven(tmp_path)
+    plan = ik.Solver(robot, **options).plan
+    assert on_self_motions(plan, robot.fk(robot.home).homogeneous[None], robot.home[None], 8) == (None, "")
+
+
+def test_joints_that_reach_every_angle_end_no_curve(tmp_path):
+    robot, rng = seven(tmp_path, limits=[(-7.0, 7.0)] * 7), np.random.default_rng(6)
+    curves = self_motions(ik.Solver(robot).plan, robot.fk(rng.uniform(-3, 3, 7)).homogeneous)
+    assert curves and all(curve.ends[0][0] == END.closed for curve in curves)
