@@ -14,9 +14,10 @@ from ..records import Array
 from .account import account_for, near, off_circle, put_solution, set_up, to_joints
 from .angles import Null, find_angles, find_null
 from .closure import JointLoop, close, inverse, least_gain, pose_of, rotated, wrapped
+from .decomposition import decompose
 from .equations import LoopEquations
 from .roots import Roots, size
-from .terms import CERTAIN, SIZES, STATE, TRUST, UNSURE
+from .terms import CERTAIN, DOUBT, SIZES, STATE, TRUST, UNSURE
 
 
 @inner
@@ -101,6 +102,15 @@ def motion_to(T, arm, X):
 
 
 @inner
+def ask(d):
+    """Answer the target at work with the form at work, a decomposition if its degree is 0; return the pose and the rank of `set_up`."""
+    if d.form[3] == 0.0:
+        decompose(d, d.form[4], False)
+        return pose_of(d.loop.X), 0
+    return account_for(d)
+
+
+@inner
 def nudge(d, angle):
     """Write to d.loop.X the target, turned by a small angle [rad] and moved by as much of the arm."""
     pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # a unit vector that is no special one
@@ -121,7 +131,7 @@ def look_around(d, forms, whole):
         if f < forms.shape[0]:
             load(d, forms[f])
             nudge(d, (1e-3 if k % 4 < 2 else 2e-2) * (1.0 if k % 2 == 0 else -1.0))
-            account_for(d)
+            ask(d)
             nudge(d, 0.0)
             for n in range(1, int(d.found[0, 0]) + 1):
                 for i in range(6):
@@ -153,6 +163,12 @@ def list_near(d, pose, rank, within, whole):
     angles that belong to the root moved onto the circle. Of two roots in one place nothing is written, but note -1.
     """
     n, at = 2 * int(d.form[3]), int(whole[0, 0])
+    if n == 0:
+        decompose(d, max(d.form[4], DOUBT.near * within * within), True)
+        for k in range(1, int(d.found[0, 0]) + 1):
+            for i in range(6):
+                whole[at + k, i] = d.found[k, i]
+        whole[0, 7] = d.found[0, 0] if d.found[0, 7] == 0.0 else -1.0
     for i in range(n):
         z = d.r.z[i]
         if d.r.state[i] != STATE.complex or off_circle(z) > within:
@@ -203,13 +219,13 @@ def solve_loops(forms, arm, T, found, values, within):
                 for k in range(SIZES.samples):
                     values[t, k] = d.r.values[k]
                 break
-            pose, rank = account_for(d)
+            pose, rank = ask(d)
             alone = merge_into(d.found, view(found[t]))
             status = int(d.found[0, 1]) if alone or d.found[0, 1] != CERTAIN else UNSURE
             roots = min(roots, d.found[0, 3] if d.found[0, 3] > 0.0 else math.inf)
             for k in range(3, SIZES.columns):
                 found[t, 0, k] = d.found[0, k]
-            found[t, 0, 2] = f + 1.0
+            found[t, 0, 2] = f + 1.0 if d.form[3] > 0.0 else 0.0
             if status == CERTAIN and within > 0.0:
                 list_near(d, pose, rank, within, view(found[t]))
             if status != UNSURE:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .answer import solve_loops
+from .decomposition import nearest_point, splits_of
 from .terms import CERTAIN, SIZES, Form
 
 
@@ -47,8 +48,7 @@ def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
     axes, points: (6, 3) directions and points [m] of the joints at q = 0; T (4, 4): the tip's pose there. The centre is the point
     nearest all lines, the size the largest distance of a line from it.
     """
-    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # across each axis
-    centre = np.linalg.lstsq(P.reshape(-1, 3), (P @ points[:, :, None]).ravel(), rcond=None)[0]
+    centre = nearest_point(np.hstack([axes, points]))
     near = points + axes * ((centre - points) * axes).sum(axis=1, keepdims=True) - centre
     size = max(float(np.linalg.norm(near, axis=1).max()), 1e-9)
     tip = (T[:3, 3] - centre) / size
@@ -80,9 +80,11 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
     rng = np.random.default_rng(CHOICE.seed)
     T = np.array([arm_tip(arm, q) for q in rng.uniform(-np.pi, np.pi, (CHOICE.poses, 6))])
     mix = np.linalg.qr(rng.normal(size=(14, 14)))[0][:6].ravel()
+    split = next((row for row in splits_of(arm) if _sure(row, arm, T) >= CHOICE.share * CHOICE.poses), None)
+    first = np.empty((0, SIZES.whole)) if split is None else split[None]
     tried = [reading for k in range(12) if (reading := _try(arm, T, mix, k // 6, k % 6)) is not None]
     if not tried:
-        return np.empty((0, SIZES.whole))
+        return first
     most = np.max([reading.real for reading in tried], axis=0)
 
     def rank(one: Reading) -> tuple:
@@ -92,7 +94,13 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
 
     tried.sort(key=rank)
     good = [one.row for one in tried if (one.real == most).sum() >= CHOICE.share * CHOICE.poses]
-    return np.array((good or [tried[0].row])[: CHOICE.kept])
+    return np.vstack([first, (good or [tried[0].row])[: CHOICE.kept]])
+
+
+def _sure(split: np.ndarray, arm: np.ndarray, T: np.ndarray) -> int:
+    """Return for how many poses a decomposition has solutions and is sure of them."""
+    notes = answers(split[None], arm, T)[:, 0]
+    return int(((notes[:, 0] > 0) & (notes[:, 1] == CERTAIN)).sum())
 
 
 def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift: int) -> Reading | None:

@@ -10,7 +10,7 @@ counted from its centre.
 import math
 from typing import NamedTuple
 
-from ...compile.jit import compiled, inline, inner
+from ...compile.jit import compiled, inline, inner, shared
 from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left
 from ..kinematics import TAU
 from ..linalg import lu_factor, lu_substitute
@@ -77,7 +77,7 @@ def inverse(pose):
     return Pose(back, -back.times(pose.point))
 
 
-@inline
+@shared
 def joint_at(place, backwards, shift):
     """Return which joint stands at a place of the reordered loop."""
     k = place + shift
@@ -173,8 +173,7 @@ def close(loop, most, longest, still):
 
 @inner
 def least_gain(loop):
-    """Return 1 / |J^-1| (Frobenius norm) at loop.q, at most the least singular value of J, and at least 0.4 of it."""
-    measure_loop(loop, loop.q)
+    """Return 1 / |J^-1| (Frobenius norm) of the twists just written, at most the least singular value of J, at least 0.4 of it."""
     lu_factor(loop.J, loop.swaps, 6, TRUST.faint)
     total = 0.0
     for k in range(6):

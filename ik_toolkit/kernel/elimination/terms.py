@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from ...compile.jit import compiled
 
-CERTAIN, DOUBLE, UNSURE = 0, 1, 2  # verdicts on an answer
+CERTAIN, DOUBLE, UNSURE, FAMILY = 0, 1, 2, 3  # verdicts on an answer
 
 
 @compiled
@@ -35,6 +35,7 @@ class Sizes(NamedTuple):
     )
     arm: int = 52  # numbers of an arm, see `answer.solve_loops`
     whole: int = 259  # numbers of a form with its tables and `mix`
+    branches: int = 8  # of a decomposition, from three square roots
     block: int = 4096  # numbers of scratch, more than `make_work` cuts
 
 
@@ -81,7 +82,20 @@ class Trust(NamedTuple):
     near_place: float = 1e-4  # a root this near a divided-out one may be a part of it
 
 
-STATE, SIZES, TRUST = RootState(), Sizes(), Trust()
+@compiled
+class Doubt(NamedTuple):
+    """When a decomposition must say that it is not sure; angles [rad], lengths in sizes of the arm."""
+
+    rounding: float = 1e-14  # error of every number of an exact arm; 1e-15 occurs
+    off: float = 1e-3  # axes that miss a structure by more do not have it
+    band: float = 4.0  # so many errors are never passed
+    apart: float = 1e-4  # solutions that may be one, or none, must be nearer than this
+    # Poses within an error e have complex solutions at most 30 sqrt(e) from real ones, `decide.MARGINS.gap`: (1 / 30)^2, rounded up.
+    near: float = 2e-3
+    finished: float = 1e-12  # a branch that closes the loop to this needs no Newton step
+
+
+STATE, SIZES, TRUST, DOUBT = RootState(), Sizes(), Trust(), Doubt()
 
 
 class Form(NamedTuple):
