@@ -36,10 +36,11 @@ class Count(NamedTuple):
     """What was found for some targets."""
 
     targets: int = 0
-    listed: int = 0  # targets whose planted solution is listed
+    listed: int = 0  # targets whose planted solution is listed, or is on a family that is
     certain: int = 0
+    family: int = 0  # families of which all branches are accounted for
     double: int = 0
-    false: int = 0  # certified, and the planted solution is not listed
+    false: int = 0  # certified, or a family, and the planted solution is not listed
     seconds: float = 0.0  # process time
 
     def plus(self, other: "Count") -> "Count":
@@ -49,11 +50,15 @@ class Count(NamedTuple):
     def row(self, name: str) -> str:
         """Return a row of a table."""
         n = max(self.targets, 1)
-        shares = " | ".join(f"{100 * x / n:.2f}" for x in (self.listed, self.certain, self.double))
+        shares = " | ".join(f"{100 * x / n:.2f}" for x in (self.listed, self.certain, self.family, self.double))
         return f"| {name} | {self.targets} | {shares} | {self.false} | {1e6 * self.seconds / n:.0f} |"
 
 
-HEAD = "| targets of | number | listed % | certified % | double % | certified but lost | us |\n|---|---|---|---|---|---|---|"
+HEAD = (
+    "| targets of | number | listed % | certified % | family % | double % | certified but lost | us |\n"
+    "|---|---|---|---|---|---|---|---|"
+)
+FREE = 1e-6  # the arm may move along a direction of the Jacobian with a smaller singular value (lengths in its size)
 
 
 def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> Count:
@@ -65,9 +70,29 @@ def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> 
     apart = np.abs((found[:, 1:, :6] - Q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
     apart[np.arange(apart.shape[1]) >= found[:, :1, 0]] = np.inf
     listed, verdict = apart.min(axis=1) < within, found[:, 0, 1]
-    certain = verdict == 0
-    counts = [int(which.sum()) for which in (listed, certain, verdict == 1, certain & ~listed)]
+    for k in np.flatnonzero(~listed & (verdict == 3)):
+        listed[k] = any(on_family(arm, row[:6], Q[k], within) for row in found[k, 1 : 1 + int(found[k, 0, 0])] if row[7] > 0.0)
+    certain, family = verdict == 0, verdict == 3
+    counts = [int(which.sum()) for which in (listed, certain, family, verdict == 1, (certain | family) & ~listed)]
     return Count._make([len(Q), *counts, seconds])
+
+
+def on_family(arm: np.ndarray, q: np.ndarray, planted: np.ndarray, within: float) -> bool:
+    """Return whether the arm may move from q to `planted`, a solution of the same pose: the joints that cannot move are the same."""
+    goal, still, first = pin.SE3(arm_tip(arm, q)), np.ones(6, dtype=bool), q
+    for _ in range(2):  # At the second place the joints move that happen to stand still at the first.
+        _, sizes, directions = np.linalg.svd(jacobian(arm, q))
+        if not (sizes < FREE).any():
+            return False
+        free = directions[sizes < FREE]
+        still &= (np.abs(free) < 1e-3).all(axis=0)
+        q = q + 0.2 * free.sum(axis=0)
+        for _ in range(10):
+            error = pin.log6(goal * pin.SE3(arm_tip(arm, q)).inverse()).vector
+            error[:3] = (error[:3] - np.cross(arm[48:51], error[3:])) / arm[51]
+            q = q + np.linalg.lstsq(jacobian(arm, q), error, rcond=1e-9)[0]
+    apart = np.abs((first - planted + np.pi) % (2 * np.pi) - np.pi)
+    return bool((apart[still] < within).all())
 
 
 def random_arm(kind: str, seed: int) -> np.ndarray:

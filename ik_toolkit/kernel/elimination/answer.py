@@ -49,7 +49,7 @@ class Work(NamedTuple):
 def make_work(block, axes):
     """Cut all arrays from a block of memory."""
     block[0] = 0.0
-    target, X, J, error, q = cut(block, np.float64, (12, 12, (6, 6), 6, 6))
+    target, X, J, back, error, q = cut(block, np.float64, (12, 12, (6, 6), (6, 6), 6, 6))
     lines, left, right, V, scales = cut(block, np.float64, ((6, 6), (27, 14), (9, 14), (8, 14), 8))
     reduced, W, values = cut(block, np.float64, ((27, 14), (3, 6, 9), SIZES.samples))
     c, z = cut(block, np.complex128, (2 * SIZES.degree + 1, 2 * SIZES.degree))
@@ -60,7 +60,7 @@ def make_work(block, axes):
         block, np.float64, (SIZES.form, (5, SIZES.samples), (6, 14), (SIZES.rows, SIZES.columns))
     )
     return Work(
-        target, JointLoop(axes, X, J, swaps, error, q), LoopEquations(lines, left, right, V, scales, order, reduced, W),
+        target, JointLoop(axes, X, J, back, swaps, error, q), LoopEquations(lines, left, right, V, scales, order, reduced, W),
         Roots(values, c, z, radius, state), Null(M, P, swaps, x, pair, monomials, t), A, N, form, tables, mix, found,
     )  # fmt: skip
 

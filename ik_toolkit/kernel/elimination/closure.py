@@ -33,6 +33,7 @@ class JointLoop(NamedTuple):
     axes: Array  # (6, 6) the lines, joint by joint
     X: Array  # (12,) rotation matrix by rows, and vector
     J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
+    B: Array  # (6, 6) its inverse, but for the order of columns
     swaps: Array  # (12,) rows that the factorisation exchanged
     error: Array  # (6,) the twist that is left
     q: Array  # (6,) joint values
@@ -174,12 +175,20 @@ def close(loop, most, longest, still):
 @inner
 def least_gain(loop):
     """Return 1 / |J^-1| (Frobenius norm) of the twists just written, at most the least singular value of J, at least 0.4 of it."""
-    lu_factor(loop.J, loop.swaps, 6, TRUST.faint)
-    total = 0.0
-    for k in range(6):
-        for i in range(6):
-            loop.error[i] = 1.0 if i == k else 0.0
-        lu_substitute(loop.J, loop.swaps, loop.error, 6)
-        for i in range(6):
-            total += loop.error[i] * loop.error[i]
+    J, B, total = loop.J, loop.B, 0.0
+    lu_factor(J, loop.swaps, 6, TRUST.faint)
+    for i in range(6):  # B = L^-1; the exchanges of rows do not change its norm
+        for j in range(6):
+            B[i, j] = 1.0 if i == j else 0.0
+        for k in range(i):
+            for j in range(6):
+                B[i, j] -= J[i, k] * B[k, j]
+    for i in range(5, -1, -1):  # B = U^-1 L^-1
+        for k in range(i + 1, 6):
+            for j in range(6):
+                B[i, j] -= J[i, k] * B[k, j]
+        share = 1.0 / J[i, i]
+        for j in range(6):
+            B[i, j] *= share
+            total += B[i, j] * B[i, j]
     return 1.0 / math.sqrt(total) if total < math.inf else 0.0

@@ -48,6 +48,12 @@ def turn_back(v, line, t):
     return rotated(v, line.along, math.cos(t), -math.sin(t))
 
 
+@inline
+def distance(line, point):
+    """Return the distance of a point from a line."""
+    return circle_about(line, point, 1.0).width()
+
+
 @inner
 def put_branch(d, free, merged, doubt, error, near):
     """Add the branch null.t (6,), angles of the reordered loop, to d.found; of a doubtful one, note that the answer is UNSURE.
@@ -64,18 +70,21 @@ def put_branch(d, free, merged, doubt, error, near):
                 found[count + 1, i] = wrapped(q[i])
             found[0, 7] = -1.0 if free >= 0 else found[0, 7]
         return
-    size = measure_loop(d.loop, q)
-    moved = 0.0
-    if size > DOUBT.finished:
+    size, moved, inexact = measure_loop(d.loop, q), 0.0, d.form[4] > DOUBT.rounding
+    if free < 0 and (size > TRUST.closed or (inexact and not merged)):
         size = close(d.loop, TRUST.steps, TRUST.longest, TRUST.still)
         for place in range(6):
             t = -d.null.t[place] if d.form[0] > 0.0 else d.null.t[place]
             moved = max(moved, abs(wrapped(q[joint_at(place, d.form[0] > 0.0, int(d.form[1]))] - t)))
     for i in range(6):
         q[i] = wrapped(q[i])
-    closed = size < TRUST.closed and moved <= max(DOUBT.apart, DOUBT.band * error)
-    again = put_solution(found, q, least_gain(d.loop), 1.0 + free) if closed else 0
-    if doubt or not closed or (again > 0 and not merged):
+    # One of a family need not be exact.
+    closed = size < (TRUST.closed if free < 0 else DOUBT.loose) and moved <= max(DOUBT.apart, DOUBT.band * error)
+    gain, again = least_gain(d.loop), 0
+    if closed:
+        again = put_solution(found, q, gain, 1.0 + free)
+    vague = not merged and (gain * DOUBT.apart < DOUBT.rounding or (inexact and again > 0))
+    if doubt or vague or not closed:
         found[0, 1] = UNSURE
     elif free >= 0 and found[0, 1] != UNSURE:
         found[0, 1] = FAMILY
@@ -102,14 +111,15 @@ def split_wrist(d, pose, off, near):
         x = A.first if i == 0 else A.second
         cx, sx = math.cos(x), math.sin(x)
         at = ring.spot(cx, sx)
-        far = (error + A.error * ring.width()) * (1.0 + math.sqrt((at - two.point).square()))
-        B = solve_sum(l if square else f, h.value(cx, sx) if square else e.value(cx, sx), far)
+        rest, goal2 = (l, h) if square else (f, e)
+        vague = goal2.drift(cx, sx, A.error) + error * (1.0 + math.sqrt((at - two.point).square()))
+        B = solve_sum(rest, goal2.value(cx, sx), vague)
         for j in range(B.number):
             y = B.first if j == 0 else B.second
             then = other.spot(math.cos(y), math.sin(y))
-            far2 = far + B.error * other.width()
+            far = error + A.error * ring.width() + B.error * other.width()
             start, end = (at, then) if third else (then, at)
-            C = angle_from(two.along, start - two.point, end - two.point, far2)
+            C = angle_from(two.along, start - two.point, end - two.point, far)
             t[0], t[1], t[2] = (y if third else x), C.first, (x if third else y)
             turn = off + A.error + B.error + C.error
             u = pose.axes.times(six.along)
@@ -142,34 +152,46 @@ def split_parallel(d, pose, off, near):
     # E2 E3 E4 keeps heights along w, so that of E1^-1 X o is that of o, where axes 5 and 6 meet.
     A = solve_sum(height_on(circle_about(one, goal, -1.0), w), w.dot(six.point), error)
     normal, elbow = any_normal(w), circle_about(three, four.point, 1.0)
-    for i in range(A.number):
-        t[0] = A.first if i == 0 else A.second
+    for i in range(12 if A.free else A.number):
+        if A.free and d.found[0, 0] > 0.0:
+            break
+        t[0] = A.second if i == 1 else A.first + (math.pi / 6.0) * i
         c1, s1 = math.cos(t[0]), math.sin(t[0])
         # R5 R6 v = w, v = X^-1 R1 w
         v = pose.axes.across(rotated(w, one.along, c1, s1))
         cone = circle_about(Line(six.along, v * 0.0), v, 1.0)
         turn = off + A.error
         D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
+        unsure, loose = A.doubt or D.doubt, D.free
+        if loose:  # Axis 6 is parallel to w, so joint 6 may turn as long as the elbow reaches. Take the middle of where it does.
+            t[4] = angle_from(five.along, v, w, 0.0).first
+            a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
+            far = square_on(circle_about(six, a, -1.0), pose.axes.across(turned(two, one, c1, s1).point - pose.point))
+            low = max(fold.k - fold.swing(), far.k - far.swing())
+            high = min(fold.k + fold.swing(), far.k + far.swing())
+            D = solve_sum(far, 0.5 * (low + high), turn)
         for k in range(D.number):
             t[5] = D.first if k == 0 else D.second
             c6, s6 = math.cos(t[5]), math.sin(t[5])
             t[4] = angle_from(five.along, rotated(v, six.along, c6, s6), w, 0.0).first
             # E2 E3 E4 = E1^-1 X E6^-1 E5^-1, applied to the point four and to a normal of w
-            line = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
-            line = turned(line_moved(pose, turned(line, six, c6, -s6)), one, c1, -s1)
-            far = error + 2.0 * (A.error + D.error)
-            B = solve_sum(square_on(elbow, two.point), 0.5 * (line.point - two.point).square(), far)
+            at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
+            at6 = line_moved(pose, turned(at5, six, c6, -s6))
+            line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)
+            arms = 0.0 if loose else D.error * (distance(five, at5.point) + distance(six, at5.point))
+            away, error2 = line.point - two.point, error + arms
+            vague = square_on(swept, two.point).drift(c1, s1, A.error) + error2 * (1.0 + math.sqrt(away.square()))
+            B = solve_sum(square_on(elbow, two.point), 0.5 * away.square(), vague)
             whole = angle_from(w, normal, line.along, 0.0).first
             for j in range(B.number):
                 t[2] = B.first if j == 0 else B.second
                 start = elbow.spot(math.cos(t[2]), math.sin(t[2])) - two.point
-                C = angle_from(w, start, line.point - two.point, far + B.error * elbow.width())
+                C = angle_from(w, start, away, error2 + A.error * swept.width() + B.error * elbow.width())
                 t[1] = C.first
                 t[3] = four.along.dot(w) * (whole - t[1] - three.along.dot(w) * t[2])
-                doubt = A.doubt or B.doubt or C.doubt or D.doubt
-                merged = A.merged or B.merged or C.merged or D.merged
-                free = 0 if A.free else 5 if D.free else 1 if C.free else -1
-                put_branch(d, free, merged, doubt, far + B.error + C.error, near)
+                merged = loose or A.merged or B.merged or C.merged or D.merged
+                free = 0 if A.free else 5 if loose else 1 if C.free else -1
+                put_branch(d, free, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
 
 
 @inner
@@ -187,7 +209,7 @@ def decompose(d, off, near):
         split_parallel(d, pose, off, near)
     else:
         split_wrist(d, pose, off, near)
-    if found[0, 1] != UNSURE or off < DOUBT.finished:
+    if found[0, 1] != UNSURE or off < DOUBT.alike:
         found[0, 3], found[0, 4] = SIZES.branches, SIZES.branches - found[0, 0]
     found[0, 6] = off
 
@@ -233,10 +255,10 @@ def nearest_point(lines: np.ndarray) -> np.ndarray:
 
 
 def _apart(lines: np.ndarray, others: np.ndarray) -> float:
-    """Return by how much lines (6, 6) differ from others: in direction, and across them."""
+    """Return by how much lines (6, 6) differ from others in all: in direction, and across them."""
     steps = others[:, 3:] - lines[:, 3:]
     across = steps - lines[:, :3] * (steps * lines[:, :3]).sum(axis=1, keepdims=True)
-    return max(np.linalg.norm(others[:, :3] - lines[:, :3], axis=1).max(), np.linalg.norm(across, axis=1).max())
+    return float(np.linalg.norm(others[:, :3] - lines[:, :3], axis=1).sum() + np.linalg.norm(across, axis=1).sum())
 
 
 def _meeting(lines: np.ndarray) -> np.ndarray:

@@ -45,6 +45,14 @@ class Sum(NamedTuple):
     def value(self, c, s):
         return self.k + self.a * c + self.b * s
 
+    def drift(self, c, s, error):
+        """Return by how much it may be off if the angle is off by `error`."""
+        return error * (abs(self.b * c - self.a * s) + error * self.swing())
+
+    def swing(self):
+        """Return by how much it differs from k at most."""
+        return math.sqrt(self.a * self.a + self.b * self.b)
+
 
 @compiled
 class Angles(NamedTuple):
@@ -92,7 +100,7 @@ def solve_sum(sum, value, error):
     middle = math.atan2(b, a)
     half = math.atan2(math.sqrt(max(rest, 0.0)), c)
     if size <= band:
-        return Angles(middle + half, 0.0, 1, 0.0, True, True, band > DOUBT.apart)
+        return Angles(middle + half, 0.0, 1, 0.0, True, True, band > DOUBT.loose)
     off = 2.0 * error / math.sqrt(max(rest, least))
     doubt = rest <= least and math.sqrt(least) > DOUBT.apart * size
     return Angles(middle + half, middle - half, 2 if rest > 0.0 else 1, off, False, rest <= least, doubt)
@@ -108,5 +116,5 @@ def angle_from(axis, start, end, error):
     length = math.sqrt(min(a.square(), b.square()))
     x, band = math.atan2(axis.dot(a.cross(b)), a.dot(b)), DOUBT.band * error
     if length <= band:
-        return Angles(x, x, 1, 0.0, True, True, band > DOUBT.apart)
+        return Angles(x, x, 1, 0.0, True, True, band > DOUBT.loose)
     return Angles(x, x, 1, 2.0 * error / length, False, False, False)

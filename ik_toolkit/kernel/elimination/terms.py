@@ -86,13 +86,14 @@ class Trust(NamedTuple):
 class Doubt(NamedTuple):
     """When a decomposition must say that it is not sure; angles [rad], lengths in sizes of the arm."""
 
-    rounding: float = 1e-14  # error of every number of an exact arm; 1e-15 occurs
+    rounding: float = 3e-15  # error of every number of an exact arm; 1e-15 occurs
     off: float = 1e-3  # axes that miss a structure by more do not have it
     band: float = 4.0  # so many errors are never passed
-    apart: float = 1e-4  # solutions that may be one, or none, must be nearer than this
+    apart: float = 1e-3  # solutions that may be one, or none, must be nearer than this
+    loose: float = 1e-5  # an angle is free only if the numbers that leave it so are exact to this
     # Poses within an error e have complex solutions at most 30 sqrt(e) from real ones, `decide.MARGINS.gap`: (1 / 30)^2, rounded up.
     near: float = 2e-3
-    finished: float = 1e-12  # a branch that closes the loop to this needs no Newton step
+    alike: float = 1e-12  # an arm that is off by less has no more solutions than branches
 
 
 STATE, SIZES, TRUST, DOUBT = RootState(), Sizes(), Trust(), Doubt()
