@@ -118,7 +118,7 @@ def put_solution(found, q, gain, root):
         found[0, 0] = count + 1.0
         for i in range(6):
             found[count + 1, i] = q[i]
-        found[count + 1, 6], found[count + 1, 7] = gain, root
+        found[count + 1, 6], found[count + 1, 7], found[count + 1, 8] = gain, root, 0.0
     return 0
 
 

@@ -24,7 +24,8 @@ from .terms import CERTAIN, DOUBT, SIZES, STATE, TRUST, UNSURE
 def merge_into(one, whole):
     """Add the solutions of one form to the answer `whole` (SIZES.rows, SIZES.columns); return whether it lists no others."""
     for k in range(1, int(one[0, 0]) + 1):
-        put_solution(whole, one[k], one[k, 6], one[k, 7])
+        if put_solution(whole, one[k], one[k, 6], one[k, 7]) == 0:
+            whole[int(whole[0, 0]), 8] = one[k, 8]
     return whole[0, 0] == one[0, 0]
 
 

@@ -22,7 +22,7 @@ from ...compile.jit import inline, inner
 from .account import put_solution, to_joints
 from .angles import any_normal
 from .closure import Line, close, joint_at, least_gain, line_moved, line_of, measure_loop, reorder, rotated, turned, wrapped
-from .subproblems import angle_from, circle_about, height_on, solve_sum, square_on
+from .subproblems import Angles, angle_from, arcs_between, circle_about, height_on, solve_sum, square_on
 from .terms import CERTAIN, DOUBT, FAMILY, SIZES, TRUST, UNSURE
 
 
@@ -55,10 +55,10 @@ def distance(line, point):
 
 
 @inner
-def put_branch(d, free, merged, doubt, error, near):
+def put_branch(d, free, half, merged, doubt, error, near):
     """Add the branch null.t (6,), angles of the reordered loop, to d.found; of a doubtful one, note that the answer is UNSURE.
 
-    free: place whose angle is free, or -1. near: list the branch as it is if it has merged with another.
+    free: place whose angle is free, or -1; half: by how much it may turn either way [rad]. near: list the branch as it is if it has merged with another.
     """
     q, found = d.loop.q, d.found
     to_joints(d)
@@ -83,6 +83,8 @@ def put_branch(d, free, merged, doubt, error, near):
     gain, again = least_gain(d.loop), 0
     if closed:
         again = put_solution(found, q, gain, 1.0 + free)
+        if again == 0 and free >= 0:
+            found[int(found[0, 0]), 8] = half
     vague = not merged and (gain * DOUBT.apart < DOUBT.rounding or (inexact and again > 0))
     if doubt or vague or not closed:
         found[0, 1] = UNSURE
@@ -138,7 +140,7 @@ def split_wrist(d, pose, off, near):
                 z = turn_back(u, four, t[3])
                 t[4] = angle_from(five.along, six.along, z, 0.0).first
                 t[5] = angle_from(six.along, normal, turn_back(turn_back(n, four, t[3]), five, t[4]), 0.0).first
-                put_branch(d, free, merged, doubt, turn + D.error, near)
+                put_branch(d, free, math.pi, merged, doubt, turn + D.error, near)
 
 
 @inner
@@ -162,14 +164,15 @@ def split_parallel(d, pose, off, near):
         cone = circle_about(Line(six.along, v * 0.0), v, 1.0)
         turn = off + A.error
         D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
-        unsure, loose = A.doubt or D.doubt, D.free
+        unsure, loose, half = A.doubt or D.doubt, D.free, math.pi
         if loose:  # Axis 6 is parallel to w, so joint 6 may turn as long as the elbow reaches. Take the middle of where it does.
             t[4] = angle_from(five.along, v, w, 0.0).first
             a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
             far = square_on(circle_about(six, a, -1.0), pose.axes.across(turned(two, one, c1, s1).point - pose.point))
             low = max(fold.k - fold.swing(), far.k - far.swing())
-            high = min(fold.k + fold.swing(), far.k + far.swing())
-            D = solve_sum(far, 0.5 * (low + high), turn)
+            arcs = arcs_between(far, low, min(fold.k + fold.swing(), far.k + far.swing()))
+            D = Angles(arcs.first, arcs.second, arcs.number, 0.0, True, True, unsure)
+            half = arcs.half
         for k in range(D.number):
             t[5] = D.first if k == 0 else D.second
             c6, s6 = math.cos(t[5]), math.sin(t[5])
@@ -178,7 +181,7 @@ def split_parallel(d, pose, off, near):
             at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
             at6 = line_moved(pose, turned(at5, six, c6, -s6))
             line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)
-            arms = 0.0 if loose else D.error * (distance(five, at5.point) + distance(six, at5.point))
+            arms = D.error * (distance(five, at5.point) + distance(six, at5.point))
             away, error2 = line.point - two.point, error + arms
             vague = square_on(swept, two.point).drift(c1, s1, A.error) + error2 * (1.0 + math.sqrt(away.square()))
             B = solve_sum(square_on(elbow, two.point), 0.5 * away.square(), vague)
@@ -189,9 +192,9 @@ def split_parallel(d, pose, off, near):
                 C = angle_from(w, start, away, error2 + A.error * swept.width() + B.error * elbow.width())
                 t[1] = C.first
                 t[3] = four.along.dot(w) * (whole - t[1] - three.along.dot(w) * t[2])
-                merged = loose or A.merged or B.merged or C.merged or D.merged
+                merged = A.merged or B.merged or C.merged or D.merged
                 free = 0 if A.free else 5 if loose else 1 if C.free else -1
-                put_branch(d, free, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
+                put_branch(d, free, half, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
 
 
 @inner

@@ -118,3 +118,27 @@ def angle_from(axis, start, end, error):
     if length <= band:
         return Angles(x, x, 1, 0.0, True, True, band > DOUBT.loose)
     return Angles(x, x, 1, 2.0 * error / length, False, False, False)
+
+
+@compiled
+class Arcs(NamedTuple):
+    """Where a number on a circle is between two bounds: one arc or two, by their middles."""
+
+    first: float
+    second: float
+    number: int
+    half: float  # half of their length [rad]
+
+
+@inner
+def arcs_between(sum, low, high):
+    """Return the arcs on which low <= k + a cos x + b sin x <= high; where there is none, the place that comes nearest."""
+    size, middle = max(sum.swing(), 1e-300), math.atan2(sum.b, sum.a)
+    near = math.acos(max(-1.0, min(1.0, (high - sum.k) / size)))
+    far = math.acos(max(-1.0, min(1.0, (low - sum.k) / size)))
+    if near == 0.0:  # Both arcs meet at `middle`, or there at the other end.
+        return Arcs(middle, middle, 1, far)
+    if far == math.pi:
+        return Arcs(middle + far, middle + far, 1, far - near)
+    at = 0.5 * (near + far)
+    return Arcs(middle + at, middle - at, 2, 0.5 * abs(far - near))

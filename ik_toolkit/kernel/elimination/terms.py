@@ -28,7 +28,9 @@ class Sizes(NamedTuple):
     rows: int = (
         33  # rows of an answer: the notes, and up to 32 solutions (an arm has 16 at most, the rest are repetitions)
     )
-    columns: int = 8  # numbers of a solution: q (6,), the gain of `closure.least_gain`, the root [rad]
+    # Numbers of a solution: q (6,), the gain of `closure.least_gain`, the root [rad]; of a decomposition, 0 or the number of the place
+    # whose angle is free, from 1 on, and by how much it may turn either way [rad].
+    columns: int = 9
     form: int = 10  # numbers of a Form
     tables: int = (
         165  # rows: cos, sin of 2 pi k / K; cos, sin of the angles of the values; inverse of what is divided out
@@ -115,11 +117,11 @@ class Form(NamedTuple):
 
 
 class Notes(NamedTuple):
-    """What an answer says of itself; its first row."""
+    """What an answer says of itself; its first row, but for its last number."""
 
     count: float  # solutions
     status: float  # CERTAIN, DOUBLE or UNSURE
-    forms: float  # forms that were tried
+    forms: float  # forms that were tried; 0 if a decomposition has answered
     roots: float  # roots of the determinant of the last form
     complex: float  # those that are proven complex; if the answer is certain, each of the others is a solution
     radius: float  # radius of the largest disc of a real root

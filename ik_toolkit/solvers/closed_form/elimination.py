@@ -13,28 +13,34 @@ import numpy as np
 from ...compile.jit import cached
 from ...kernel.chain import Chain
 from ...kernel.elimination.binding import answers, make_arm, make_forms
-from ...kernel.elimination.terms import Notes
+from ...kernel.elimination.terms import FAMILY, Notes
 from ..protocol import closed_form
+from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
 N = 6
 # Least distance of the axes from one point, as a share of the reach; rounding of a pose (1e-16) is 1e-12 of that.
 LEAST_SIZE = 1e-4
+STATUSES = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")  # by the numbers of `terms`
 STEPS = 12  # Newton steps on the actual chain that finish a solution; one is usual
 
 
 class Certificate(NamedTuple):
-    """What a list of solutions is known to be, from the roots of one polynomial that holds all of them.
+    """What a list of solutions is known to be, from the roots of one polynomial that holds all of them, or from a decomposition.
 
-    The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and no interval arithmetic.
+    The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and no interval arithmetic. So
+    is that of a decomposition, whose errors are estimated.
     """
 
     status: str  # 'CERTAIN', 'DOUBLE' (solutions merge in a singular one), 'FAMILY' (there is a continuum) or 'UNSURE'
     solutions: int  # distinct solutions found, limits or not
-    roots: int  # roots of the polynomial
-    complex: int  # roots proven complex, which are no solutions; of a certain answer each of the others is one solution
+    roots: int  # roots of the polynomial, or branches of the decomposition
+    # Roots proven complex, which are no solutions; of a certain answer each of the others is one solution. Of a decomposition, the
+    # branches that do not exist or have merged with others.
+    complex: int
     radius: float  # radius of the largest disc that holds a real root; a full turn is 2 pi long
-    noise: float  # measured error of the polynomial's coefficients beside the largest
+    noise: float  # measured error of the polynomial's coefficients beside the largest; error of a decomposition's numbers
+    decomposed: bool = False  # whether the arm has been decomposed into geometric subproblems, so that there are no discs
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers and strings, ready for JSON; a radius that is not finite is None."""
@@ -48,6 +54,8 @@ class Certificate(NamedTuple):
     def message(self) -> str:
         """One sentence."""
         real = self.roots - self.complex
+        if self.status == "CERTAIN" and self.decomposed:
+            return f"{real} of {self.roots} branches of the arm's geometry are distinct and real: there is no other solution"
         if self.status == "CERTAIN":
             rest = f"; {self.complex} are complex" if self.complex else ""
             return f"{real} of {self.roots} roots are real, each with its solution{rest}: there is no other solution"
@@ -84,6 +92,8 @@ class Said(NamedTuple):
     )  # (K,) 1 / |J^-1|, lengths over the arm's size: an error e is no nearer a solution than e over this
     certificate: Certificate
     near: np.ndarray | None  # (M, 6) where else a pose may be within a tolerance; None if that is not known
+    # (K, 2) 0 or the number of the place whose angle is free, from 1 on, and by how much it may turn either way [rad]
+    free: np.ndarray
 
 
 def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
@@ -93,17 +103,18 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
     """
     if not np.isfinite(T).all():
         empty = np.empty((0, N))
-        return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None)
-    p = np.array(p)
-    found = answers(forms_of(p.tobytes()), p, np.array(T)[None], within)[0]
-    notes = Notes(*found[0].tolist())
+        return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2)))
+    found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
+    notes = Notes(*found[0, : len(Notes._fields)].tolist())
     count = int(notes.count)
-    status = ("CERTAIN", "DOUBLE", "UNSURE")[int(notes.status)]  # the numbers of `terms`
     certificate = Certificate(
-        status, count, int(notes.roots), int(notes.complex), notes.radius, notes.noise,
+        STATUSES[int(notes.status)], count, int(notes.roots), int(notes.complex), notes.radius, notes.noise,
+        notes.forms == 0.0,
     )  # fmt: skip
     rest = None if notes.near < 0.0 else found[1 + count : 1 + count + int(notes.near), :N].copy()
-    return Said(found[1 : 1 + count, :N].copy(), found[1 : 1 + count, N].copy(), certificate, rest)
+    rows = found[1 : 1 + count]
+    free = rows[:, 7:] if notes.status == FAMILY else np.zeros((count, 2))
+    return Said(rows[:, :N].copy(), rows[:, N].copy(), certificate, rest, free)
 
 
 @cached
@@ -134,19 +145,17 @@ class Elimination(NamedTuple):
 
         If they are not certified to be all, a search adds what it finds.
         """
-        Q, _, certificate, _ = solutions_of(p, T)
+        Q, _, certificate, _, free = solutions_of(p, T)
+        families = []
+        if certificate.status == "FAMILY":
+            form, single = forms_of(p.tobytes())[0], free[:, 0] == 0.0
+            families = [one for k in np.flatnonzero(~single) for one in families_of(robot, p, form, Q[k], free[k], box)]
+            Q = np.vstack([Q[single], *(member for _, member in families)])
         q, excess = np.empty_like(Q), np.empty_like(Q)
         into_limits(Q, box, q, excess)
         sure = certificate.status == "CERTAIN"
-        return Branches(
-            q,
-            excess.max(axis=1, initial=0.0),
-            np.zeros((len(Q), 3), dtype=np.int8),
-            sure,
-            "",
-            (),
-            STEPS,
-            -1,
-            not sure,
-            certificate,
-        )
+        broken = excess.max(axis=1, initial=0.0)
+        partial = not sure and not (families and (broken == 0.0).any())
+        signs = np.zeros((len(Q), 3), dtype=np.int8)
+        named = tuple(family for family, _ in families)
+        return Branches(q, broken, signs, sure, "", named, STEPS, -1, partial, certificate)

@@ -1,0 +1,75 @@
+"""The families of a decomposed arm of six joints: which joints move while the tip stays, and from where to where."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...kernel.elimination.closure import joint_at
+from ...kernel.elimination.decomposition import Split
+from ...kernel.kinematics import TAU
+from .geometry import Family
+
+# Places of the joints that move, by the place of the one whose angle is free: with a wrist, and with three parallel axes.
+MOVING = (
+    {0: (0, 3, 4, 5), 1: (1, 3, 4, 5), 2: (2, 3, 4, 5), 3: (3, 5)},
+    {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)},
+)
+
+
+def families_of(
+    robot: Any, arm: np.ndarray, form: np.ndarray, q: np.ndarray, free: np.ndarray, box: np.ndarray
+) -> list[tuple[Family, np.ndarray]]:
+    """Return the families through a member q (6,), with the member of each that is nearest to the reference in its leading joint.
+
+    arm (52,), form: numbers of the arm and of its decomposition; free (2,): the place whose angle is free, from 1 on, and by how
+    much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits and reference [rad].
+    """
+    split = Split(*form[: len(Split._fields)])
+    place, half = int(free[0]) - 1, float(free[1])
+    joints = [joint_at(k, bool(split.backwards), int(split.shift)) for k in MOVING[int(split.parallel)][place]]
+    names = tuple(robot.joint_names[k] for k in joints)
+    lead, last = joints[0], joints[-1]
+    low, high = box[0, lead], box[1, lead]
+    found = []
+    if len(joints) == 2:  # Two axes are one line, so that one joint turns as the other turns back.
+        slope = -_alignment(arm, q, *sorted((lead, last)))
+        for a, b in _ranges(q[lead], slope, q[last], (low, high), box[:2, last]):
+            member, at = q.copy(), min(max(box[2, lead], a), b)
+            member[lead], member[last] = at, q[last] + slope * (at - q[lead])
+            found.append((Family(names, a, b, f"{names[1]} turns as {names[0]} does, from {a:.4f} to {b:.4f} rad"), member))
+    elif split.parallel and place == 0:
+        found.append((Family(names, None, None, "all joints move, and the tip stays"), q))
+    else:
+        turns = TAU * round((box[2, lead] - q[lead]) / TAU)
+        a, b = (q[lead] + turns - half, q[lead] + turns + half) if half < math.pi else (-math.pi, math.pi)
+        a, b = (max(a, low), min(b, high)) if half < math.pi or np.isfinite(high - low) else (a, b)
+        if half >= math.pi and np.isfinite(high - low):
+            a, b = low, high
+        if a <= b:
+            text = f"{names[0]} turns from {a:.4f} to {b:.4f} rad, and {', '.join(names[1:])} follow, limits of theirs not counted"
+            found.append((Family(names, float(a), float(b), text), q))
+    return found
+
+
+def _alignment(arm: np.ndarray, q: np.ndarray, first: int, last: int) -> float:
+    """Return 1.0 if the axes two joints apart have the same direction at q, -1.0 if they have opposite ones."""
+    axis, along, middle = arm[:36].reshape(6, 6)[[first, last, first + 1], :3]
+    c, s = math.cos(q[first + 1]), math.sin(q[first + 1])
+    turned = along * c + np.cross(middle, along) * s + middle * (middle @ along) * (1.0 - c)
+    return math.copysign(1.0, float(axis @ turned))
+
+
+def _ranges(at: float, slope: float, other: float, own: tuple, others: np.ndarray) -> list[tuple[float, float]]:
+    """Return the ranges of a joint inside its limits `own` for which another joint, other + slope (x - at), is inside its own.
+
+    Full turns of the other joint count as inside, and slope is 1.0 or -1.0.
+    """
+    if not np.isfinite(others[1] - others[0]) or others[1] - others[0] >= TAU:
+        return [own if np.isfinite(own[1] - own[0]) else (-math.pi, math.pi)]
+    a, b = sorted(at + slope * (limit - other) for limit in others)
+    low, high = own if np.isfinite(own[1] - own[0]) else (-math.pi, math.pi)
+    found = []
+    for turn in range(math.ceil((low - b) / TAU), math.floor((high - a) / TAU) + 1):
+        found.append((max(a + turn * TAU, low), min(b + turn * TAU, high)))
+    return found
