@@ -20,7 +20,10 @@ import pinocchio as pin
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.elimination.binding import answers, arm_tip, make_arm, make_forms
+from ik_toolkit.kernel.elimination.closure import joint_at
+from ik_toolkit.kernel.elimination.decomposition import Split
 from ik_toolkit.solvers.closed_form.elimination import recognise_six_revolute
+from ik_toolkit.solvers.closed_form.families import MOVING
 
 NAMED = ("hydrolek_7w", "ur3", "ur5", "ur10", "z1", "kinova", "talos_arm")
 # Structures of a random arm, joints counted from 0: parN, meetN (in pairs), sphN: these axes are parallel, meet, have one point.
@@ -58,7 +61,6 @@ HEAD = (
     "| targets of | number | listed % | certified % | family % | double % | certified but lost | us |\n"
     "|---|---|---|---|---|---|---|---|"
 )
-FREE = 1e-6  # the arm may move along a direction of the Jacobian with a smaller singular value (lengths in its size)
 
 
 def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> Count:
@@ -71,28 +73,18 @@ def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> 
     apart[np.arange(apart.shape[1]) >= found[:, :1, 0]] = np.inf
     listed, verdict = apart.min(axis=1) < within, found[:, 0, 1]
     for k in np.flatnonzero(~listed & (verdict == 3)):
-        listed[k] = any(on_family(arm, row[:6], Q[k], within) for row in found[k, 1 : 1 + int(found[k, 0, 0])] if row[7] > 0.0)
+        listed[k] = any(on_family(forms[0], row, Q[k], within) for row in found[k, 1 : 1 + int(found[k, 0, 0])] if row[7] > 0.0)
     certain, family = verdict == 0, verdict == 3
     counts = [int(which.sum()) for which in (listed, certain, family, verdict == 1, (certain | family) & ~listed)]
     return Count._make([len(Q), *counts, seconds])
 
 
-def on_family(arm: np.ndarray, q: np.ndarray, planted: np.ndarray, within: float) -> bool:
-    """Return whether the arm may move from q to `planted`, a solution of the same pose: the joints that cannot move are the same."""
-    goal, still, first = pin.SE3(arm_tip(arm, q)), np.ones(6, dtype=bool), q
-    for _ in range(2):  # At the second place the joints move that happen to stand still at the first.
-        _, sizes, directions = np.linalg.svd(jacobian(arm, q))
-        if not (sizes < FREE).any():
-            return False
-        free = directions[sizes < FREE]
-        still &= (np.abs(free) < 1e-3).all(axis=0)
-        q = q + 0.2 * free.sum(axis=0)
-        for _ in range(10):
-            error = pin.log6(goal * pin.SE3(arm_tip(arm, q)).inverse()).vector
-            error[:3] = (error[:3] - np.cross(arm[48:51], error[3:])) / arm[51]
-            q = q + np.linalg.lstsq(jacobian(arm, q), error, rcond=1e-9)[0]
-    apart = np.abs((first - planted + np.pi) % (2 * np.pi) - np.pi)
-    return bool((apart[still] < within).all())
+def on_family(form: np.ndarray, row: np.ndarray, planted: np.ndarray, within: float) -> bool:
+    """Return whether a solution of the same pose is on the family of a row: the joints that do not move along it are the same."""
+    split = Split(*form[: len(Split._fields)])
+    moving = MOVING[int(split.parallel)][int(row[7]) - 1]
+    still = [joint_at(k, bool(split.backwards), int(split.shift)) for k in range(6) if k not in moving]
+    return bool((np.abs((row[still] - planted[still] + np.pi) % (2 * np.pi) - np.pi) < within).all())
 
 
 def random_arm(kind: str, seed: int) -> np.ndarray:

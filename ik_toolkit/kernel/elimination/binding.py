@@ -30,6 +30,7 @@ class ReadingChoice(NamedTuple):
 
 
 CHOICE = ReadingChoice()
+NO_VALUES = np.empty((0, SIZES.samples))  # asks `solve_loops` for solutions
 
 
 class Reading(NamedTuple):
@@ -71,7 +72,7 @@ def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
 def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0.0) -> np.ndarray:
     """Return the answers (N, SIZES.rows, SIZES.columns) of `answer.solve_loops` for targets T (N, 4, 4)."""
     found = np.zeros((len(T), SIZES.rows, SIZES.columns))
-    solve_loops(forms, arm, T, found, np.empty((0, SIZES.samples)), within)
+    solve_loops(forms, arm, T, found, NO_VALUES, within)
     return found
 
 

@@ -99,7 +99,7 @@ def solve_sum(sum, value, error):
     rest, least = (size - abs(c)) * (size + abs(c)), band * (size + abs(c))
     middle = math.atan2(b, a)
     half = math.atan2(math.sqrt(max(rest, 0.0)), c)
-    if size <= band:
+    if size <= max(band, DOUBT.still):
         return Angles(middle + half, 0.0, 1, 0.0, True, True, band > DOUBT.loose)
     off = 2.0 * error / math.sqrt(max(rest, least))
     doubt = rest <= least and math.sqrt(least) > DOUBT.apart * size
@@ -115,7 +115,7 @@ def angle_from(axis, start, end, error):
     a, b = start - axis * axis.dot(start), end - axis * axis.dot(end)
     length = math.sqrt(min(a.square(), b.square()))
     x, band = math.atan2(axis.dot(a.cross(b)), a.dot(b)), DOUBT.band * error
-    if length <= band:
+    if length <= max(band, DOUBT.still):
         return Angles(x, x, 1, 0.0, True, True, band > DOUBT.loose)
     return Angles(x, x, 1, 2.0 * error / length, False, False, False)
 

@@ -92,6 +92,7 @@ class Doubt(NamedTuple):
     off: float = 1e-3  # axes that miss a structure by more do not have it
     band: float = 4.0  # so many errors are never passed
     apart: float = 1e-3  # solutions that may be one, or none, must be nearer than this
+    still: float = 1e-9  # a point that moves by less as an angle changes leaves that angle free
     loose: float = 1e-5  # an angle is free only if the numbers that leave it so are exact to this
     # Poses within an error e have complex solutions at most 30 sqrt(e) from real ones, `decide.MARGINS.gap`: (1 / 30)^2, rounded up.
     near: float = 2e-3

@@ -12,9 +12,11 @@ import numpy as np
 
 from ...compile.jit import cached
 from ...kernel.chain import Chain
+from ...kernel.checks import is_rigid
 from ...kernel.elimination.binding import answers, make_arm, make_forms
-from ...kernel.elimination.terms import FAMILY, Notes
+from ...kernel.elimination.terms import Notes
 from ..protocol import closed_form
+from .eaik import eaik_branches
 from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
@@ -92,7 +94,7 @@ class Said(NamedTuple):
     )  # (K,) 1 / |J^-1|, lengths over the arm's size: an error e is no nearer a solution than e over this
     certificate: Certificate
     near: np.ndarray | None  # (M, 6) where else a pose may be within a tolerance; None if that is not known
-    # (K, 2) 0 or the number of the place whose angle is free, from 1 on, and by how much it may turn either way [rad]
+    # (K, 2) of a FAMILY: 0 or the number of the place whose angle is free, from 1 on, and by how much it may turn either way [rad]
     free: np.ndarray
 
 
@@ -101,7 +103,7 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
 
     within: how far a root may be complex for its configuration to be listed in `near`.
     """
-    if not np.isfinite(T).all():
+    if not is_rigid(T):
         empty = np.empty((0, N))
         return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2)))
     found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
@@ -113,8 +115,7 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
     )  # fmt: skip
     rest = None if notes.near < 0.0 else found[1 + count : 1 + count + int(notes.near), :N].copy()
     rows = found[1 : 1 + count]
-    free = rows[:, 7:] if notes.status == FAMILY else np.zeros((count, 2))
-    return Said(rows[:, :N].copy(), rows[:, N].copy(), certificate, rest, free)
+    return Said(rows[:, :N].copy(), rows[:, N], certificate, rest, rows[:, N + 1 :])
 
 
 @cached
@@ -151,10 +152,8 @@ class Elimination(NamedTuple):
             form, single = forms_of(p.tobytes())[0], free[:, 0] == 0.0
             families = [one for k in np.flatnonzero(~single) for one in families_of(robot, p, form, Q[k], free[k], box)]
             Q = np.vstack([Q[single], *(member for _, member in families)])
-        q, excess = np.empty_like(Q), np.empty_like(Q)
-        into_limits(Q, box, q, excess)
-        sure = certificate.status == "CERTAIN"
-        broken = excess.max(axis=1, initial=0.0)
+        q, broken, sure = np.empty_like(Q), np.empty(len(Q)), certificate.status == "CERTAIN"
+        eaik_branches(Q, box, q, broken)
         partial = not sure and not (families and (broken == 0.0).any())
         signs = np.zeros((len(Q), 3), dtype=np.int8)
         named = tuple(family for family, _ in families)
