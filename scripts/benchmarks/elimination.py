@@ -23,7 +23,7 @@ from ik_toolkit.kernel.elimination.binding import answers, arm_tip, make_arm, ma
 from ik_toolkit.kernel.elimination.closure import joint_at
 from ik_toolkit.kernel.elimination.decomposition import Split
 from ik_toolkit.solvers.closed_form.elimination import recognise_six_revolute
-from ik_toolkit.solvers.closed_form.families import MOVING
+from ik_toolkit.solvers.closed_form.families import moving_places
 
 NAMED = ("hydrolek_7w", "ur3", "ur5", "ur10", "z1", "kinova", "talos_arm")
 # Structures of a random arm, joints counted from 0: parN, meetN (in pairs), sphN: these axes are parallel, meet, have one point.
@@ -73,7 +73,9 @@ def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> 
     apart[np.arange(apart.shape[1]) >= found[:, :1, 0]] = np.inf
     listed, verdict = apart.min(axis=1) < within, found[:, 0, 1]
     for k in np.flatnonzero(~listed & (verdict == 3)):
-        listed[k] = any(on_family(forms[0], row, Q[k], within) for row in found[k, 1 : 1 + int(found[k, 0, 0])] if row[7] > 0.0)
+        listed[k] = any(
+            on_family(forms[0], row, Q[k], within) for row in found[k, 1 : 1 + int(found[k, 0, 0])] if row[7] > 0.0
+        )
     certain, family = verdict == 0, verdict == 3
     counts = [int(which.sum()) for which in (listed, certain, family, verdict == 1, (certain | family) & ~listed)]
     return Count._make([len(Q), *counts, seconds])
@@ -82,7 +84,7 @@ def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> 
 def on_family(form: np.ndarray, row: np.ndarray, planted: np.ndarray, within: float) -> bool:
     """Return whether a solution of the same pose is on the family of a row: the joints that do not move along it are the same."""
     split = Split(*form[: len(Split._fields)])
-    moving = MOVING[int(split.parallel)][int(row[7]) - 1]
+    moving = moving_places(split, int(row[7]) - 1)
     still = [joint_at(k, bool(split.backwards), int(split.shift)) for k in range(6) if k not in moving]
     return bool((np.abs((row[still] - planted[still] + np.pi) % (2 * np.pi) - np.pi) < within).all())
 

@@ -9,7 +9,15 @@ import ik_toolkit as ik
 from ik_toolkit.kernel.algebra import V3
 from ik_toolkit.kernel.elimination.binding import answers, arm_tip, make_arm, make_forms
 from ik_toolkit.kernel.elimination.closure import Line
-from ik_toolkit.kernel.elimination.subproblems import Sum, angle_from, arcs_between, circle_about, height_on, solve_sum, square_on
+from ik_toolkit.kernel.elimination.subproblems import (
+    Sum,
+    angle_from,
+    arcs_between,
+    circle_about,
+    height_on,
+    solve_sum,
+    square_on,
+)
 from ik_toolkit.kernel.elimination.terms import CERTAIN, FAMILY
 from ik_toolkit.solvers.closed_form.elimination import recognise_six_revolute, solutions_of
 
@@ -148,7 +156,9 @@ def test_branches_are_what_the_elimination_finds(kind):
         (split, a, found), (other, b, _) = ask(arm, Q, forms[:1]), ask(arm, Q, forms[1:])
         assert (a == CERTAIN).all() and (found[:, 0, 2] == 0.0).all()
         for q, one, two, sure in zip(Q, split, other, b == CERTAIN, strict=True):
-            assert apart(one, q).min() < 1e-7 and all(np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-9 for x in one)
+            assert apart(one, q).min() < 1e-7 and all(
+                np.abs(arm_tip(arm, x) - arm_tip(arm, q)).max() < 1e-9 for x in one
+            )
             if sure:
                 both += 1
                 assert len(one) == len(two) and all(apart(two, x).min() < 1e-6 for x in one)
@@ -174,12 +184,16 @@ def test_hard_targets_are_listed_and_none_is_lost_under_a_certificate(kind):
     half = rng.uniform(-np.pi, np.pi, (100, 6))
     half[rng.random((100, 6)) < 0.3] = np.pi
     near = rng.uniform(-np.pi, np.pi, (120, 6))
-    near[np.arange(120), rng.integers(1, 5, 120)] = rng.choice([0.0, np.pi], 120) + np.repeat([0, 1e-9, 1e-7, 1e-5, 1e-3, 1e-2], 20)
+    near[np.arange(120), rng.integers(1, 5, 120)] = rng.choice([0.0, np.pi], 120) + np.repeat(
+        [0, 1e-9, 1e-7, 1e-5, 1e-3, 1e-2], 20
+    )
     for Q in (half, near, rng.choice([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi], (150, 6))):
         lists, verdicts, _ = ask(arm, Q, forms[:1])
         lost = np.array([not (len(one) and apart(one, q).min() < 1e-3) for one, q in zip(lists, Q, strict=True)])
         assert not (lost & (verdicts == CERTAIN)).any()
-        assert (lost & (verdicts != FAMILY)).mean() <= 0.05 and ((verdicts == CERTAIN) | (verdicts == FAMILY)).mean() > 0.8
+        assert (lost & (verdicts != FAMILY)).mean() <= 0.05 and (
+            (verdicts == CERTAIN) | (verdicts == FAMILY)
+        ).mean() > 0.8
 
 
 @pytest.mark.parametrize("kind", ["wrist", "three parallel", "wrist, first axes meet"])
@@ -215,7 +229,9 @@ def test_a_pose_just_out_of_reach_is_no_proof(tmp_path):
         said = solutions_of(recognise_six_revolute(robot.chain).parameters, T, 30.0 * np.sqrt(1e-6))
         if push < 1e-6:  # It is listed, or among the places to try that come with the certificate.
             assert apart(np.vstack([said.q, said.near]), q).min() < 0.01
-        seen.append((push < 1e-6, result.success, result.solver == "elimination" and result.status == ik.Status.UNREACHABLE))
+        seen.append(
+            (push < 1e-6, result.success, result.solver == "elimination" and result.status == ik.Status.UNREACHABLE)
+        )
     assert seen.count((True, True, False)) == 20 and seen.count((False, False, True)) >= 4
 
 
@@ -227,7 +243,9 @@ def test_a_straight_wrist_is_a_family_with_its_range(tmp_path, limit):
     T = robot.fk(q)
     found = ik.solve_all(robot, T, q0=q)
     assert found.certificate.status == "FAMILY" and found.certificate.decomposed and not found.complete
-    ranges = [(one.lower, one.upper) for one in found.families if one.joints == (robot.joint_names[3], robot.joint_names[5])]
+    ranges = [
+        (one.lower, one.upper) for one in found.families if one.joints == (robot.joint_names[3], robot.joint_names[5])
+    ]
     assert apart(found.q, q).min() < 1e-6  # the member nearest to q0
     for x in np.linspace(-limit - 0.5, limit + 0.5, 200):  # joints 4 and 6 turn about one line, so that their sum stays
         last = q[3] + q[5] - x + 2 * np.pi * np.arange(-2, 3)
@@ -248,12 +266,15 @@ def test_a_family_of_three_parallel_axes_ends_where_the_elbow_does():
     ranges = [(one.lower, one.upper) for one in found.families if one.joints[0] == robot.joint_names[5]]
     assert found.certificate.status == "FAMILY" and ranges
     assert any(0.0 <= (q[5] - low) % (2 * np.pi) <= high - low for low, high in ranges)
-    names, outside = robot.joint_names, 0
     ends = {low for low, high in ranges if high - low < 2 * np.pi - 1e-6} | {
         high for low, high in ranges if high - low < 2 * np.pi - 1e-6
     }
     assert ends
     for x in (end + step for end in ends for step in (-1e-2, -1e-3, 1e-3, 1e-2)):
-        box = {robot.joint_names[0]: (0.39, 0.41), robot.joint_names[4]: (-1e-2, 1e-2), robot.joint_names[5]: (x - 1e-9, x + 1e-9)}
+        box = {
+            robot.joint_names[0]: (0.39, 0.41),
+            robot.joint_names[4]: (-1e-2, 1e-2),
+            robot.joint_names[5]: (x - 1e-9, x + 1e-9),
+        }
         inside = any((x - low) % (2 * np.pi) <= high - low for low, high in ranges)
         assert ik.solve(robot, T, "lm", limits=box, restarts=60).success == inside

@@ -21,7 +21,19 @@ import numpy as np
 from ...compile.jit import inline, inner
 from .account import put_solution, to_joints
 from .angles import any_normal
-from .closure import Line, close, joint_at, least_gain, line_moved, line_of, measure_loop, reorder, rotated, turned, wrapped
+from .closure import (
+    Line,
+    close,
+    joint_at,
+    least_gain,
+    line_moved,
+    line_of,
+    measure_loop,
+    reorder,
+    rotated,
+    turned,
+    wrapped,
+)  # fmt: skip
 from .subproblems import Angles, angle_from, arcs_between, circle_about, height_on, solve_sum, square_on
 from .terms import CERTAIN, DOUBT, FAMILY, SIZES, TRUST, UNSURE
 
@@ -49,8 +61,8 @@ def turn_back(v, line, t):
 
 
 @inline
-def distance(line, point):
-    """Return the distance of a point from a line."""
+def lever(line, point):
+    """Return the distance of a point from a line that it turns about."""
     return circle_about(line, point, 1.0).width()
 
 
@@ -58,7 +70,8 @@ def distance(line, point):
 def put_branch(d, free, half, merged, doubt, error, near):
     """Add the branch null.t (6,), angles of the reordered loop, to d.found; of a doubtful one, note that the answer is UNSURE.
 
-    free: place whose angle is free, or -1; half: by how much it may turn either way [rad]. near: list the branch as it is if it has merged with another.
+    free: place whose angle is free, or -1; half: by how much it may turn either way [rad]; error: how far angles may be off [rad];
+    near: list the branch as it is if it has merged with another.
     """
     q, found = d.loop.q, d.found
     to_joints(d)
@@ -101,7 +114,7 @@ def split_wrist(d, pose, off, near):
     goal = pose.axes.times(six.point) + pose.point
     square, third = d.form[5] > 0.0, d.form[6] > 0.0
     error = off * (1.0 + math.sqrt(goal.square()))
-    # E2 takes the point three (E3 c) to the point one (E1^-1 X c), so both have one height and one distance from any point of axis 2.
+    # E2 takes the point E3 c to E1^-1 X c, so both have one height along axis 2, and one distance from any of its points.
     ring, other = circle_about(one, goal, -1.0), circle_about(three, four.point, 1.0)
     if third:
         ring, other = other, ring
@@ -134,7 +147,17 @@ def split_wrist(d, pose, off, near):
             D = solve_sum(height_on(cone, five.along), five.along.dot(six.along), turn)
             doubt = A.doubt or B.doubt or C.doubt or D.doubt
             merged = A.merged or B.merged or C.merged or D.merged
-            free = (2 if third else 0) if A.free else (0 if third else 2) if B.free else 1 if C.free else 3 if D.free else -1
+            free = (
+                (2 if third else 0)
+                if A.free
+                else (0 if third else 2)
+                if B.free
+                else 1
+                if C.free
+                else 3
+                if D.free
+                else -1
+            )
             for k in range(D.number):
                 t[3] = D.first if k == 0 else D.second
                 z = turn_back(u, four, t[3])
@@ -181,7 +204,7 @@ def split_parallel(d, pose, off, near):
             at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
             at6 = line_moved(pose, turned(at5, six, c6, -s6))
             line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)
-            arms = D.error * (distance(five, at5.point) + distance(six, at5.point))
+            arms = D.error * (lever(five, at5.point) + lever(six, at5.point))
             away, error2 = line.point - two.point, error + arms
             vague = square_on(swept, two.point).drift(c1, s1, A.error) + error2 * (1.0 + math.sqrt(away.square()))
             B = solve_sum(square_on(elbow, two.point), 0.5 * away.square(), vague)
@@ -220,34 +243,33 @@ def decompose(d, off, near):
 # --------------------------------------------------------------------------------------------------------------- recognition
 def splits_of(arm: np.ndarray) -> list[np.ndarray]:
     """Return the rows (SIZES.whole,) of the decompositions that an arm (52,) may have, those that it fits best first."""
+    wrist, lines = (True, (3, 4, 5)), arm[:36].reshape(6, 6)
+    # Marks `parallel`, `square` and `third` of a Split, and conditions: whether lines meet (or are parallel), and their places.
+    structures = (
+        (0, 0, 0, (wrist, (False, (1, 2)))),
+        (0, 1, 0, (wrist, (True, (1, 2)))),
+        (0, 0, 1, (wrist, (False, (0, 1)))),
+        (0, 1, 1, (wrist, (True, (0, 1)))),
+        (1, 0, 0, ((False, (1, 2, 3)), (True, (4, 5)))),
+    )
     found = []
     for backwards, shift in itertools.product((0, 1), range(6)):
         joints = [joint_at(place, bool(backwards), shift) for place in range(6)]
-        for parallel, square, third, conditions in STRUCTURES:
-            lines = arm[:36].reshape(6, 6).copy()
+        for parallel, square, third, conditions in structures:
+            made = lines.copy()
             for meet, places in conditions:
                 which = [joints[place] for place in places]
                 if any(abs(i - j) != 1 for i, j in itertools.pairwise(which)):
                     break  # The target stands between them.
-                lines[which] = (_meeting if meet else _parallel)(lines[which])
+                made[which] = (_meeting if meet else _parallel)(made[which])
             else:
-                off = max(_apart(arm[:36].reshape(6, 6), lines), DOUBT.rounding)
+                off = max(_apart(lines, made), DOUBT.rounding)
                 row = np.zeros(SIZES.whole)
                 row[:7] = Split(backwards, shift, parallel, 0, off, square, third)
-                row[-84:].reshape(6, 14)[:, :6] = lines
+                row[-84:].reshape(6, 14)[:, :6] = made
                 found.append(row)
     found = [row for row in found if row[4] < DOUBT.off]
     return sorted(found, key=lambda row: (round(math.log10(row[4])), row[1], row[0]))
-
-
-# Each with the marks `parallel`, `square` and `third` of a Split, and its conditions: whether lines meet, and their places.
-STRUCTURES = (
-    (0, 0, 0, ((True, (3, 4, 5)), (False, (1, 2)))),
-    (0, 1, 0, ((True, (3, 4, 5)), (True, (1, 2)))),
-    (0, 0, 1, ((True, (3, 4, 5)), (False, (0, 1)))),
-    (0, 1, 1, ((True, (3, 4, 5)), (True, (0, 1)))),
-    (1, 0, 0, ((False, (1, 2, 3)), (True, (4, 5)))),
-)
 
 
 def nearest_point(lines: np.ndarray) -> np.ndarray:

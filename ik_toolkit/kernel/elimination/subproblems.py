@@ -1,8 +1,8 @@
-"""Geometric subproblems: which turns about one axis put a point where it shall be (Paden 1985, Kahan 1983, Elias and Wen 2022).
+"""Geometric subproblems: which turns about an axis put a point where it shall be (Paden 1985, Elias and Wen 2022).
 
-All reduce to a cos x + b sin x = c. A turning point is a circle; its height along an axis, and half its squared distance from a
-point, are linear in cos x and sin x. So one function (`solve_sum`) is subproblems 3 (distance) and 4 (height), and with `angle_from`
-(subproblem 1) after it subproblem 2 (two turns that take one direction to another).
+All reduce to a cos x + b sin x = c. A turning point is a circle; its height along an axis, and half its squared distance from
+a point, are linear in cos x and sin x. So one function (`solve_sum`) is subproblems 3 (distance) and 4 (height), and with
+`angle_from` (subproblem 1) after it subproblem 2 (two turns that take one direction to another).
 
 Every answer says how far off it may be, given how far off the numbers are: rounding, or axes that miss each other by a little.
 Within that, two angles merge in one, and an axis through the point leaves the angle free.
@@ -121,7 +121,7 @@ def angle_from(axis, start, end, error):
 
 
 @compiled
-class Arcs(NamedTuple):
+class AngleRanges(NamedTuple):
     """Where a number on a circle is between two bounds: one arc or two, by their middles."""
 
     first: float
@@ -137,8 +137,8 @@ def arcs_between(sum, low, high):
     near = math.acos(max(-1.0, min(1.0, (high - sum.k) / size)))
     far = math.acos(max(-1.0, min(1.0, (low - sum.k) / size)))
     if near == 0.0:  # Both arcs meet at `middle`, or there at the other end.
-        return Arcs(middle, middle, 1, far)
+        return AngleRanges(middle, middle, 1, far)
     if far == math.pi:
-        return Arcs(middle + far, middle + far, 1, far - near)
+        return AngleRanges(middle + far, middle + far, 1, far - near)
     at = 0.5 * (near + far)
-    return Arcs(middle + at, middle - at, 2, 0.5 * abs(far - near))
+    return AngleRanges(middle + at, middle - at, 2, 0.5 * abs(far - near))

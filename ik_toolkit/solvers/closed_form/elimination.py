@@ -16,15 +16,12 @@ from ...kernel.checks import is_rigid
 from ...kernel.elimination.binding import answers, make_arm, make_forms
 from ...kernel.elimination.terms import Notes
 from ..protocol import closed_form
-from .eaik import eaik_branches
+from .eaik import STEPS, N, eaik_branches
 from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
-N = 6
 # Least distance of the axes from one point, as a share of the reach; rounding of a pose (1e-16) is 1e-12 of that.
 LEAST_SIZE = 1e-4
-STATUSES = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")  # by the numbers of `terms`
-STEPS = 12  # Newton steps on the actual chain that finish a solution; one is usual
 
 
 class Certificate(NamedTuple):
@@ -41,8 +38,12 @@ class Certificate(NamedTuple):
     # branches that do not exist or have merged with others.
     complex: int
     radius: float  # radius of the largest disc that holds a real root; a full turn is 2 pi long
-    noise: float  # measured error of the polynomial's coefficients beside the largest; error of a decomposition's numbers
-    decomposed: bool = False  # whether the arm has been decomposed into geometric subproblems, so that there are no discs
+    noise: (
+        float  # measured error of the polynomial's coefficients beside the largest; error of a decomposition's numbers
+    )
+    decomposed: bool = (
+        False  # whether the arm has been decomposed into geometric subproblems, so that there are no discs
+    )
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers and strings, ready for JSON; a radius that is not finite is None."""
@@ -109,9 +110,9 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
     found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
     notes = Notes(*found[0, : len(Notes._fields)].tolist())
     count = int(notes.count)
+    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the numbers of `terms`
     certificate = Certificate(
-        STATUSES[int(notes.status)], count, int(notes.roots), int(notes.complex), notes.radius, notes.noise,
-        notes.forms == 0.0,
+        status, count, int(notes.roots), int(notes.complex), notes.radius, notes.noise, notes.forms == 0.0,
     )  # fmt: skip
     rest = None if notes.near < 0.0 else found[1 + count : 1 + count + int(notes.near), :N].copy()
     rows = found[1 : 1 + count]

@@ -10,11 +10,12 @@ from ...kernel.elimination.decomposition import Split
 from ...kernel.kinematics import TAU
 from .geometry import Family
 
-# Places of the joints that move, by the place of the one whose angle is free: with a wrist, and with three parallel axes.
-MOVING = (
-    {0: (0, 3, 4, 5), 1: (1, 3, 4, 5), 2: (2, 3, 4, 5), 3: (3, 5)},
-    {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)},
-)
+
+def moving_places(split: Split, place: int) -> tuple[int, ...]:
+    """Return the places of the joints that move along a family, that of the one whose angle is free first."""
+    if split.parallel:
+        return {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)}[place]
+    return (3, 5) if place == 3 else (place, 3, 4, 5)
 
 
 def families_of(
@@ -27,25 +28,23 @@ def families_of(
     """
     split = Split(*form[: len(Split._fields)])
     place, half = int(free[0]) - 1, float(free[1])
-    joints = [joint_at(k, bool(split.backwards), int(split.shift)) for k in MOVING[int(split.parallel)][place]]
+    joints = [joint_at(k, bool(split.backwards), int(split.shift)) for k in moving_places(split, place)]
     names = tuple(robot.joint_names[k] for k in joints)
     lead, last = joints[0], joints[-1]
-    low, high = box[0, lead], box[1, lead]
+    low, high = (box[0, lead], box[1, lead]) if np.isfinite(box[:2, lead]).all() else (-math.pi, math.pi)
     found = []
     if len(joints) == 2:  # Two axes are one line, so that one joint turns as the other turns back.
         slope = -_alignment(arm, q, *sorted((lead, last)))
         for a, b in _ranges(q[lead], slope, q[last], (low, high), box[:2, last]):
             member, at = q.copy(), min(max(box[2, lead], a), b)
             member[lead], member[last] = at, q[last] + slope * (at - q[lead])
-            found.append((Family(names, a, b, f"{names[1]} turns as {names[0]} does, from {a:.4f} to {b:.4f} rad"), member))
+            text = f"{names[1]} turns as {names[0]} does, from {a:.4f} to {b:.4f} rad"
+            found.append((Family(names, float(a), float(b), text), member))
     elif split.parallel and place == 0:
         found.append((Family(names, None, None, "all joints move, and the tip stays"), q))
     else:
-        turns = TAU * round((box[2, lead] - q[lead]) / TAU)
-        a, b = (q[lead] + turns - half, q[lead] + turns + half) if half < math.pi else (-math.pi, math.pi)
-        a, b = (max(a, low), min(b, high)) if half < math.pi or np.isfinite(high - low) else (a, b)
-        if half >= math.pi and np.isfinite(high - low):
-            a, b = low, high
+        at = q[lead] + TAU * round((box[2, lead] - q[lead]) / TAU)
+        a, b = (max(at - half, box[0, lead]), min(at + half, box[1, lead])) if half < math.pi else (low, high)
         if a <= b:
             text = f"{names[0]} turns from {a:.4f} to {b:.4f} rad, and {', '.join(names[1:])} follow, limits of theirs not counted"
             found.append((Family(names, float(a), float(b), text), q))
@@ -61,15 +60,12 @@ def _alignment(arm: np.ndarray, q: np.ndarray, first: int, last: int) -> float:
 
 
 def _ranges(at: float, slope: float, other: float, own: tuple, others: np.ndarray) -> list[tuple[float, float]]:
-    """Return the ranges of a joint inside its limits `own` for which another joint, other + slope (x - at), is inside its own.
+    """Return the ranges of a joint in `own` for which another joint, other + slope (x - at), is inside its limits `others` (2,).
 
     Full turns of the other joint count as inside, and slope is 1.0 or -1.0.
     """
-    if not np.isfinite(others[1] - others[0]) or others[1] - others[0] >= TAU:
-        return [own if np.isfinite(own[1] - own[0]) else (-math.pi, math.pi)]
+    if not others[1] - others[0] < TAU:
+        return [own]
     a, b = sorted(at + slope * (limit - other) for limit in others)
-    low, high = own if np.isfinite(own[1] - own[0]) else (-math.pi, math.pi)
-    found = []
-    for turn in range(math.ceil((low - b) / TAU), math.floor((high - a) / TAU) + 1):
-        found.append((max(a + turn * TAU, low), min(b + turn * TAU, high)))
-    return found
+    turns = TAU * np.arange(math.ceil((own[0] - b) / TAU), math.floor((own[1] - a) / TAU) + 1)
+    return [(max(a + turn, own[0]), min(b + turn, own[1])) for turn in turns]
