@@ -35,7 +35,7 @@ def families_of(
     found = []
     if len(joints) == 2:  # Two axes are one line, so that one joint turns as the other turns back.
         slope = -_alignment(arm, q, *sorted((lead, last)))
-        for a, b in _ranges(q[lead], slope, q[last], (low, high), box[:2, last]):
+        for a, b in _ranges(float(q[lead]), slope, float(q[last]), (low, high), box[:2, last]):
             member, at = q.copy(), min(max(box[2, lead], a), b)
             member[lead], member[last] = at, q[last] + slope * (at - q[lead])
             text = f"{names[1]} turns as {names[0]} does, from {a:.4f} to {b:.4f} rad"
