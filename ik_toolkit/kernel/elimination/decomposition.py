@@ -33,7 +33,7 @@ from .closure import (
     rotated,
     turned,
     wrapped,
-)  # fmt: skip
+)
 from .subproblems import Angles, angle_from, arcs_between, circle_about, height_on, solve_sum, square_on
 from .terms import CERTAIN, DOUBT, FAMILY, SIZES, TRUST, UNSURE
 
@@ -113,32 +113,33 @@ def split_wrist(d, pose, off, near):
     four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     goal = pose.axes.times(six.point) + pose.point
     square, third = d.form[5] > 0.0, d.form[6] > 0.0
+    lead = 2 if third else 0  # the place of the angle that is found first
     error = off * (1.0 + math.sqrt(goal.square()))
     # E2 takes the point E3 c to E1^-1 X c, so both have one height along axis 2, and one distance from any of its points.
     ring, other = circle_about(one, goal, -1.0), circle_about(three, four.point, 1.0)
-    if third:
-        ring, other = other, ring
-    h, l = height_on(ring, two.along), height_on(other, two.along)  # noqa: E741
-    e, f = square_on(ring, two.point), square_on(other, two.point)
-    A = solve_sum(e if square else h, f.k if square else l.k, error)
+    ring, other = (other, ring) if third else (ring, other)
+    height, square1, height2, square2 = (
+        height_on(ring, two.along), square_on(ring, two.point), height_on(other, two.along), square_on(other, two.point),
+    )  # fmt: skip
+    # Of one of the two equations the other side is constant.
+    here, there, here2, there2 = (square1, square2, height, height2) if square else (height, height2, square1, square2)
+    A = solve_sum(here, there.k, error)
     normal = any_normal(six.along)
     for i in range(A.number):
         x = A.first if i == 0 else A.second
         cx, sx = math.cos(x), math.sin(x)
         at = ring.spot(cx, sx)
-        rest, goal2 = (l, h) if square else (f, e)
-        vague = goal2.drift(cx, sx, A.error) + error * (1.0 + math.sqrt((at - two.point).square()))
-        B = solve_sum(rest, goal2.value(cx, sx), vague)
+        vague = here2.drift(cx, sx, A.error) + error * (1.0 + math.sqrt((at - two.point).square()))
+        B = solve_sum(there2, here2.value(cx, sx), vague)
         for j in range(B.number):
             y = B.first if j == 0 else B.second
             then = other.spot(math.cos(y), math.sin(y))
             far = error + A.error * ring.width() + B.error * other.width()
             start, end = (at, then) if third else (then, at)
             C = angle_from(two.along, start - two.point, end - two.point, far)
-            t[0], t[1], t[2] = (y if third else x), C.first, (x if third else y)
+            t[lead], t[1], t[2 - lead] = x, C.first, y
             turn = off + A.error + B.error + C.error
-            u = pose.axes.times(six.along)
-            n = pose.axes.times(normal)
+            u, n = pose.axes.times(six.along), pose.axes.times(normal)
             for k in range(3):
                 line = line_of(lines, k)
                 u, n = turn_back(u, line, t[k]), turn_back(n, line, t[k])
@@ -147,17 +148,7 @@ def split_wrist(d, pose, off, near):
             D = solve_sum(height_on(cone, five.along), five.along.dot(six.along), turn)
             doubt = A.doubt or B.doubt or C.doubt or D.doubt
             merged = A.merged or B.merged or C.merged or D.merged
-            free = (
-                (2 if third else 0)
-                if A.free
-                else (0 if third else 2)
-                if B.free
-                else 1
-                if C.free
-                else 3
-                if D.free
-                else -1
-            )
+            free = lead if A.free else 2 - lead if B.free else 1 if C.free else 3 if D.free else -1
             for k in range(D.number):
                 t[3] = D.first if k == 0 else D.second
                 z = turn_back(u, four, t[3])
