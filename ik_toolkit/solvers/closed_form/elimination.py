@@ -90,9 +90,8 @@ class Said(NamedTuple):
     """What the elimination says of one pose, limits or not."""
 
     q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
-    gain: (
-        np.ndarray
-    )  # (K,) 1 / |J^-1|, lengths over the arm's size: an error e is no nearer a solution than e over this
+    # (K,) 1 / |J^-1|, lengths over the arm's size: an error e is no nearer a solution than e over this
+    gain: np.ndarray
     certificate: Certificate
     near: np.ndarray | None  # (M, 6) where else a pose may be within a tolerance; None if that is not known
     # (K, 2) of a FAMILY: 0 or the number of the place whose angle is free, from 1 on, and by how much it may turn either way [rad]
@@ -104,6 +103,7 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
 
     within: how far a root may be complex for its configuration to be listed in `near`.
     """
+    p, T = np.array(p), np.array(T)  # writable: numba takes an array that is read-only for another type
     if not is_rigid(T):
         empty = np.empty((0, N))
         return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2)))
@@ -135,9 +135,10 @@ def into_limits(Q, box, out, excess):
 class Elimination(NamedTuple):
     """Every solution of any six revolute joints by elimination, certified; returns the one within limits nearest q0.
 
-    The loop closure is reduced to one polynomial, whose roots are all accounted for, within measured noise. Sources: Raghavan and
-    Roth (1993), "Inverse kinematics of the general 6R manipulator and related linkages"; Manocha and Canny (1994), "Efficient
-    inverse kinematics for general 6R manipulators".
+    The loop closure is reduced to one polynomial, whose roots are all accounted for, within measured noise. An arm with a wrist or
+    three parallel axes is decomposed into geometric subproblems instead, if these are simple. Sources: Raghavan and Roth (1993),
+    "Inverse kinematics of the general 6R manipulator and related linkages"; Manocha and Canny (1994), "Efficient inverse kinematics
+    for general 6R manipulators"; Elias and Wen (2022), "IK-Geo: Unified robot inverse kinematics using subproblem decomposition".
     """
 
     recognise = staticmethod(recognise_six_revolute)
