@@ -158,6 +158,8 @@ def whole(value: Any, what: str, least: int = 1) -> int:
 
     Raises InvalidOption, "WHAT must be ..., not VALUE", if it is no whole number or less than `least`.
     """
+    if type(value) is int and value >= least:
+        return value
     what = f"{what} must be a whole number of at least {least}"
     number = floats(value, what, InvalidOption)
     if number.shape != () or not number >= least or number % 1.0 != 0.0:

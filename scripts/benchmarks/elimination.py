@@ -20,7 +20,10 @@ import pinocchio as pin
 
 import ik_toolkit as ik
 from ik_toolkit.kernel.elimination.binding import answers, arm_tip, make_arm, make_forms
+from ik_toolkit.kernel.elimination.closure import joint_at
+from ik_toolkit.kernel.elimination.decomposition import Split
 from ik_toolkit.solvers.closed_form.elimination import recognise_six_revolute
+from ik_toolkit.solvers.closed_form.families import moving_places
 
 NAMED = ("hydrolek_7w", "ur3", "ur5", "ur10", "z1", "kinova", "talos_arm")
 # Structures of a random arm, joints counted from 0: parN, meetN (in pairs), sphN: these axes are parallel, meet, have one point.
@@ -36,10 +39,11 @@ class Count(NamedTuple):
     """What was found for some targets."""
 
     targets: int = 0
-    listed: int = 0  # targets whose planted solution is listed
+    listed: int = 0  # targets whose planted solution is listed, or is on a family that is
     certain: int = 0
+    family: int = 0  # families of which all branches are accounted for
     double: int = 0
-    false: int = 0  # certified, and the planted solution is not listed
+    false: int = 0  # certified, or a family, and the planted solution is not listed
     seconds: float = 0.0  # process time
 
     def plus(self, other: "Count") -> "Count":
@@ -49,11 +53,14 @@ class Count(NamedTuple):
     def row(self, name: str) -> str:
         """Return a row of a table."""
         n = max(self.targets, 1)
-        shares = " | ".join(f"{100 * x / n:.2f}" for x in (self.listed, self.certain, self.double))
+        shares = " | ".join(f"{100 * x / n:.2f}" for x in (self.listed, self.certain, self.family, self.double))
         return f"| {name} | {self.targets} | {shares} | {self.false} | {1e6 * self.seconds / n:.0f} |"
 
 
-HEAD = "| targets of | number | listed % | certified % | double % | certified but lost | us |\n|---|---|---|---|---|---|---|"
+HEAD = (
+    "| targets of | number | listed % | certified % | family % | double % | certified but lost | us |\n"
+    "|---|---|---|---|---|---|---|---|"
+)
 
 
 def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> Count:
@@ -65,9 +72,21 @@ def judged(arm: np.ndarray, forms: np.ndarray, Q: np.ndarray, within: float) -> 
     apart = np.abs((found[:, 1:, :6] - Q[:, None] + np.pi) % (2 * np.pi) - np.pi).max(axis=2)
     apart[np.arange(apart.shape[1]) >= found[:, :1, 0]] = np.inf
     listed, verdict = apart.min(axis=1) < within, found[:, 0, 1]
-    certain = verdict == 0
-    counts = [int(which.sum()) for which in (listed, certain, verdict == 1, certain & ~listed)]
+    for k in np.flatnonzero(~listed & (verdict == 3)):
+        listed[k] = any(
+            on_family(forms[0], row, Q[k], within) for row in found[k, 1 : 1 + int(found[k, 0, 0])] if row[7] > 0.0
+        )
+    certain, family = verdict == 0, verdict == 3
+    counts = [int(which.sum()) for which in (listed, certain, family, verdict == 1, (certain | family) & ~listed)]
     return Count._make([len(Q), *counts, seconds])
+
+
+def on_family(form: np.ndarray, row: np.ndarray, planted: np.ndarray, within: float) -> bool:
+    """Return whether a solution of the same pose is on the family of a row: the joints that do not move along it are the same."""
+    split = Split(*form[: len(Split._fields)])
+    moving = moving_places(split, int(row[7]) - 1)
+    still = [joint_at(k, bool(split.backwards), int(split.shift)) for k in range(6) if k not in moving]
+    return bool((np.abs((row[still] - planted[still] + np.pi) % (2 * np.pi) - np.pi) < within).all())
 
 
 def random_arm(kind: str, seed: int) -> np.ndarray:

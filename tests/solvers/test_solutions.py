@@ -55,7 +55,15 @@ def test_a_wrist_that_leaves_an_angle_free_is_a_family_and_a_straight_elbow_is_n
     found = ik.solve_all(robot, robot.fk(q), starts=300, count=24)
     assert not found.complete and len(found) <= 24
     assert set(found.families[0].joints) >= {"shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_3_joint"}
-    assert found.families[0].lower is None
+    assert found.families[0].joints[0] == "wrist_3_joint"  # It may turn as far as its limits let it.
+    assert (found.families[0].lower, found.families[0].upper) == (robot.lower[5], robot.upper[5])
+    for x in np.linspace(-3.0, 3.0, 5):
+        box = {
+            "shoulder_pan_joint": (0.29, 0.31),
+            "wrist_2_joint": (-1e-2, 1e-2),
+            "wrist_3_joint": (x - 1e-9, x + 1e-9),
+        }
+        assert ik.solve(robot, robot.fk(q), "lm", limits=box, restarts=60).success
     q = np.array([0.3, -1.2, 0.0, -0.5, 0.9, 0.8])
     found = ik.solve_all(robot, robot.fk(q), starts=300)
     assert found.families == () and apart(found.q, q).min() < 1e-3

@@ -11,19 +11,20 @@ from ...compile.array_view import cut, fold, keep, view
 from ...compile.jit import build, cached, compiled, inline, inner
 from ..algebra import M3, V3, Pose, at3, put3, put_axes, rotation_at
 from ..records import Array
-from .account import account_for, near, off_circle, put_solution, set_up, to_joints
+from .account import Roots, account_for, near, off_circle, put_solution, set_up, size, to_joints
 from .angles import Null, find_angles, find_null
 from .closure import JointLoop, close, inverse, least_gain, pose_of, rotated, wrapped
+from .decomposition import decompose
 from .equations import LoopEquations
-from .roots import Roots, size
-from .terms import CERTAIN, SIZES, STATE, TRUST, UNSURE
+from .terms import CERTAIN, DOUBT, SIZES, STATE, TRUST, UNSURE
 
 
 @inner
 def merge_into(one, whole):
     """Add the solutions of one form to the answer `whole` (SIZES.rows, SIZES.columns); return whether it lists no others."""
     for k in range(1, int(one[0, 0]) + 1):
-        put_solution(whole, one[k], one[k, 6], one[k, 7])
+        if put_solution(whole, one[k], one[k, 6], one[k, 7]) == 0:
+            whole[int(whole[0, 0]), 8] = one[k, 8]
     return whole[0, 0] == one[0, 0]
 
 
@@ -38,8 +39,8 @@ class Work(NamedTuple):
     null: Null
     A: Array  # (6, 9) scratch
     N: Array  # (9, 9) scratch
-    form: Array  # (10,)
-    tables: Array  # (5, SIZES.samples)
+    form: Array  # (SIZES.form,)
+    tables: Array  # (2, SIZES.samples)
     mix: Array  # (6, 14)
     found: Array  # (SIZES.rows, SIZES.columns) the solutions of this form, as in an answer
 
@@ -48,7 +49,7 @@ class Work(NamedTuple):
 def make_work(block, axes):
     """Cut all arrays from a block of memory."""
     block[0] = 0.0
-    target, X, J, error, q = cut(block, np.float64, (12, 12, (6, 6), 6, 6))
+    target, X, J, back, error, q = cut(block, np.float64, (12, 12, (6, 6), (6, 6), 6, 6))
     lines, left, right, V, scales = cut(block, np.float64, ((6, 6), (27, 14), (9, 14), (8, 14), 8))
     reduced, W, values = cut(block, np.float64, ((27, 14), (3, 6, 9), SIZES.samples))
     c, z = cut(block, np.complex128, (2 * SIZES.degree + 1, 2 * SIZES.degree))
@@ -56,10 +57,10 @@ def make_work(block, axes):
     pair, monomials, t, A, N = cut(block, np.float64, ((2, 12), 14, 6, (6, 9), (9, 9)))
     order, swaps = cut(block, np.int64, (8, 12))
     form, tables, mix, found = cut(
-        block, np.float64, (SIZES.form, (5, SIZES.samples), (6, 14), (SIZES.rows, SIZES.columns))
+        block, np.float64, (SIZES.form, (2, SIZES.samples), (6, 14), (SIZES.rows, SIZES.columns))
     )
     return Work(
-        target, JointLoop(axes, X, J, swaps, error, q), LoopEquations(lines, left, right, V, scales, order, reduced, W),
+        target, JointLoop(axes, X, J, back, swaps, error, q), LoopEquations(lines, left, right, V, scales, order, reduced, W),
         Roots(values, c, z, radius, state), Null(M, P, swaps, x, pair, monomials, t), A, N, form, tables, mix, found,
     )  # fmt: skip
 
@@ -69,7 +70,7 @@ def load(d, form):
     """Copy a row of numbers to its places: the Form, its tables, and the numbers that combine equations."""
     for k in range(SIZES.form):
         d.form[k] = form[k]
-    for i in range(5):
+    for i in range(2):
         for k in range(SIZES.samples):
             d.tables[i, k] = form[SIZES.form + i * SIZES.samples + k]
     for i in range(6):
@@ -101,6 +102,15 @@ def motion_to(T, arm, X):
 
 
 @inner
+def use_form(d):
+    """Answer the target at work with the form at work, a decomposition if its degree is 0; return what `account_for` does."""
+    if d.form[3] == 0.0:
+        decompose(d, d.form[4], False)
+        return pose_of(d.loop.X), 0
+    return account_for(d)
+
+
+@inner
 def nudge(d, angle):
     """Write to d.loop.X the target, turned by a small angle [rad] and moved by as much of the arm."""
     pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # a unit vector that is no special one
@@ -121,7 +131,7 @@ def look_around(d, forms, whole):
         if f < forms.shape[0]:
             load(d, forms[f])
             nudge(d, (1e-3 if k % 4 < 2 else 2e-2) * (1.0 if k % 2 == 0 else -1.0))
-            account_for(d)
+            use_form(d)
             nudge(d, 0.0)
             for n in range(1, int(d.found[0, 0]) + 1):
                 for i in range(6):
@@ -147,12 +157,19 @@ def all_counted(whole, roots):
 
 @inner
 def list_near(d, pose, rank, within, whole):
-    """Write configurations after the solutions of a certain answer: one for each complex root that is near the circle.
+    """Write configurations after the solutions of a certain answer: one for each complex root near the circle, or merged branch.
 
     Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the
     angles that belong to the root moved onto the circle. Of two roots in one place nothing is written, but note -1.
     """
     n, at = 2 * int(d.form[3]), int(whole[0, 0])
+    if n == 0:
+        decompose(d, max(d.form[4], DOUBT.near * within * within), True)
+        for k in range(1, int(d.found[0, 0]) + 1):
+            for i in range(6):
+                whole[at + k, i] = d.found[k, i]
+        whole[0, 7] = d.found[0, 0] if d.found[0, 7] == 0.0 else -1.0
+        return
     for i in range(n):
         z = d.r.z[i]
         if d.r.state[i] != STATE.complex or off_circle(z) > within:
@@ -162,7 +179,7 @@ def list_near(d, pose, rank, within, whole):
             return
         if size(z) > 1.0:
             continue  # Its partner is listed.
-        root = math.atan2(z.imag, z.real) + d.form[4]
+        root = math.atan2(z.imag, z.real)
         find_null(d.e.W, root, d.null)
         find_angles(d.e, rank, pose, root, d.null.x, d.null)
         to_joints(d)
@@ -203,13 +220,13 @@ def solve_loops(forms, arm, T, found, values, within):
                 for k in range(SIZES.samples):
                     values[t, k] = d.r.values[k]
                 break
-            pose, rank = account_for(d)
+            pose, rank = use_form(d)
             alone = merge_into(d.found, view(found[t]))
             status = int(d.found[0, 1]) if alone or d.found[0, 1] != CERTAIN else UNSURE
             roots = min(roots, d.found[0, 3] if d.found[0, 3] > 0.0 else math.inf)
             for k in range(3, SIZES.columns):
                 found[t, 0, k] = d.found[0, k]
-            found[t, 0, 2] = f + 1.0
+            found[t, 0, 2] = f + 1.0 if d.form[3] > 0.0 else 0.0
             if status == CERTAIN and within > 0.0:
                 list_near(d, pose, rank, within, view(found[t]))
             if status != UNSURE:

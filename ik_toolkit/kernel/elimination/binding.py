@@ -3,15 +3,15 @@
 The loop can be read forwards or backwards and begun at any joint. A reading is good if the angle that is kept tells the solutions
 apart: with a spherical wrist, joints 1 to 3 have the same values in the two solutions of the wrist, so one of the others must be
 kept. This is not decided by geometry but by asking each reading for the solutions of the same poses, and seeing how many it
-finds and certifies. Factors of the determinant that are the same for all poses, as sin^4 of a wrist's angle, are divided out.
+finds and certifies. An arm whose geometry splits into subproblems is decomposed first.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from .answer import solve_loops
+from .decomposition import nearest_point, splits_of
 from .terms import CERTAIN, SIZES, Form
 
 
@@ -19,12 +19,9 @@ class ReadingChoice(NamedTuple):
     """Constants of the choice, found on 60 arms and 33 kinds of structures."""
 
     poses: int = 12  # number of random poses on which readings are compared
-    compared: int = 7  # number of these at which a root must stand at the same place to be divided out
     kept: int = 4  # number of readings that are kept
     share: float = 0.6  # a reading is kept if it finds most solutions at this share of the poses
     tone: float = 1e-12  # a harmonic below this share of the largest is rounding; true ones of 1e-10 occur
-    cluster: float = 0.02  # roots of a multiple one come out this far apart, relatively
-    still: float = 2e-6  # a root that is divided out differs by less than this between poses
     seed: int = 0
 
 
@@ -47,8 +44,7 @@ def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
     axes, points: (6, 3) directions and points [m] of the joints at q = 0; T (4, 4): the tip's pose there. The centre is the point
     nearest all lines, the size the largest distance of a line from it.
     """
-    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # across each axis
-    centre = np.linalg.lstsq(P.reshape(-1, 3), (P @ points[:, :, None]).ravel(), rcond=None)[0]
+    centre = nearest_point(np.hstack([axes, points]))
     near = points + axes * ((centre - points) * axes).sum(axis=1, keepdims=True) - centre
     size = max(float(np.linalg.norm(near, axis=1).max()), 1e-9)
     tip = (T[:3, 3] - centre) / size
@@ -80,9 +76,11 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
     rng = np.random.default_rng(CHOICE.seed)
     T = np.array([arm_tip(arm, q) for q in rng.uniform(-np.pi, np.pi, (CHOICE.poses, 6))])
     mix = np.linalg.qr(rng.normal(size=(14, 14)))[0][:6].ravel()
+    split = next((row for row in splits_of(arm) if _sure(row, arm, T) >= CHOICE.share * CHOICE.poses), None)
+    first = np.empty((0, SIZES.whole)) if split is None else split[None]
     tried = [reading for k in range(12) if (reading := _try(arm, T, mix, k // 6, k % 6)) is not None]
     if not tried:
-        return np.empty((0, SIZES.whole))
+        return first
     most = np.max([reading.real for reading in tried], axis=0)
 
     def rank(one: Reading) -> tuple:
@@ -92,96 +90,37 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
 
     tried.sort(key=rank)
     good = [one.row for one in tried if (one.real == most).sum() >= CHOICE.share * CHOICE.poses]
-    return np.array((good or [tried[0].row])[: CHOICE.kept])
+    return np.vstack([first, (good or [tried[0].row])[: CHOICE.kept]])
+
+
+def _sure(split: np.ndarray, arm: np.ndarray, T: np.ndarray) -> int:
+    """Return for how many poses a decomposition has solutions and is sure of them."""
+    notes = answers(split[None], arm, T)[:, 0]
+    return int(((notes[:, 0] > 0) & (notes[:, 1] == CERTAIN)).sum())
 
 
 def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift: int) -> Reading | None:
     """Return a reading with what it finds at the poses T, or None if its determinant is 0 for all angles or too high in degree."""
-    plain = _row(Form(backwards, shift, 0, SIZES.degree, 0.0, 0.0, *(1e9,) * 4), [], mix)
-    found, values = np.zeros((CHOICE.compared, SIZES.rows, SIZES.columns)), np.empty((CHOICE.compared, SIZES.samples))
-    solve_loops(plain[None], arm, T[: CHOICE.compared], found, values, 0.0)
+    plain = _row(Form(backwards, shift, 0, SIZES.degree, 0.0), mix)
+    found, values = np.zeros((len(T), SIZES.rows, SIZES.columns)), np.empty((len(T), SIZES.samples))
+    solve_loops(plain[None], arm, T, found, values, 0.0)
     tones = np.abs(np.fft.rfft(values))[:, : SIZES.degree + 3]
     present = np.flatnonzero((tones > CHOICE.tone * tones.max(axis=1, keepdims=True)).any(axis=0))
     degree = int(present.max(initial=0))
     if not 0 < degree <= SIZES.degree:
         return None
-    constant = _constant_roots(values, degree)
-    left = degree - sum(power if size < 1.0 else power / 2 for _, size, power in constant)
-    places = [angle for angle, size, _ in constant if size == 1.0]
-    if left != int(left) or left <= 0 or len(places) > 4:
-        constant, left, places = [], degree, []
-    count = 2 * int(left) + 5
-    starts = np.arange(64) / 64 * 2 * np.pi / count
-    phase = max(starts, key=lambda x: np.abs(_factor(constant, x + 2 * np.pi * np.arange(count) / count)).min())
-    largest = np.median(np.abs(values).max(axis=1))
-    largest /= np.abs(_factor(constant, phase + 2 * np.pi * np.arange(count) / count)).max()
-    rank = found[:, 0, 3].max()
-    form = Form(backwards, shift, rank, left, phase * bool(constant), largest, *(places + [1e9] * 4)[:4])
-    row = _row(form, constant, mix)
+    row = _row(Form(backwards, shift, found[:, 0, 3].max(), degree, np.median(np.abs(values).max(axis=1))), mix)
     notes = answers(row[None], arm, T)
-    real = notes[:, 0, 0]
     kept = [np.sort(one[1 : 1 + int(one[0, 0]), 7]) for one in notes]
     return Reading(
-        row, real, int((notes[:, 0, 1] == CERTAIN).sum()), any((np.diff(roots) == 0.0).any() for roots in kept),
+        row, notes[:, 0, 0], int((notes[:, 0, 1] == CERTAIN).sum()), any((np.diff(roots) == 0.0).any() for roots in kept),
         float(np.median(notes[:, 0, 5])),
     )  # fmt: skip
 
 
-def _row(form: Form, constant: list, mix: np.ndarray) -> np.ndarray:
+def _row(form: Form, mix: np.ndarray) -> np.ndarray:
     """Return the numbers of a form, with its tables."""
     count = 2 * int(form.degree) + 5
-    turns, tables = 2 * np.pi * np.arange(count) / count, np.zeros((5, SIZES.samples))
-    angles = form.phase + turns
-    tables[:, :count] = (
-        np.cos(turns), np.sin(turns), np.cos(angles), np.sin(angles), 1.0 / _factor(constant, angles),
-    )  # fmt: skip
-    return np.concatenate([form, tables.ravel(), mix])
-
-
-def _factor(constant: list, angles: np.ndarray) -> np.ndarray:
-    """Return the trigonometric polynomial with these roots (angle, size, power) at angles (K,)."""
-    value = np.ones_like(angles)
-    for angle, size, power in constant:
-        if size == 1.0:
-            value = value * np.sin((angles - angle) / 2) ** power
-        else:  # with its partner outside the circle
-            value = value * (1.0 + size * size - 2.0 * size * np.cos(angles - angle)) ** power
-    return value
-
-
-def _clusters(values: np.ndarray, degree: int) -> list[tuple[complex, int]]:
-    """Return the roots z = exp(i q) of a trigonometric polynomial with these values (K,), and how often each occurs."""
-    tones = np.fft.fft(values)
-    c = np.concatenate([tones[-degree:], tones[: degree + 1]])
-    left, found = list(np.roots(c[::-1])), []
-    while left:
-        z = left.pop()
-        same = [z, *(other for other in left if abs(other - z) < CHOICE.cluster * abs(z))]
-        left = [other for other in left if abs(other - z) >= CHOICE.cluster * abs(z)]
-        found.append((complex(np.mean(same)), len(same)))
-    return found
-
-
-def _constant_roots(values: np.ndarray, degree: int) -> list[tuple[float, float, int]]:
-    """Return the roots (angle, size, power) that stand at the same place for all poses, with values (P, K) of the determinant.
-
-    Of two partners z and 1 / conj(z) the one inside the circle is listed. The mean of a cluster is exact to rounding, though its
-    members are not.
-    """
-    first, *others = [_clusters(row, degree) for row in values]
-    found = []
-    for z, power in first:
-        near = [
-            [w for w, times in other if times == power and abs(w - z) < CHOICE.still * max(abs(z), 1.0)]
-            for other in others
-        ]
-        if not all(near):
-            continue
-        every = [z, *(one[0] for one in near)]
-        z = complex(np.median([w.real for w in every]), np.median([w.imag for w in every]))
-        if abs(abs(z) - 1.0) < 1e-6:
-            angle = math.atan2(z.imag, z.real) if abs(z.imag) > 1e-8 else 0.0 if z.real > 0.0 else math.pi
-            found.append((angle, 1.0, power))
-        elif abs(z) < 1.0:
-            found.append((math.atan2(z.imag, z.real), abs(z), power))
-    return found
+    turns, tables = 2 * np.pi * np.arange(count) / count, np.zeros((2, SIZES.samples))
+    tables[:, :count] = np.cos(turns), np.sin(turns)
+    return np.concatenate([form, np.zeros(SIZES.form - len(form)), tables.ravel(), mix])

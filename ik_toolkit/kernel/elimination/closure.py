@@ -10,7 +10,7 @@ counted from its centre.
 import math
 from typing import NamedTuple
 
-from ...compile.jit import compiled, inline, inner
+from ...compile.jit import compiled, inline, inner, shared
 from ..algebra import M3, V3, Pose, at3, put3, rotation_at, rotation_left
 from ..kinematics import TAU
 from ..linalg import lu_factor, lu_substitute
@@ -33,6 +33,7 @@ class JointLoop(NamedTuple):
     axes: Array  # (6, 6) the lines, joint by joint
     X: Array  # (12,) rotation matrix by rows, and vector
     J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
+    B: Array  # (6, 6) its inverse, but for the order of columns
     swaps: Array  # (12,) rows that the factorisation exchanged
     error: Array  # (6,) the twist that is left
     q: Array  # (6,) joint values
@@ -77,7 +78,7 @@ def inverse(pose):
     return Pose(back, -back.times(pose.point))
 
 
-@inline
+@shared
 def joint_at(place, backwards, shift):
     """Return which joint stands at a place of the reordered loop."""
     k = place + shift
@@ -173,14 +174,21 @@ def close(loop, most, longest, still):
 
 @inner
 def least_gain(loop):
-    """Return 1 / |J^-1| (Frobenius norm) at loop.q, at most the least singular value of J, and at least 0.4 of it."""
-    measure_loop(loop, loop.q)
-    lu_factor(loop.J, loop.swaps, 6, TRUST.faint)
-    total = 0.0
-    for k in range(6):
-        for i in range(6):
-            loop.error[i] = 1.0 if i == k else 0.0
-        lu_substitute(loop.J, loop.swaps, loop.error, 6)
-        for i in range(6):
-            total += loop.error[i] * loop.error[i]
+    """Return 1 / |J^-1| (Frobenius norm) of the twists just written, at most the least singular value of J, at least 0.4 of it."""
+    J, B, total = loop.J, loop.B, 0.0
+    lu_factor(J, loop.swaps, 6, TRUST.faint)
+    for i in range(6):  # B = L^-1; the exchanges of rows do not change its norm
+        for j in range(6):
+            B[i, j] = 1.0 if i == j else 0.0
+        for k in range(i):
+            for j in range(6):
+                B[i, j] -= J[i, k] * B[k, j]
+    for i in range(5, -1, -1):  # B = U^-1 L^-1
+        for k in range(i + 1, 6):
+            for j in range(6):
+                B[i, j] -= J[i, k] * B[k, j]
+        share = 1.0 / J[i, i]
+        for j in range(6):
+            B[i, j] *= share
+            total += B[i, j] * B[i, j]
     return 1.0 / math.sqrt(total) if total < math.inf else 0.0

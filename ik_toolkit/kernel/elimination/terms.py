@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from ...compile.jit import compiled
 
-CERTAIN, DOUBLE, UNSURE = 0, 1, 2  # verdicts on an answer
+CERTAIN, DOUBLE, UNSURE, FAMILY = 0, 1, 2, 3  # verdicts on an answer
 
 
 @compiled
@@ -28,13 +28,14 @@ class Sizes(NamedTuple):
     rows: int = (
         33  # rows of an answer: the notes, and up to 32 solutions (an arm has 16 at most, the rest are repetitions)
     )
-    columns: int = 8  # numbers of a solution: q (6,), the gain of `closure.least_gain`, the root [rad]
-    form: int = 10  # numbers of a Form
-    tables: int = (
-        165  # rows: cos, sin of 2 pi k / K; cos, sin of the angles of the values; inverse of what is divided out
-    )
+    # Numbers of a solution: q (6,), the gain of `closure.least_gain`, the root [rad]. Of a decomposition, for the root: 0, or
+    # the number of the place whose angle is free, from 1 on, and by how much it may turn either way [rad].
+    columns: int = 9
+    form: int = 7  # numbers of a Form, or of a `decomposition.Split`
+    tables: int = 66  # rows: cos, sin of 2 pi k / K
     arm: int = 52  # numbers of an arm, see `answer.solve_loops`
-    whole: int = 259  # numbers of a form with its tables and `mix`
+    whole: int = 157  # numbers of a form with its tables and `mix`
+    branches: int = 8  # of a decomposition, from three square roots
     block: int = 4096  # numbers of scratch, more than `make_work` cuts
 
 
@@ -78,10 +79,24 @@ class Trust(NamedTuple):
     same: float = 1e-7  # solutions are the same if no joint differs by more; at a singular pose see `tolerance`
     singular: float = 1e-3  # two roots may share a solution whose gain is below this: DOUBLE
     family: float = 1e-5  # a solution with a smaller gain may be one of a continuum, so the answer is not certain
-    near_place: float = 1e-4  # a root this near a divided-out one may be a part of it
 
 
-STATE, SIZES, TRUST = RootState(), Sizes(), Trust()
+@compiled
+class Doubt(NamedTuple):
+    """When a decomposition must say that it is not sure; angles [rad], lengths in sizes of the arm."""
+
+    rounding: float = 3e-15  # error of every number of an exact arm; 1e-15 occurs
+    off: float = 1e-3  # axes that miss a structure by more do not have it
+    band: float = 4.0  # so many errors are never passed
+    apart: float = 1e-3  # solutions that may be one, or none, must be nearer than this
+    still: float = 1e-9  # a point that moves by less as an angle changes leaves that angle free
+    loose: float = 1e-5  # an angle is free only if the numbers that leave it so are exact to this
+    # Poses within an error e have complex solutions at most 30 sqrt(e) from real ones (`decide.MARGINS.gap`): twice (1 / 30)^2
+    near: float = 2e-3
+    alike: float = 1e-12  # an arm that is off by less has no more solutions than branches
+
+
+STATE, SIZES, TRUST, DOUBT = RootState(), Sizes(), Trust(), Doubt()
 
 
 class Form(NamedTuple):
@@ -91,20 +106,15 @@ class Form(NamedTuple):
     shift: float  # how many joints later it begins
     rank: float  # rank of the 8 monomials of joints 1 and 2
     degree: float  # degree of the determinant, without what is divided out
-    phase: float  # first of the angles at which the determinant is evaluated [rad]
     largest: float  # usual size of the determinant's values
-    place1: float  # up to four angles [rad] of roots that are the same for all targets, and are divided out; 1e9: none
-    place2: float
-    place3: float
-    place4: float
 
 
 class Notes(NamedTuple):
-    """What an answer says of itself; its first row."""
+    """What an answer says of itself; its first row, but for its last number."""
 
     count: float  # solutions
     status: float  # CERTAIN, DOUBLE or UNSURE
-    forms: float  # forms that were tried
+    forms: float  # forms that were tried; 0 if a decomposition has answered
     roots: float  # roots of the determinant of the last form
     complex: float  # those that are proven complex; if the answer is certain, each of the others is a solution
     radius: float  # radius of the largest disc of a real root

@@ -12,7 +12,7 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
 N = 6
-# Number of Newton steps that improve a solution of EAIK.
+# Number of Newton steps that improve a solution of EAIK, or finish one of the elimination on the actual chain, where one is usual.
 # At a singular pose EAIK's solutions have errors of 1e-4, which each step halves.
 STEPS = 12
 # Slices of the parameters (48,), all at q = 0: axes (6, 3), vectors from one axis to the next (7, 3), the tip's rotation.

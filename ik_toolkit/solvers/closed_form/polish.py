@@ -103,13 +103,14 @@ def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, tab
     box = Ends(ends, n)
     o = read(Orders, opt)
     kept = legal = 0
-    q = np.empty(n)
+    q, old = np.empty(n), np.empty(n)
+    p = make_serial(rows, ends, opt[HEAD:], n, o)
     for k in range(Q.shape[0]):
         if broken[k] > 0.0:
             continue
         legal += 1
         copy(Q[k], q)
-        position, rotation, _ = polish(rows, ends, opt, T, q, fixed, steps, np.inf)
+        position, rotation, _ = newton(p, old, opt, T, q, fixed, steps, np.inf)
         if not (position < o.tol_p and rotation < o.tol_r):
             continue
         distance = 0.0

@@ -1,0 +1,289 @@
+"""Arms whose geometry splits into subproblems, so that all their solutions are branches of at most three square roots.
+
+- A wrist: the last three axes meet. Joints 1 to 3 place the point where they do, and it has solutions by two square roots if axes
+  2 and 3, or 1 and 2, are parallel or meet (Pieper 1968). Joints 4 to 6 turn what is left.
+- Three parallel axes, 2 to 4, and axes 5 and 6 meet: the point where they do has its height along the three by joint 1 alone, the
+  direction of the three then gives joints 5 and 6, and joints 2 to 4 are a planar arm.
+
+"First" and "last" are those of the reordered loop (`closure.reorder`), so that a wrist may be at the base, or in the middle.
+An arm that almost fits is decomposed as if it did, and each branch is brought to the actual chain. How far it is off counts as an
+error of every number. Where that error could make a branch appear or vanish, the answer is UNSURE and the elimination is asked.
+"""
+
+# Pyright must ignore what numba's type hints lack.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ...compile.jit import inline, inner
+from .account import put_solution, to_joints
+from .angles import any_normal
+from .closure import (
+    Line,
+    close,
+    joint_at,
+    least_gain,
+    line_moved,
+    line_of,
+    measure_loop,
+    reorder,
+    rotated,
+    turned,
+    wrapped,
+)
+from .subproblems import Angles, angle_from, arcs_between, circle_about, height_on, solve_sum, square_on
+from .terms import CERTAIN, DOUBT, FAMILY, SIZES, TRUST, UNSURE
+
+
+class Split(NamedTuple):
+    """A way to decompose an arm; the first numbers of its row, which has the places of a `terms.Form`, with the lines after them.
+
+    The lines (joint by joint, in the places of `mix`) meet and are parallel exactly.
+    """
+
+    backwards: float  # 1 if the loop is read backwards
+    shift: float  # how many joints later it begins
+    parallel: float  # 1 if three axes are parallel, 0 if there is a wrist
+    degree: float  # 0: there is no determinant
+    off: float  # how far the actual lines are off, and rounding
+    square: float  # 1 if the equation with one unknown is that of distances (two axes meet), 0 if that of heights
+    third: float  # 1 if its unknown is joint 3, 0 if joint 1
+
+
+# ------------------------------------------------------------------------------------------------------------------ branches
+@inline
+def turn_back(v, line, t):
+    """Return a direction turned about a line by -t."""
+    return rotated(v, line.along, math.cos(t), -math.sin(t))
+
+
+@inline
+def lever(line, point):
+    """Return the distance of a point from a line that it turns about."""
+    return circle_about(line, point, 1.0).width()
+
+
+@inner
+def put_branch(d, free, half, merged, doubt, error, near):
+    """Add the branch null.t (6,), angles of the reordered loop, to d.found; of a doubtful one, note that the answer is UNSURE.
+
+    free: place whose angle is free, or -1; half: by how much it may turn either way [rad]; error: how far angles may be off [rad];
+    near: list the branch as it is if it has merged with another.
+    """
+    q, found = d.loop.q, d.found
+    to_joints(d)
+    if near:
+        count = int(found[0, 0])
+        if merged and count + 1 < SIZES.rows:
+            found[0, 0] = count + 1.0
+            for i in range(6):
+                found[count + 1, i] = wrapped(q[i])
+            found[0, 7] = -1.0 if free >= 0 else found[0, 7]
+        return
+    size, moved, inexact = measure_loop(d.loop, q), 0.0, d.form[4] > DOUBT.rounding
+    if free < 0 and (size > TRUST.closed or (inexact and not merged)):
+        size = close(d.loop, TRUST.steps, TRUST.longest, TRUST.still)
+        for place in range(6):
+            t = -d.null.t[place] if d.form[0] > 0.0 else d.null.t[place]
+            moved = max(moved, abs(wrapped(q[joint_at(place, d.form[0] > 0.0, int(d.form[1]))] - t)))
+    for i in range(6):
+        q[i] = wrapped(q[i])
+    # One of a family need not be exact.
+    closed = size < (TRUST.closed if free < 0 else DOUBT.loose) and moved <= max(DOUBT.apart, DOUBT.band * error)
+    gain, again = least_gain(d.loop), 0
+    if closed:
+        again = put_solution(found, q, gain, 1.0 + free)
+        if again == 0 and free >= 0:
+            found[int(found[0, 0]), 8] = half
+    vague = not merged and (gain * DOUBT.apart < DOUBT.rounding or (inexact and again > 0))
+    if doubt or vague or not closed:
+        found[0, 1] = UNSURE
+    elif free >= 0 and found[0, 1] != UNSURE:
+        found[0, 1] = FAMILY
+
+
+@inner
+def split_wrist(d, pose, off, near):
+    """List the branches of an arm whose last three axes meet."""
+    lines, t = d.e.lines, d.null.t
+    one, two, three = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2)
+    four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
+    goal = pose.axes.times(six.point) + pose.point
+    square, third = d.form[5] > 0.0, d.form[6] > 0.0
+    lead = 2 if third else 0  # the place of the angle that is found first
+    error = off * (1.0 + math.sqrt(goal.square()))
+    # E2 takes the point E3 c to E1^-1 X c, so both have one height along axis 2, and one distance from any of its points.
+    ring, other = circle_about(one, goal, -1.0), circle_about(three, four.point, 1.0)
+    ring, other = (other, ring) if third else (ring, other)
+    height, square1, height2, square2 = (
+        height_on(ring, two.along), square_on(ring, two.point), height_on(other, two.along), square_on(other, two.point),
+    )  # fmt: skip
+    # Of one of the two equations the other side is constant.
+    here, there, here2, there2 = (square1, square2, height, height2) if square else (height, height2, square1, square2)
+    A = solve_sum(here, there.k, error)
+    normal = any_normal(six.along)
+    for i in range(A.number):
+        x = A.first if i == 0 else A.second
+        cx, sx = math.cos(x), math.sin(x)
+        at = ring.spot(cx, sx)
+        vague = here2.drift(cx, sx, A.error) + error * (1.0 + math.sqrt((at - two.point).square()))
+        B = solve_sum(there2, here2.value(cx, sx), vague)
+        for j in range(B.number):
+            y = B.first if j == 0 else B.second
+            then = other.spot(math.cos(y), math.sin(y))
+            far = error + A.error * ring.width() + B.error * other.width()
+            start, end = (at, then) if third else (then, at)
+            C = angle_from(two.along, start - two.point, end - two.point, far)
+            t[lead], t[1], t[2 - lead] = x, C.first, y
+            turn = off + A.error + B.error + C.error
+            u, n = pose.axes.times(six.along), pose.axes.times(normal)
+            for k in range(3):
+                line = line_of(lines, k)
+                u, n = turn_back(u, line, t[k]), turn_back(n, line, t[k])
+            # R4^-1 u = R5 l6
+            cone = circle_about(Line(four.along, u * 0.0), u, -1.0)
+            D = solve_sum(height_on(cone, five.along), five.along.dot(six.along), turn)
+            doubt = A.doubt or B.doubt or C.doubt or D.doubt
+            merged = A.merged or B.merged or C.merged or D.merged
+            free = lead if A.free else 2 - lead if B.free else 1 if C.free else 3 if D.free else -1
+            for k in range(D.number):
+                t[3] = D.first if k == 0 else D.second
+                z = turn_back(u, four, t[3])
+                t[4] = angle_from(five.along, six.along, z, 0.0).first
+                t[5] = angle_from(six.along, normal, turn_back(turn_back(n, four, t[3]), five, t[4]), 0.0).first
+                put_branch(d, free, math.pi, merged, doubt, turn + D.error, near)
+
+
+@inner
+def split_parallel(d, pose, off, near):
+    """List the branches of an arm whose axes 2 to 4 are parallel and whose axes 5 and 6 meet."""
+    lines, t = d.e.lines, d.null.t
+    one, two, three = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2)
+    four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
+    goal, w = pose.axes.times(six.point) + pose.point, two.along
+    error = off * (1.0 + math.sqrt(goal.square()))
+    # E2 E3 E4 keeps heights along w, so that of E1^-1 X o is that of o, where axes 5 and 6 meet.
+    A = solve_sum(height_on(circle_about(one, goal, -1.0), w), w.dot(six.point), error)
+    normal, elbow = any_normal(w), circle_about(three, four.point, 1.0)
+    for i in range(12 if A.free else A.number):
+        if A.free and d.found[0, 0] > 0.0:
+            break
+        t[0] = A.second if i == 1 else A.first + (math.pi / 6.0) * i
+        c1, s1 = math.cos(t[0]), math.sin(t[0])
+        # R5 R6 v = w, v = X^-1 R1 w
+        v = pose.axes.across(rotated(w, one.along, c1, s1))
+        cone = circle_about(Line(six.along, v * 0.0), v, 1.0)
+        turn = off + A.error
+        D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
+        unsure, loose, half = A.doubt or D.doubt, D.free, math.pi
+        if loose:  # Axis 6 is parallel to w, so joint 6 may turn as long as the elbow reaches. Take the middle of where it does.
+            t[4] = angle_from(five.along, v, w, 0.0).first
+            a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
+            far = square_on(circle_about(six, a, -1.0), pose.axes.across(turned(two, one, c1, s1).point - pose.point))
+            low = max(fold.k - fold.swing(), far.k - far.swing())
+            arcs = arcs_between(far, low, min(fold.k + fold.swing(), far.k + far.swing()))
+            D = Angles(arcs.first, arcs.second, arcs.number, 0.0, True, True, unsure)
+            half = arcs.half
+        for k in range(D.number):
+            t[5] = D.first if k == 0 else D.second
+            c6, s6 = math.cos(t[5]), math.sin(t[5])
+            t[4] = angle_from(five.along, rotated(v, six.along, c6, s6), w, 0.0).first
+            # E2 E3 E4 = E1^-1 X E6^-1 E5^-1, applied to the point four and to a normal of w
+            at5 = turned(Line(normal, four.point), five, math.cos(t[4]), -math.sin(t[4]))
+            at6 = line_moved(pose, turned(at5, six, c6, -s6))
+            line, swept = turned(at6, one, c1, -s1), circle_about(one, at6.point, -1.0)
+            arms = D.error * (lever(five, at5.point) + lever(six, at5.point))
+            away, error2 = line.point - two.point, error + arms
+            vague = square_on(swept, two.point).drift(c1, s1, A.error) + error2 * (1.0 + math.sqrt(away.square()))
+            B = solve_sum(square_on(elbow, two.point), 0.5 * away.square(), vague)
+            whole = angle_from(w, normal, line.along, 0.0).first
+            for j in range(B.number):
+                t[2] = B.first if j == 0 else B.second
+                start = elbow.spot(math.cos(t[2]), math.sin(t[2])) - two.point
+                C = angle_from(w, start, away, error2 + A.error * swept.width() + B.error * elbow.width())
+                t[1] = C.first
+                t[3] = four.along.dot(w) * (whole - t[1] - three.along.dot(w) * t[2])
+                merged = A.merged or B.merged or C.merged or D.merged
+                free = 0 if A.free else 5 if loose else 1 if C.free else -1
+                put_branch(d, free, half, merged, unsure or B.doubt or C.doubt, turn + error2 + B.error + C.error, near)
+
+
+@inner
+def decompose(d, off, near):
+    """Answer the target at work with the decomposition at work: write d.found, with rows as of an elimination.
+
+    off: error of every number. near: list nothing but branches that merge within it.
+    """
+    found = d.found
+    for k in range(SIZES.columns):
+        found[0, k] = 0.0
+    found[0, 1] = CERTAIN
+    pose = reorder(d.mix, d.loop.X, d.form[0] > 0.0, int(d.form[1]), d.e.lines)
+    if d.form[2] > 0.0:
+        split_parallel(d, pose, off, near)
+    else:
+        split_wrist(d, pose, off, near)
+    if found[0, 1] != UNSURE or off < DOUBT.alike:
+        found[0, 3], found[0, 4] = SIZES.branches, SIZES.branches - found[0, 0]
+    found[0, 6] = off
+
+
+# --------------------------------------------------------------------------------------------------------------- recognition
+def splits_of(arm: np.ndarray) -> list[np.ndarray]:
+    """Return the rows (SIZES.whole,) of the decompositions that an arm (52,) may have, those that it fits best first."""
+    wrist, lines = (True, (3, 4, 5)), arm[:36].reshape(6, 6)
+    # Marks `parallel`, `square` and `third` of a Split, and conditions: whether lines meet (or are parallel), and their places.
+    structures = (
+        (0, 0, 0, (wrist, (False, (1, 2)))),
+        (0, 1, 0, (wrist, (True, (1, 2)))),
+        (0, 0, 1, (wrist, (False, (0, 1)))),
+        (0, 1, 1, (wrist, (True, (0, 1)))),
+        (1, 0, 0, ((False, (1, 2, 3)), (True, (4, 5)))),
+    )
+    found = []
+    for backwards, shift in itertools.product((0, 1), range(6)):
+        joints = [joint_at(place, bool(backwards), shift) for place in range(6)]
+        for parallel, square, third, conditions in structures:
+            made = lines.copy()
+            for meet, places in conditions:
+                which = [joints[place] for place in places]
+                if any(abs(i - j) != 1 for i, j in itertools.pairwise(which)):
+                    break  # The target stands between them.
+                made[which] = (_meeting if meet else _parallel)(made[which])
+            else:
+                off = max(_apart(lines, made), DOUBT.rounding)
+                row = np.zeros(SIZES.whole)
+                row[:7] = Split(backwards, shift, parallel, 0, off, square, third)
+                row[-84:].reshape(6, 14)[:, :6] = made
+                found.append(row)
+    found = [row for row in found if row[4] < DOUBT.off]
+    return sorted(found, key=lambda row: (round(math.log10(row[4])), row[1], row[0]))
+
+
+def nearest_point(lines: np.ndarray) -> np.ndarray:
+    """Return the point (3,) nearest to lines (K, 6)."""
+    axes, points = lines[:, :3], lines[:, 3:]
+    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # across each axis
+    return np.linalg.lstsq(P.reshape(-1, 3), (P @ points[:, :, None]).ravel(), rcond=None)[0]
+
+
+def _apart(lines: np.ndarray, others: np.ndarray) -> float:
+    """Return by how much lines (6, 6) differ from others in all: in direction, and across them."""
+    steps = others[:, 3:] - lines[:, 3:]
+    across = steps - lines[:, :3] * (steps * lines[:, :3]).sum(axis=1, keepdims=True)
+    return float(np.linalg.norm(others[:, :3] - lines[:, :3], axis=1).sum() + np.linalg.norm(across, axis=1).sum())
+
+
+def _meeting(lines: np.ndarray) -> np.ndarray:
+    """Return lines (K, 6) moved so that all have the point nearest to them."""
+    return np.hstack([lines[:, :3], np.broadcast_to(nearest_point(lines), (len(lines), 3))])
+
+
+def _parallel(lines: np.ndarray) -> np.ndarray:
+    """Return lines (K, 6) turned to their mean direction, or against it."""
+    signs = np.sign(lines[:, :3] @ lines[0, :3])
+    mean = signs @ lines[:, :3]
+    return np.hstack([np.outer(signs, mean / max(float(np.linalg.norm(mean)), 1e-9)), lines[:, 3:]])

@@ -1,0 +1,144 @@
+"""Geometric subproblems: which turns about an axis put a point where it shall be (Paden 1985, Elias and Wen 2022).
+
+All reduce to a cos x + b sin x = c. A turning point is a circle; its height along an axis, and half its squared distance from
+a point, are linear in cos x and sin x. So one function (`solve_sum`) is subproblems 3 (distance) and 4 (height), and with
+`angle_from` (subproblem 1) after it subproblem 2 (two turns that take one direction to another).
+
+Every answer says how far off it may be, given how far off the numbers are: rounding, or axes that miss each other by a little.
+Within that, two angles merge in one, and an axis through the point leaves the angle free.
+"""
+
+# Pyright must ignore what numba's type hints lack.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import math
+from typing import NamedTuple
+
+from ...compile.jit import compiled, inline, inner
+from ..algebra import V3
+from .terms import DOUBT
+
+
+@compiled
+class Circle(NamedTuple):
+    """Where a point goes that turns about a line: middle + side cos x + ahead sin x."""
+
+    middle: V3
+    side: V3
+    ahead: V3
+
+    def spot(self, c, s):
+        """Return the point at the angle with cosine c and sine s."""
+        return self.middle + self.side * c + self.ahead * s
+
+    def width(self):
+        return math.sqrt(self.side.square())
+
+
+@compiled
+class Sum(NamedTuple):
+    """A number on a circle: k + a cos x + b sin x."""
+
+    k: float
+    a: float
+    b: float
+
+    def value(self, c, s):
+        return self.k + self.a * c + self.b * s
+
+    def drift(self, c, s, error):
+        """Return by how much it may be off if the angle is off by `error`."""
+        return error * (abs(self.b * c - self.a * s) + error * self.swing())
+
+    def swing(self):
+        """Return by how much it differs from k at most."""
+        return math.sqrt(self.a * self.a + self.b * self.b)
+
+
+@compiled
+class Angles(NamedTuple):
+    """The solutions of a subproblem."""
+
+    first: float
+    second: float
+    number: int  # 2, 1 (both merge), or 0
+    error: float  # how far off they may be [rad]
+    free: bool  # whether every angle is a solution; `first` is one of them
+    merged: bool  # whether both may be one, or none
+    doubt: bool  # whether solutions may be apart visibly that are counted as one, or none
+
+
+@inline
+def circle_about(line, point, sense):
+    """Return the circle of a point that turns about a line by x, or by -x (sense 1.0 or -1.0)."""
+    away = point - line.point
+    height = line.along * line.along.dot(away)
+    side = away - height
+    return Circle(line.point + height, side, line.along.cross(side) * sense)
+
+
+@inline
+def height_on(circle, axis):
+    """Return the height of a turning point along an axis through the origin, as a Sum."""
+    return Sum(circle.middle.dot(axis), circle.side.dot(axis), circle.ahead.dot(axis))
+
+
+@inline
+def square_on(circle, point):
+    """Return half the squared distance of a turning point from another point, as a Sum."""
+    m = circle.middle - point
+    return Sum(0.5 * (m.square() + circle.side.square()), m.dot(circle.side), m.dot(circle.ahead))
+
+
+@inner
+def solve_sum(sum, value, error):
+    """Solve k + a cos x + b sin x = value for x, where each number may be off by `error`."""
+    a, b, c = sum.a, sum.b, value - sum.k
+    size, band = math.sqrt(a * a + b * b), DOUBT.band * error
+    if not abs(c) - size <= band:
+        return Angles(0.0, 0.0, 0, 0.0, False, False, False)
+    rest, least = (size - abs(c)) * (size + abs(c)), band * (size + abs(c))
+    middle = math.atan2(b, a)
+    half = math.atan2(math.sqrt(max(rest, 0.0)), c)
+    if size <= max(band, DOUBT.still):
+        return Angles(middle + half, 0.0, 1, 0.0, True, True, band > DOUBT.loose)
+    off = 2.0 * error / math.sqrt(max(rest, least))
+    doubt = rest <= least and math.sqrt(least) > DOUBT.apart * size
+    return Angles(middle + half, middle - half, 2 if rest > 0.0 else 1, off, False, rest <= least, doubt)
+
+
+@inner
+def angle_from(axis, start, end, error):
+    """Return the turn about a unit axis that takes the direction `start` nearest to `end`, as the one of the Angles.
+
+    Both directions, of any length, may be off by `error`.
+    """
+    a, b = start - axis * axis.dot(start), end - axis * axis.dot(end)
+    length = math.sqrt(min(a.square(), b.square()))
+    x, band = math.atan2(axis.dot(a.cross(b)), a.dot(b)), DOUBT.band * error
+    if length <= max(band, DOUBT.still):
+        return Angles(x, x, 1, 0.0, True, True, band > DOUBT.loose)
+    return Angles(x, x, 1, 2.0 * error / length, False, False, False)
+
+
+@compiled
+class AngleRanges(NamedTuple):
+    """Where a number on a circle is between two bounds: one arc or two, by their middles."""
+
+    first: float
+    second: float
+    number: int
+    half: float  # half of their length [rad]
+
+
+@inner
+def arcs_between(sum, low, high):
+    """Return the arcs on which low <= k + a cos x + b sin x <= high; where there is none, the place that comes nearest."""
+    size, middle = max(sum.swing(), 1e-300), math.atan2(sum.b, sum.a)
+    near = math.acos(max(-1.0, min(1.0, (high - sum.k) / size)))
+    far = math.acos(max(-1.0, min(1.0, (low - sum.k) / size)))
+    if near == 0.0:  # Both arcs meet at `middle`, or there at the other end.
+        return AngleRanges(middle, middle, 1, far)
+    if far == math.pi:
+        return AngleRanges(middle + far, middle + far, 1, far - near)
+    at = 0.5 * (near + far)
+    return AngleRanges(middle + at, middle - at, 2, 0.5 * abs(far - near))

@@ -1,0 +1,71 @@
+"""The families of a decomposed arm of six joints: which joints move while the tip stays, and from where to where."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...kernel.elimination.closure import joint_at
+from ...kernel.elimination.decomposition import Split
+from ...kernel.kinematics import TAU
+from .geometry import Family
+
+
+def moving_places(split: Split, place: int) -> tuple[int, ...]:
+    """Return the places of the joints that move along a family, that of the one whose angle is free first."""
+    if split.parallel:
+        return {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)}[place]
+    return (3, 5) if place == 3 else (place, 3, 4, 5)
+
+
+def families_of(
+    robot: Any, arm: np.ndarray, form: np.ndarray, q: np.ndarray, free: np.ndarray, box: np.ndarray
+) -> list[tuple[Family, np.ndarray]]:
+    """Return the families through a member q (6,), with the member of each that is nearest to the reference in its leading joint.
+
+    arm (52,), form: numbers of the arm and of its decomposition; free (2,): the place whose angle is free, from 1 on, and by how
+    much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits and reference [rad].
+    """
+    split = Split(*form[: len(Split._fields)])
+    place, half = int(free[0]) - 1, float(free[1])
+    joints = [joint_at(k, bool(split.backwards), int(split.shift)) for k in moving_places(split, place)]
+    names = tuple(robot.joint_names[k] for k in joints)
+    lead, last = joints[0], joints[-1]
+    low, high = (box[0, lead], box[1, lead]) if np.isfinite(box[:2, lead]).all() else (-math.pi, math.pi)
+    found = []
+    if len(joints) == 2:  # Two axes are one line, so that one joint turns as the other turns back.
+        slope = -_alignment(arm, q, *sorted((lead, last)))
+        for a, b in _ranges(float(q[lead]), slope, float(q[last]), (low, high), box[:2, last]):
+            member, at = q.copy(), min(max(box[2, lead], a), b)
+            member[lead], member[last] = at, q[last] + slope * (at - q[lead])
+            text = f"{names[1]} turns as {names[0]} does, from {a:.4f} to {b:.4f} rad"
+            found.append((Family(names, float(a), float(b), text), member))
+    elif split.parallel and place == 0:
+        found.append((Family(names, None, None, "all joints move, and the tip stays"), q))
+    else:
+        at = q[lead] + TAU * round((box[2, lead] - q[lead]) / TAU)
+        a, b = (max(at - half, box[0, lead]), min(at + half, box[1, lead])) if half < math.pi else (low, high)
+        if a <= b:
+            text = f"{names[0]} turns from {a:.4f} to {b:.4f} rad, and {', '.join(names[1:])} follow, limits of theirs not counted"
+            found.append((Family(names, float(a), float(b), text), q))
+    return found
+
+
+def _alignment(arm: np.ndarray, q: np.ndarray, first: int, last: int) -> float:
+    """Return 1.0 if the axes two joints apart have the same direction at q, -1.0 if they have opposite ones."""
+    axis, along, middle = arm[:36].reshape(6, 6)[[first, last, first + 1], :3]
+    c, s = math.cos(q[first + 1]), math.sin(q[first + 1])
+    turned = along * c + np.cross(middle, along) * s + middle * (middle @ along) * (1.0 - c)
+    return math.copysign(1.0, float(axis @ turned))
+
+
+def _ranges(at: float, slope: float, other: float, own: tuple, others: np.ndarray) -> list[tuple[float, float]]:
+    """Return the ranges of a joint in `own` for which another joint, other + slope (x - at), is inside its limits `others` (2,).
+
+    Full turns of the other joint count as inside, and slope is 1.0 or -1.0.
+    """
+    if not others[1] - others[0] < TAU:
+        return [own]
+    a, b = sorted(at + slope * (limit - other) for limit in others)
+    turns = TAU * np.arange(math.ceil((own[0] - b) / TAU), math.floor((own[1] - a) / TAU) + 1)
+    return [(max(a + turn, own[0]), min(b + turn, own[1])) for turn in turns]
