@@ -52,6 +52,8 @@ _NAMES = {
     "lissajous": "motion.shapes",
     "waypoints": "motion.waypoints",
     "reference_from_file": "motion.waypoints",
+    "reachability": "study.reachability",
+    "ReachabilityMap": "study.reachability_map",
     "tune": "study.tune",
     "workspace": "study.workspace",
     "best_gains": "servo.stability",

@@ -30,6 +30,7 @@ MODULES = (
     "bench",
     "tune",
     "workspace",
+    "reach",
     "files",
     "view",
     "doctor",
