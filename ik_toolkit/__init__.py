@@ -52,6 +52,7 @@ _NAMES = {
     "lissajous": "motion.shapes",
     "waypoints": "motion.waypoints",
     "reference_from_file": "motion.waypoints",
+    "place": "study.place",
     "reachability": "study.reachability",
     "ReachabilityMap": "study.reachability_map",
     "tune": "study.tune",

@@ -31,6 +31,7 @@ MODULES = (
     "tune",
     "workspace",
     "reach",
+    "place",
     "files",
     "view",
     "doctor",

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
+from ..study.place import Placements
 from ..study.reachability_map import Reach, ReachabilityMap
 from ..style import COLOURS, GREY, PALE
 from .plots import drawing, literal_text
@@ -153,3 +154,38 @@ def ramp(values: np.ndarray) -> np.ndarray:
     high = max(float(np.max(values, initial=0.0)), 1e-300)
     x = np.clip(np.asarray(values, dtype=float) / high, 0.0, 1.0) * (len(stops) - 1)
     return np.stack([np.interp(x, np.arange(len(stops)), stops[:, c]) for c in range(3)], axis=-1)
+
+
+def plot_places(found: Placements) -> Any:
+    """Draw the floor from above: the best share of the poses that a base in each square reached, the poses, and the places."""
+    bases, shares = found.candidates, found.shares
+    at = found.poses if found.poses.ndim == 2 else found.poses[:, :3, 3]
+    low, high = bases[:, :2].min(axis=0), bases[:, :2].max(axis=0)
+    wide = max(float((high - low).max()) / 45.0, 1e-6)
+    sides = np.floor((high - low) / wide).astype(int) + 1
+    best = np.full(sides, np.nan)
+    cell = np.floor((bases[:, :2] - low) / wide).astype(int)
+    np.fmax.at(best, (cell[:, 0], cell[:, 1]), shares)
+    with drawing() as plt:
+        figure, axis = plt.subplots(figsize=(6.6, 5.2), layout="constrained")
+        extent = (low[0], low[0] + wide * sides[0], low[1], low[1] + wide * sides[1])
+        image = axis.imshow(best.T, origin="lower", extent=extent, cmap="viridis", vmin=0.0, interpolation="nearest")
+        axis.plot(at[:, 0], at[:, 1], ".", color=COLOURS[1], ms=2.5, label="poses")
+        for k, one in enumerate(found):
+            end = 0.06 * float((high - low).max()) * np.array([np.cos(one.yaw), np.sin(one.yaw)])
+            axis.annotate(
+                "", (one.x + end[0], one.y + end[1]), (one.x, one.y), arrowprops={"arrowstyle": "->", "lw": 1.6}
+            )
+            axis.plot(
+                one.x, one.y, "o", ms=7 if k == 0 else 4, color="black", mfc="white", label="places" if k == 0 else None
+            )
+        axis.grid(False)
+        axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        axis.legend(loc="upper left")
+        figure.colorbar(image, ax=axis, label="best share of the poses counted", shrink=0.8)
+        if len(found):
+            one = found[0]
+            words = f"best: {one.count} of {len(found.poses)} poses from x {one.x:.3f} m, y {one.y:.3f} m"
+            words += f", yaw {np.degrees(one.yaw):.1f} deg"
+            figure.suptitle(literal_text(f"{found.robot}, {words}"), x=0.01, ha="left", fontsize=9)
+    return figure

@@ -17,8 +17,8 @@ from ..files import PARTIAL, as_path, require_place
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
 from ..robot.robot import Robot
-from ..solvers.batch.result import BatchInterrupted, BatchResult
-from ..solvers.batch.solve_batch import solve_batch
+from ..solvers.batch.result import BatchResult
+from ..solvers.batch.solve_batch import solve_parts
 from ..solvers.decide import Deciding
 from ..solvers.options import BatchOptions
 from ..solvers.plan import Plan
@@ -219,14 +219,13 @@ class _Study:
         """Solve answers (m,), from q0 (m, n) if given; those without a solution or proof become `failed`. Returns the yeses."""
         yes = 0
         for a in range(0, len(rows), EFFORT.chunk):
-            some = rows[a : a + EFFORT.chunk]
-            try:
-                start = None if q0 is None else q0[a : a + EFFORT.chunk]
-                batch = solve_batch(self.robot, self.grid.targets(some), "auto", q0=start, **{**self.work, **more})
-            except BatchInterrupted as stop:
-                self.take(some[: len(stop.result)], stop.result, failed)
-                raise
-            yes += self.take(some, batch, failed)
+            end = min(a + EFFORT.chunk, len(rows))
+            done = a
+            start = None if q0 is None else q0[a:end]
+            asked = {**self.work, **more}
+            for part in solve_parts(self.robot, self.grid.targets(rows[a:end]), q0=start, finish=False, **asked):
+                yes += self.take(rows[done : done + len(part)], part, failed)
+                done += len(part)
             if self.progress is not None:
                 self.progress(int((self.states != Reach.UNTRIED).sum()))
         return yes

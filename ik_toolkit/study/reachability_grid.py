@@ -101,7 +101,7 @@ class Grid:
         # In a map of one plane, points within a micrometre of it belong to it.
         k[:, ~wide] = np.where(np.abs(points[:, ~wide] - self.low[~wide]) <= 1e-6, 0.0, -1.0)
         k[:, wide] = np.floor((points[:, wide] - self.low[wide]) / self.size[wide])
-        inside = ((k >= 0.0) & (k < self.shape)).all(axis=1)
+        inside = np.all((k >= 0.0) & (k < self.shape), axis=1)
         flat = np.ravel_multi_index(tuple(np.where(inside[:, None], k, 0.0).astype(np.int64).T), self.shape)
         return np.where(inside, flat, -1)
 
