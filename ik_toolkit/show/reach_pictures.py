@@ -157,11 +157,11 @@ def ramp(values: np.ndarray) -> np.ndarray:
 
 
 def plot_places(found: Placements) -> Any:
-    """Draw the floor from above: the best share of the poses that a base in each square reached, the poses, and the places."""
+    """Draw the floor from above: the best share of the poses that a base in each square reached (grey: none), and the places."""
     bases, shares = found.candidates, found.shares
     at = found.poses if found.poses.ndim == 2 else found.poses[:, :3, 3]
     low, high = bases[:, :2].min(axis=0), bases[:, :2].max(axis=0)
-    wide = max(float((high - low).max()) / 45.0, 1e-6)
+    wide = max(float((high - low).max()) / 32.0, 1e-6)
     sides = np.floor((high - low) / wide).astype(int) + 1
     best = np.full(sides, np.nan)
     cell = np.floor((bases[:, :2] - low) / wide).astype(int)
@@ -169,7 +169,9 @@ def plot_places(found: Placements) -> Any:
     with drawing() as plt:
         figure, axis = plt.subplots(figsize=(6.6, 5.2), layout="constrained")
         extent = (low[0], low[0] + wide * sides[0], low[1], low[1] + wide * sides[1])
-        image = axis.imshow(best.T, origin="lower", extent=extent, cmap="viridis", vmin=0.0, interpolation="nearest")
+        box = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
+        axis.imshow(np.where(best > 0.0, np.nan, best).T, cmap="Greys", vmin=-0.17, vmax=1.0, **box)
+        image = axis.imshow(np.where(best > 0.0, best, np.nan).T, cmap="viridis", vmin=0.0, **box)
         axis.plot(at[:, 0], at[:, 1], ".", color=COLOURS[1], ms=2.5, label="poses")
         for k, one in enumerate(found):
             end = 0.06 * float((high - low).max()) * np.array([np.cos(one.yaw), np.sin(one.yaw)])
@@ -181,7 +183,7 @@ def plot_places(found: Placements) -> Any:
             )
         axis.grid(False)
         axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-        axis.legend(loc="upper left")
+        axis.legend(loc="upper left", frameon=True)
         figure.colorbar(image, ax=axis, label="best share of the poses counted", shrink=0.8)
         if len(found):
             one = found[0]
