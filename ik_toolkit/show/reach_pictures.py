@@ -1,6 +1,7 @@
 """Pictures of where a robot reaches and where it should stand: planes through a map, its cells in 3-D, scores over the floor."""
 
 import base64
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -24,13 +25,14 @@ def plot_map(found: ReachabilityMap) -> Any:
         f"{100 * counts['no'] / total:.3g} % proven no",
     ]
     words += [f"{100 * counts['unknown'] / total:.3g} % not found, not proven"]
-    title = literal_text(f"{found.robot}, {found.tip}: {', '.join(words)}\n{found.audit}")
     with drawing() as plt:
         if found.grid.poses is not None:
             figure = _loose(plt, found)
         else:
             figure = _planes(plt, found)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=8.5)
+        text = [f"{found.robot}, {found.tip}: {', '.join(words)}", str(found.audit)]
+        lines = [line for one in text for line in textwrap.wrap(one, int(15 * figure.get_figwidth()))]
+        figure.suptitle(literal_text("\n".join(lines)), x=0.01, ha="left", fontsize=8.5)
     return figure
 
 

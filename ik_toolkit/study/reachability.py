@@ -226,8 +226,8 @@ class _Study:
             for part in solve_parts(self.robot, self.grid.targets(rows[a:end]), q0=start, finish=False, **asked):
                 yes += self.take(rows[done : done + len(part)], part, failed)
                 done += len(part)
-            if self.progress is not None:
-                self.progress(int((self.states != Reach.UNTRIED).sum()))
+                if self.progress is not None:
+                    self.progress(int((self.states != Reach.UNTRIED).sum()))
         return yes
 
     def take(self, rows: np.ndarray, batch: BatchResult, failed: int) -> int:

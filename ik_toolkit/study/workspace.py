@@ -26,7 +26,7 @@ from .benchmark import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
 
-class Sizes(NamedTuple):
+class StudySizes(NamedTuple):
     """How much of a study is looked at and kept."""
 
     cells: int = 24  # cells along the longest side of the success map
@@ -35,7 +35,7 @@ class Sizes(NamedTuple):
     failures: int = 1000  # failures kept in memory for each solver
 
 
-SIZES = Sizes()
+SIZES = StudySizes()
 
 
 @dataclass

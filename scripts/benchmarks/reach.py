@@ -2,7 +2,8 @@
 
 python scripts/benchmarks/reach.py [--parts random dense proofs planar place] [--share 0.1] [--scenes 10] [-o reach.json]
 
-Shares of the million answers of each map are computed (--share) and the seconds given for a million; wall time, all cores.
+Shares of the million answers of each map are computed (--share) and the seconds given for a million: wall time on all cores, and
+processor time, which other load on the machine changes less.
 """
 
 import time
@@ -18,6 +19,11 @@ from ik_toolkit.study.place_search import base_poses, in_base
 BIG, TRUTH = 1_000_000, 20_000  # answers of a map, and how many are tried again with many attempts
 CYLINDER = 0.9, -0.3, 1.2  # radius, lower and upper end [m]
 PARTS = ("random", "dense", "proofs", "planar", "place")
+
+
+def clocks() -> np.ndarray:
+    """Return wall time and processor time of all threads [s]."""
+    return np.array([time.perf_counter(), time.process_time()])
 
 
 def rotations(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -53,7 +59,7 @@ def false_yeses(robot: Any, found: Any) -> int:
     return wrong
 
 
-def judged(robot: Any, T: np.ndarray, found: Any, seconds: float, **more: Any) -> dict[str, Any]:
+def judged(robot: Any, T: np.ndarray, found: Any, seconds: np.ndarray, **more: Any) -> dict[str, Any]:
     """Try a sample of the noes of loose answers again with 1,000 attempts, and say what was missed."""
     yes, rng = (found.states == 1).ravel(), np.random.default_rng(99)
     noes = np.flatnonzero((found.states >= 3).ravel())
@@ -64,7 +70,7 @@ def judged(robot: Any, T: np.ndarray, found: Any, seconds: float, **more: Any) -
     low, high = wilson(late, len(again)) if len(again) else (0.0, 0.0)
     share = len(noes) / len(yes)
     row = {
-        "answers": len(yes), "seconds of a million": seconds / len(yes) * BIG, "yes": float(yes.mean()), "unknown": share,
+        "answers": len(yes), "seconds of a million": [float(x) / len(yes) * BIG for x in seconds], "yes": float(yes.mean()), "unknown": share,
         "noes tried again": len(again), "late yeses": late, "missed of all": [share * low, share * high],
         "proofs tried": len(proofs), "false proofs": broken, "false yeses": false_yeses(robot, found),
     }  # fmt: skip
@@ -75,9 +81,9 @@ def random_poses(share: float) -> dict[str, Any]:
     """The Panda at random poses of a cylinder."""
     robot, T = ik.Robot.load("panda"), in_cylinder(np.random.default_rng(5), int(share * BIG))
     ik.reachability(robot, T[:64], audit=0)
-    began = time.perf_counter()
+    began = clocks()
     found = ik.reachability(robot, T, audit=0)
-    return judged(robot, T, found, time.perf_counter() - began)
+    return judged(robot, T, found, clocks() - began)
 
 
 def dense(share: float) -> dict[str, Any]:
@@ -85,9 +91,9 @@ def dense(share: float) -> dict[str, Any]:
     robot, rng = ik.Robot.load("panda"), np.random.default_rng(1)
     region, R = ((0.0, -0.15, -0.3), (0.9, 0.15, 1.2)), rotations(rng, max(1, round(share * BIG / 25_920)))
     ik.reachability(robot, region, resolution=0.15, orientations=R[:1], audit=0)
-    began = time.perf_counter()
+    began = clocks()
     found = ik.reachability(robot, region, resolution=0.025, orientations=R, audit=0)
-    seconds = time.perf_counter() - began
+    seconds = clocks() - began
     return judged(robot, found.grid.targets(np.arange(found.grid.answers)), found, seconds)
 
 
@@ -101,9 +107,9 @@ def proofs(share: float) -> dict[str, Any]:
         T = np.concatenate([planted, planted])
         T[half:, :3, 3] *= rng.uniform(0.7, 1.1, (half, 1))  # a half is moved: in and out of reach
         ik.reachability(robot, T[:64], audit=0)
-        began = time.perf_counter()
+        began = clocks()
         found = ik.reachability(robot, T, audit=0)
-        seconds = time.perf_counter() - began
+        seconds = clocks() - began
         rows[name] = judged(robot, T, found, seconds, planted_lost=int((found.states[:half] != 1).sum()))
     return rows
 
@@ -192,9 +198,9 @@ def placement(share: float, scenes: int) -> list[dict[str, Any]]:
         if scene >= scenes - 2 and scenes > 2:
             box = ik.CollisionModel(robot).add_box((0.3, 0.3, 1.5), (*W[:, :2, 3].mean(axis=0), -0.4))
             more = {"avoid_collisions": box}
-        began = time.perf_counter()
+        began = clocks()
         found = ik.place(robot, W, count=3, **more)
-        row = {"scene": scene, "obstacle": bool(more), "seconds": time.perf_counter() - began, "found": found[0].count}
+        row = {"scene": scene, "obstacle": bool(more), "seconds": (clocks() - began).tolist(), "found": found[0].count}
         if not more:
             edge = np.array([W[:, :2, 3].min(axis=0) - robot.reach, W[:, :2, 3].max(axis=0) + robot.reach])
             some = int(2000 * share) if share < 1.0 else 2000
