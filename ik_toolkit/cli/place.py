@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import typer
 
 from ..errors import InvalidOption
@@ -53,6 +52,8 @@ def place(
     ik place hydrolek_7w --poses cuts.csv --plot floor.png
     ik place hydrolek_7w --poses cuts.csv --where -2 -2 2 2 --yaw 0 --obstacle box:0,1,0.5,0.2,0.2,1
     """
+    import numpy as np
+
     arm = robot.load(robot.tip)
     from ..robot.pose_files import read_poses
     from ..study.place import PlaceInterrupted

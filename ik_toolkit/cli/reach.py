@@ -3,11 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..errors import InvalidOption
 from ..text import figure, length
-from .batch import cluster_of
 from .command import PLOTS, command, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
 from .output import facts, notice, partial, progress, show, write_json
@@ -59,6 +56,7 @@ def reach(
     arm = robot.load(robot.tip)
     from ..study.reachability import MapNotSaved, ReachabilityInterrupted, reachability
     from ..study.reachability_grid import grid_of
+    from .batch import cluster_of  # it loads the solvers
 
     region, turns = (
         _region(asked, file, arm, robot.deg),
@@ -112,6 +110,8 @@ def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
     if asked.poses is not None:
         if asked.region is not None or asked.resolution is not None or asked.orientations != "any":
             raise InvalidOption("--poses are answered as they are; omit --region, --resolution and --orientations")
+        import numpy as np
+
         from ..robot.pose_files import read_poses
 
         blocks = read_poses(asked.poses, "targets", given=file.convention(deg), base=arm.base)[1]
@@ -123,6 +123,8 @@ def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
         return poses
     if asked.region is None:
         return None
+    import numpy as np
+
     from ..text import vector
 
     return np.array(vector(asked.region, "--region", 6)).reshape(2, 3)

@@ -21,7 +21,7 @@ from ..solvers.solve import require_robot
 from ..text import TextTable, angle, figure, length
 from ..validate import number, switch
 from . import place_search
-from .place_search import Candidates, all_counted, base_poses, in_base
+from .place_search import Candidates, base_poses, in_base, put_together
 from .reachability import quality
 
 
@@ -261,7 +261,7 @@ def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> 
             place_search.SEARCH.followed :
         ]
         found = sorted(found, key=lambda one: one.rank, reverse=True)
-    bases, shares = all_counted(study.tried)
+    bases, shares = put_together(study.tried)
     return Placements(study.robot.name, study.W, tuple(found), bases, shares)
 
 

@@ -52,7 +52,7 @@ def in_base(bases: np.ndarray, W: np.ndarray) -> np.ndarray:
     return inverse[:, None] @ W[None]
 
 
-def all_counted(counted: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def put_together(counted: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Return all bases (M, 4) that were counted in parts, and their shares (M,)."""
     return np.concatenate([bases for bases, _ in counted]), np.concatenate([share for _, share in counted])
 
@@ -96,7 +96,7 @@ class Candidates:
         score = self.count(bases, self.W)
         self.full.append((bases, score))
         for k in range(4):
-            start, _ = self.top(*all_counted(self.full), 3)
+            start, _ = self.top(*put_together(self.full), 3)
             new = self.near(start, width * 0.5 ** (k + 2), S.around)
             self.full.append((new, self.count(new, self.W)))
         return self.best(4 * S.keep)
@@ -106,7 +106,7 @@ class Candidates:
         found = self.full or self.tried
         if not found:
             return np.empty((0, 4))
-        return self.top(*all_counted(found), count)[0]
+        return self.top(*put_together(found), count)[0]
 
     @staticmethod
     def top(bases: np.ndarray, score: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

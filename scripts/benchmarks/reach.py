@@ -70,7 +70,8 @@ def judged(robot: Any, T: np.ndarray, found: Any, seconds: np.ndarray, **more: A
     low, high = wilson(late, len(again)) if len(again) else (0.0, 0.0)
     share = len(noes) / len(yes)
     row = {
-        "answers": len(yes), "seconds of a million": [float(x) / len(yes) * BIG for x in seconds], "yes": float(yes.mean()), "unknown": share,
+        "answers": len(yes), "seconds of a million": (seconds / len(yes) * BIG).tolist(),
+        "yes": float(yes.mean()), "unknown": share,
         "noes tried again": len(again), "late yeses": late, "missed of all": [share * low, share * high],
         "proofs tried": len(proofs), "false proofs": broken, "false yeses": false_yeses(robot, found),
     }  # fmt: skip
