@@ -125,8 +125,9 @@ def reachability(
     require_memory(grid, robot.n)
     solver = Solver(robot, "auto", **options)
     plan = solver.plan_for((POSITION if grid.rotations is None and grid.poses is None else POSE,))
+    robot = solver.robot  # Limits that the options narrow are those of a variant of the robot.
     if grid.free:
-        grid = Grid(grid.low, grid.size, grid.shape, grid.rotations, True, None, plan.options.free_turn)
+        grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn)
     asked = {
         key: value if isinstance(value, int | float | str | bool) else repr(value) for key, value in options.items()
     }
@@ -211,9 +212,11 @@ class _Study:
             self.solve(rest, Reach.FEW, restarts=EFFORT.few - 1)
             tried = np.zeros((*self.grid.shape, self.grid.turns), np.uint8)
             self.flood(tried)
-            near = _dilated((self.states == Reach.YES).reshape(tried.shape)).ravel()
-            self.solve(np.flatnonzero(near & (self.states == Reach.FEW)), Reach.MANY, restarts=EFFORT.touching - 1)
-            self.flood(tried)
+            for k in range(1, EFFORT.rounds + 1):
+                near = _dilated((self.states == Reach.YES).reshape(tried.shape)).ravel()
+                rows = np.flatnonzero(near & (self.states >= Reach.FEW))
+                self.solve(rows, Reach.MANY, restarts=EFFORT.touching - 1, seed=self.plan.options.seed + k)
+                self.flood(tried)
 
     def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
         """Solve answers (m,), from q0 (m, n) if given; those without a solution or proof become `failed`. Returns the yeses."""

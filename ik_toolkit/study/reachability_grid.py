@@ -16,7 +16,8 @@ class Effort(NamedTuple):
     """How much is computed. The attempts were measured on a Panda, 100,000 answers (see the guide)."""
 
     few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours
-    touching: int = 61  # attempts at a no that touches a yes
+    touching: int = 40  # attempts, with starts of their own, at a no that touches a yes, in each of the
+    rounds: int = 2
     loose: int = 50  # attempts at loose poses, which have no neighbours
     audited: int = 1000  # attempts at a no of the audit
     chunk: int = 2**16  # answers computed between two entries of the file
@@ -142,6 +143,8 @@ def grid_of(
     size = np.where(wide > 0.0, pitch, 0.0)
     low = 0.5 * (low + high) - 0.5 * size * counts  # The cells are centred in the region.
     rotations, free = _rotations(orientations)
+    if rotations is not None and free and axis is not None:
+        rotations = rotations @ _frame(np.array([axis]))[0].T  # the tip's own axis then points where its z did
     shape = tuple(int(k) for k in counts)
     return Grid(low, size, shape, rotations, free, None, (0.0, 0.0, 1.0) if axis is None else tuple(axis))
 
@@ -172,7 +175,11 @@ def _spread(count: int) -> np.ndarray:
     k = np.arange(count)
     z, turn = 1.0 - (2.0 * k + 1.0) / count, np.pi * (3.0 - np.sqrt(5.0)) * k
     r = np.sqrt(1.0 - z * z)
-    Z = np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=-1)
+    return _frame(np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=-1))
+
+
+def _frame(Z: np.ndarray) -> np.ndarray:
+    """Return rotations (K, 3, 3) whose z axes are unit vectors Z (K, 3)."""
     X = np.cross(Z, np.eye(3)[np.abs(Z).argmin(axis=1)])
     X /= np.linalg.norm(X, axis=1, keepdims=True)
     return np.stack([X, np.cross(Z, X), Z], axis=-1)
