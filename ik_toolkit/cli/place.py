@@ -50,7 +50,7 @@ def place(
 
     Examples:
     ik place hydrolek_7w --poses cuts.csv --plot floor.png
-    ik place hydrolek_7w --poses cuts.csv --where -2 -2 2 2 --yaw 0 --obstacle box:0,1,0.5,0.2,0.2,1
+    ik place hydrolek_7w --poses cuts.csv --where -2 -2 2 2 --yaw 0 --ordered
     """
     import numpy as np
 

@@ -51,7 +51,7 @@ def reach(
 
     Examples:
     ik reach hydrolek_7w --resolution 0.1 -o map.npz --plot map.png
-    ik reach hydrolek_7w --region 0.2 -0.4 0 1.2 0.4 0.8 --resolution 0.2 --orientations 6 --audit 100
+    ik reach hydrolek_7w --region 0 -1 0 1 1 1 --orientations 6 -o axes.npz
     """
     arm = robot.load(robot.tip)
     from ..study.reachability import MapNotSaved, ReachabilityInterrupted, reachability
