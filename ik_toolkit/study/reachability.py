@@ -125,7 +125,8 @@ def reachability(
     require_memory(grid, robot.n)
     solver = Solver(robot, "auto", **options)
     plan = solver.plan_for((POSITION if grid.rotations is None and grid.poses is None else POSE,))
-    robot = solver.robot  # Limits that the options narrow are those of a variant of the robot.
+    # Limits that the options narrow are those of a variant of the robot.
+    robot = solver.robot  # pyright: ignore[reportAssignmentType]
     if grid.free:
         grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn)
     asked = {

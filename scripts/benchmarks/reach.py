@@ -205,7 +205,9 @@ def placement(share: float, scenes: int) -> list[dict[str, Any]]:
         if not more:
             edge = np.array([W[:, :2, 3].min(axis=0) - robot.reach, W[:, :2, 3].max(axis=0) + robot.reach])
             some = int(2000 * share) if share < 1.0 else 2000
-            bases = np.column_stack([rng.uniform(*edge, (some, 2)), rng.uniform(-np.pi, np.pi, some), np.zeros(some)])
+            bases = np.column_stack(
+                [rng.uniform(edge[0], edge[1], (some, 2)), rng.uniform(-np.pi, np.pi, some), np.zeros(some)]
+            )
             counts = counted(robot, bases, W)
             row |= {"random bases": some, "best random": int(counts.max())}
             row |= {"CMA-ES": another(robot, W, bases[counts.argmax()], 40, scene)}
