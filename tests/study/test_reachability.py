@@ -1,5 +1,6 @@
 """Maps of reach: equal to geometry where it is known, never a false yes, audited noes, files that survive, helpful errors."""
 
+import pickle
 import resource
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,6 +12,7 @@ import second_fk
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.solvers.batch.solve_batch import solve_parts
 from ik_toolkit.study import reachability as study
 from ik_toolkit.study.reachability import MapNotSaved, ReachabilityInterrupted
 
@@ -304,3 +306,18 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "map.html").stat().st_size > 100_000
     assert main(["reach", "hydrolek_7w", "--orientations", "many"]) == 2
     assert "number of tool axes" in capsys.readouterr().err
+
+
+def test_batches_may_leave_failures_where_the_search_ended():
+    """The same answers but for what the descent afterwards reaches; also in another process."""
+    robot = robots.load("hydrolek_7w")
+    T = np.random.default_rng(2).uniform(-0.6, 1.2, (300, 3))
+    whole = ik.solve_batch(robot, T, restarts=2)
+    (bare, *more) = solve_parts(robot, T, restarts=2, finish=False, threads=1)
+    assert not more and bare.plan.bare and pickle.loads(pickle.dumps(bare.plan)).bare and not whole.plan.bare
+    assert (whole.success | ~bare.success).all() and 0 < bare.success.sum() < 300
+    assert ((bare.status == ik.Status.UNREACHABLE) == (whole.status == ik.Status.UNREACHABLE)).all()
+    lost = ~whole.success
+    assert (bare.position_error[lost] >= whole.position_error[lost] - 1e-9).all() and (
+        bare.q[lost] != whole.q[lost]
+    ).any()
