@@ -13,11 +13,11 @@ from .workspace import envelope
 
 
 class Effort(NamedTuple):
-    """How much is computed. The attempts were measured on a Panda, 100,000 answers (see the guide)."""
+    """How much is computed. `scripts/benchmarks/reach.py` measures what these attempts miss on a Panda."""
 
     few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours
-    touching: int = 40  # attempts, with starts of their own, at a no that touches a yes, in each of the
-    rounds: int = 2
+    touching: int = 40  # attempts at a no that touches a yes, in each round
+    rounds: int = 2  # rounds of these, each with random starts of its own
     loose: int = 50  # attempts at loose poses, which have no neighbours
     audited: int = 1000  # attempts at a no of the audit
     chunk: int = 2**16  # answers computed between two entries of the file
