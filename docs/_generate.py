@@ -25,7 +25,6 @@ TABLE_INSTEAD = {
     "PathResult",
     "Trajectory",
     "TrackResult",
-    "ReachabilityMap",
 }  # docstrings that list attributes
 LIVE = {"hydrolek_7w": [], "brokk_hydrolek": ["left_tip", "right_tip"]}  # robots with a live page, and their tips
 
