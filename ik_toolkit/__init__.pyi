@@ -51,6 +51,9 @@ from .solvers.solve import solve_all as solve_all
 from .solvers.status import Status as Status
 from .study.analyse import analyse as analyse
 from .study.benchmark import benchmark as benchmark
+from .study.place import place as place
+from .study.reachability import reachability as reachability
+from .study.reachability_map import ReachabilityMap as ReachabilityMap
 from .study.tune import tune as tune
 from .study.workspace import workspace as workspace
 

@@ -123,7 +123,49 @@ def limits() -> Any:
     return aim(ik.view(robot, cloud=(points, many.success)), (0.55, 0.0, 0.1), (0.72, -1.55, 0.3))
 
 
+def reach() -> Any:
+    """The cells that the HydroLek reaches with any orientation, cut open."""
+    robot = ik.Robot.load("hydrolek_7w")
+    return aim(
+        ik.view(robot, ik.reachability(robot, resolution=0.06, audit=500)), (0.55, 0.05, 0.1), (1.2, -1.75, 0.75)
+    )
+
+
+def reach_maps(picture: Path) -> None:
+    """Maps of the planar arms and of the HydroLek: planes of cells, coloured by manipulability."""
+    flat = ((-2.1, -2.1, 0), (2.1, 2.1, 0))
+    asked = {
+        "planar_2r": (flat, 0.03),
+        "planar_3r": (3.0 * np.array(flat), 0.1),
+        "hydrolek_7w": (((0.0, 0.05, -1.0), (1.35, 0.05, 1.0)), 0.02),
+    }
+    drawn = []
+    for name, (region, resolution) in asked.items():
+        found = ik.reachability(ik.Robot.load(name), region, resolution=resolution)
+        with tempfile.TemporaryDirectory() as folder:
+            ik.plot(found, file=Path(folder) / "map.png")
+            drawn.append(Image.open(Path(folder) / "map.png").convert("RGB"))
+    tall = max(one.height for one in drawn)
+    sheet = Image.new("RGB", (sum(one.width for one in drawn), tall), "white")
+    for k, one in enumerate(drawn):
+        sheet.paste(one, (sum(other.width for other in drawn[:k]), 0))
+    sheet.quantize(128).save(picture, optimize=True)
+
+
+def reach_floor(picture: Path) -> None:
+    """The floor around a sheet that the HydroLek cuts along three edges, and the best places to stand."""
+    robot = ik.Robot.load("hydrolek_7w")
+    T = robot.fk(0.5 * (robot.lower + robot.upper)).homogeneous
+    s = np.linspace(-0.5, 0.5, 60)
+    edges = np.tile(T, (180, 1, 1))
+    edges[:, :3, 3] += (2.0, 1.0, 0.0)
+    sides = ((0 * s - 0.4, s), (0.8 * s, 0 * s + 0.5), (0 * s + 0.4, -s))
+    edges[:, 1:3, 3] += np.concatenate([np.column_stack(side) for side in sides])
+    ik.plot(ik.place(robot, edges), file=picture)
+
+
 SCENES = {
+    "reach": reach,
     "solve": solve,
     "two_arms": two_arms,
     "tracking": tracking,
@@ -131,7 +173,7 @@ SCENES = {
     "limits": limits,
     "stretched": stretched,
 }
-SHIPPED = ("solve", "two_arms", "path", "limits", "stretched")  # robots that need no extra
+SHIPPED = ("solve", "two_arms", "path", "limits", "stretched", "reach")  # robots that need no extra
 
 
 def find_chromium() -> str:
@@ -222,7 +264,13 @@ def photograph(page: Path, picture: Path) -> None:
     Image.open(picture).convert("RGB").save(picture, optimize=True)
 
 
-MADE = {"branches.png": branches, "panel.png": panel, "drag.gif": drag}  # pictures that are not a single scene
+MADE = {  # pictures that are not a single scene
+    "branches.png": branches,
+    "panel.png": panel,
+    "drag.gif": drag,
+    "reach_maps.png": reach_maps,
+    "reach_floor.png": reach_floor,
+}
 
 
 def main() -> None:

@@ -30,6 +30,8 @@ MODULES = (
     "bench",
     "tune",
     "workspace",
+    "reach",
+    "place",
     "files",
     "view",
     "doctor",

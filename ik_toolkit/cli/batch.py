@@ -156,7 +156,7 @@ class Solutions:
 
 # ---------------------------------------------------------------------------------------------------------- the command
 @contextmanager
-def _cluster(address: str | None) -> Iterator[Any]:
+def cluster_of(address: str | None) -> Iterator[Any]:
     """Executor of a running Dask scheduler; Dask repeats lost tasks."""
     if address is None:
         yield None
@@ -251,7 +251,7 @@ def solve_file(
     count, blocks = read_poses(path, "targets", given=given, tips=arm.named_tips, base=arm.arms[0].base)
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()
-    with _cluster(cluster) as executor, progress("solving", count) as show_done:
+    with cluster_of(cluster) as executor, progress("solving", count) as show_done:
         asked: dict[str, Any] = {"q0": start, "threads": threads, "executor": executor, **options}
         tally = _solve_into(output, arm, targets, method, asked, show_done)
     done = tally.done

@@ -17,12 +17,15 @@ from ..solvers.result import Result
 from ..solvers.solutions import Solutions
 from ..solvers.solve import require_robot
 from ..study.benchmark import Benchmark
+from ..study.place import Placements
+from ..study.reachability_map import ReachabilityMap
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
 from ..text import length
 from .body import skeleton
 from .plots import SUFFIXES, convergence, drawing, literal_text, plot_motion, plot_track, save, tracking_errors
+from .reach_pictures import plot_map, plot_places
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:
@@ -31,8 +34,9 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     Args:
         what: A Result with history, or a dict label -> Result, for the error after every iteration; a TrackResult, or a
             dict label -> TrackResult for their errors; a PathResult or Trajectory for joints, speeds and bounds; a
-            Benchmark, TuneResult or Workspace; a BatchResult for the share solved within so many iterations; Solutions, the
-            first eight as lines; a configuration q (n,) [rad or m] or a dict label -> q for the arm as
+            Benchmark, TuneResult, ReachabilityMap, Placements or Workspace; a BatchResult for the share solved within so many
+            iterations;
+            Solutions, the first eight as lines; a configuration q (n,) [rad or m] or a dict label -> q for the arm as
             lines from the side and from above.
         robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
         target: Pose or position [m] in the base frame, drawn as a cross beside configurations.
@@ -58,6 +62,10 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         figure = plot_motion(what)
     elif isinstance(what, Benchmark):
         figure = plot_benchmark(what)
+    elif isinstance(what, ReachabilityMap):
+        figure = plot_map(what)
+    elif isinstance(what, Placements):
+        figure = plot_places(what)
     elif isinstance(what, TuneResult):
         figure = plot_tuning(what)
     elif isinstance(what, Workspace):

@@ -372,7 +372,7 @@ def view(
 
     Args:
         robot: The Robot or Tree.
-        what: One q (n,) [rad or m] or several, a Result (animated if it has a history) or another result; by default home.
+        what: One q (n,) [rad or m] or several, a Result (animated with a history), a map or another result; by default home.
         target: Pose or position [m] in the base frame to mark; for a Tree by tip, or in the order of its tips.
         cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
         obstacles: CollisionModel whose obstacles and held shapes are drawn; by default that of the result.
@@ -386,7 +386,12 @@ def view(
         MissingExtra: meshcat or trimesh is not installed.
     """
     scene = Scene(robot, title)
-    scene.update(what, target=target, cloud=cloud, obstacles=obstacles)
+    cells = what if hasattr(what, "manipulability") and hasattr(what, "grid") else None
+    scene.update(None if cells is not None else what, target=target, cloud=cloud, obstacles=obstacles)
+    if cells is not None:
+        from .reach_pictures import draw_cells  # imported when needed: it loads the solvers' studies
+
+        draw_cells(scene, cells)
     scene.look()
     if switch(live, "live"):
         scene.connect()

@@ -42,6 +42,8 @@ class Plan:
     indices in q of the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
     """
 
+    bare = False  # whether failures of a batch are left where the search ended, see `stripped`
+
     def __init__(self, robot: Any, row: Row, rule: Any, options: Options) -> None:
         """Validate what does not depend on the target. Raises UnknownSolver (for example a rule for one tip), InvalidOption."""
         if reason := misfit(row, rule, robot):
@@ -83,6 +85,12 @@ class Plan:
         """Return the same plan with some options changed."""
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
 
+    def stripped(self) -> "Plan":
+        """Return the same plan for a batch whose failures stay where the search ended: for counting, where their q is not used."""
+        made = copy.copy(self)
+        made.bare = True
+        return made
+
     @functools.cached_property
     def unlimited(self) -> "Plan":
         """The same plan without limits and with a few attempts, to test whether limits block a target."""
@@ -98,7 +106,7 @@ class Plan:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the request; the compiled loop is bound again. Raises InvalidOption if the rule would not be found."""
         importable(self.rule, f"the rule of '{self.row.name}'")
-        return Plan, (self.robot, self.row, self.rule, self.options)
+        return Plan, (self.robot, self.row, self.rule, self.options), {"bare": True} if self.bare else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Plan":
         """Return the same plan for a copy of the robot."""

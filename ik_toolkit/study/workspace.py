@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,10 +25,17 @@ from ..validate import solver_list
 from .benchmark import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
-GRID = 24  # number of cells along the longest side of the success map
-ENVELOPE = 100_000  # number of random configurations whose tip positions give the envelope
-KEEP = 20_000  # number of targets kept in memory for plots; a file receives all of them
-FAILURES = 1000  # number of failures kept in memory for each solver
+
+class StudySizes(NamedTuple):
+    """How much of a study is looked at and kept."""
+
+    cells: int = 24  # cells along the longest side of the success map
+    envelope: int = 100_000  # random configurations whose tip positions give the envelope
+    kept: int = 20_000  # targets kept in memory for plots; a file receives all of them
+    failures: int = 1000  # failures kept in memory for each solver
+
+
+SIZES = StudySizes()
 
 
 @dataclass
@@ -122,7 +129,7 @@ class WorkspaceInterrupted(Portable, KeyboardInterrupt):
 
 
 def envelope(
-    robot: Robot | Tree, count: int = ENVELOPE, seed: int = 0, *, tip: str | None = None
+    robot: Robot | Tree, count: int = SIZES.envelope, seed: int = 0, *, tip: str | None = None
 ) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
     """Return the reach of a tip: corners of its box (low, high) (3,) and least and largest distance from the base's origin [m].
 
@@ -225,7 +232,7 @@ class _Tally:
     def __init__(self, robot: Robot | Tree, tip: str, names: list[str]) -> None:
         self.robot, self.tip = robot.name, tip
         self.low, self.high, self.radius = envelope(robot, tip=tip)
-        self.cell = float(max((self.high - self.low).max() / GRID, 1e-9))
+        self.cell = float(max((self.high - self.low).max() / SIZES.cells, 1e-9))
         self.shape = np.maximum(np.ceil((self.high - self.low) / self.cell), 1).astype(int)
         self.outcomes = {name: SolverCounts(name) for name in names}
         self.maps = {name: np.zeros((2, *self.shape), np.int64) for name in names}
@@ -243,11 +250,11 @@ class _Tally:
             np.add.at(self.maps[name][0], tuple(index.T), 1)
             np.add.at(self.maps[name][1], tuple(index.T), part["success"])
             bad = ~part["success"]
-            if bad.any() and sum(map(len, self.failures[name])) < FAILURES:
+            if bad.any() and sum(map(len, self.failures[name])) < SIZES.failures:
                 self.failures[name].append(np.column_stack([xyz[bad], part["position_error"][bad]]))
-            if self.kept < KEEP:
+            if self.kept < SIZES.kept:
                 self.solved[name].append(part["success"])
-        if self.kept < KEEP:
+        if self.kept < SIZES.kept:
             self.points.append(xyz.copy())
             self.kept += len(xyz)
         self.done += len(xyz)
@@ -264,7 +271,8 @@ class _Tally:
             outcomes=self.outcomes,
             map=self.maps,
             failures={
-                name: np.concatenate([np.empty((0, 4)), *rows])[:FAILURES] for name, rows in self.failures.items()
+                name: np.concatenate([np.empty((0, 4)), *rows])[: SIZES.failures]
+                for name, rows in self.failures.items()
             },
             points=np.concatenate(self.points),
             solved={name: np.concatenate(rows) for name, rows in self.solved.items()},

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import robots
 
-from ik_toolkit.cli import batch, bench, main, path, tune, workspace
+from ik_toolkit.cli import batch, bench, main, path, reach, tune, workspace
 from ik_toolkit.cli.streams import stoppable
 from ik_toolkit.papers.report import Report
 from ik_toolkit.servo.tracker import Tracker
@@ -78,6 +78,17 @@ def whole(tmp_path):
         stream.write("x,y,z\n1.0,0.3,0\n" + "".join(f"{1.0 + 0.01 * k},{0.3 + 0.01 * k},0\n" for k in range(1, 30)))
 
 
+def answers_of(out):
+    """Number of answers in the log of a study of reach."""
+    count = 0
+    with out.open("rb") as stream:
+        np.load(stream)
+        while stream.tell() < out.stat().st_size:
+            count += len(np.load(stream))
+            np.load(stream), np.load(stream)
+    return count
+
+
 # Words of a command that writes OUT, when the signal comes, and how many rows are kept at most.
 COMMANDS = {
     "bench": (["bench", "planar_2r", "-s", "planar-2r,lm", "-n", "400", "-o", "OUT.json"], at_progress(bench),
@@ -94,6 +105,7 @@ COMMANDS = {
               lambda out: len(rows_of(out)), 1001),
     "path": (["path", "planar_2r", "--poses", "in.csv", "-o", "OUT.npz"], at_progress(path),
              lambda out: len(np.load(out)["q"]), 30),
+    "reach": (["reach", "planar_2r", "--resolution", "0.02", "-o", "OUT.npz"], at_progress(reach), answers_of, 45_000),
     "tune": (["tune", "planar_3r", "pid", "--generations", "1000", "--targets", "4", "--held-out", "1", "-o", "OUT.toml"],
              at_progress(tune), lambda out: out.read_text().count("solver"), 100),
     "reproduce": (["reproduce", "chinyai", "-o", "."], in_the_report,

@@ -123,6 +123,10 @@ HELD = {
         lambda made: [(row.solver, row.solved, row.median) for row in made.rows],
     ),
     "Workspace": (lambda: ik.workspace(robots.load("planar_2r"), "planar-2r", targets=20), lambda made: made.to_dict()),
+    "ReachabilityMap": (
+        lambda: ik.reachability(robots.load("planar_2r"), resolution=0.5),
+        lambda made: (made.states, made.q, made.contains([[1.0, 1.0, 0.0]]), str(made.audit)),
+    ),
     "GainCheck": (lambda: ik.check_gains("cv", 0.01, kappa=20.0), repr),
 }  # fmt: skip
 

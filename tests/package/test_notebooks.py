@@ -11,8 +11,8 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 200_000  # bytes
 
 
-def test_numbered_from_00_to_07():
-    assert [path.name[:3] for path in NOTEBOOKS] == [f"0{k}_" for k in range(8)]
+def test_numbered_without_a_gap():
+    assert [path.name[:3] for path in NOTEBOOKS] == [f"{k:02}_" for k in range(len(NOTEBOOKS))]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -35,6 +35,7 @@ def test_committed_small_and_executed(path):
         "live=True",
         "ik.view(robot, runs",
         "ik.view(robot, trajectory",
+        "ik.view(robot, found",
     )  # sliders of motions
     assert any(word in text for text in sources for word in moved), "nothing to drag or slide"
     drawn = [cell for cell in scenes if any("image/png" in output.get("data", {}) for output in cell["outputs"])]

@@ -10,7 +10,7 @@ CEILINGS = {
     "files outside folders that grow": 256,
     "public names defined in two files or more": 15,
     "file names used twice": 4,
-    "functions of more than 9 parameters": 19,
+    "functions of more than 9 parameters": 20,
     "constants of the most laden file of kernel and servo": 24,
     "constants of modules": 1114,
     "uses of by_tip": 20,

@@ -94,7 +94,8 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
         T[k] = mended(T[k], kinds, plan.robot.tips, first + int(k))
         quick.run(one.T, kinds, one.start, given, out[k : k + 1])
     plan.decide(T, kinds, start, given, out)
-    finish_failures(plan, T, kinds, start, given, out)
+    if not plan.bare:
+        finish_failures(plan, T, kinds, start, given, out)
     if plan.improving:
         for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
             one = part.rows(slice(k, k + 1))

@@ -36,10 +36,13 @@ def solve_parts(
     threads: int | None = None,
     executor: Executor | None = None,
     check: float = 0.01,
+    finish: bool = True,
     **options: Unpack[BatchOptions],
 ) -> Iterator[BatchResult]:
     """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
 
+    Without `finish` failures keep the q at which the search ended, instead of the closest one found, which takes longer than a few
+    attempts; LIMIT_BLOCKED then means no more than that a joint was at a limit.
     An array of targets is read part by part, so it must not change until the last part is taken; arrays from an iterator
     are copied. Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
@@ -67,6 +70,8 @@ def solve_parts(
         return iter(())
     plan = local.plan_for(first.kinds)
     plan.orders(first.kinds, starts is not None)  # A solver that cannot solve this task is refused here.
+    if not finish:
+        plan = plan.stripped()
     size = PART if executor is None else REMOTE_PART
     if executor is None and total is not None:
         size = min(size, max(LEAST_PART, math.ceil(total / count)))

@@ -1,0 +1,129 @@
+"""`ik place`: where a robot should stand so that it reaches the most of given poses."""
+
+import csv
+import io
+import math
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from ..errors import InvalidOption
+from ..files import write_whole
+from ..text import length, vector
+from .command import PLOTS, REQUIRED, command, flag, option, options
+from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
+from .output import facts, fixed, notice, progress, show, table, write_json
+
+
+@options()
+class PlaceOptions:
+    """Options for the poses, the places allowed and what is written."""
+
+    poses: Path = option(
+        "FILE",
+        "Poses or positions in a frame whose z is up: CSV, NPZ or JSON, as for ik solve --targets.",
+        default=REQUIRED,
+    )
+    where: str | None = option("X Y X Y", "Lower and upper corner of the floor allowed [m]; default: around the poses.")
+    yaw: str | None = option("A [B]", "Turn of the base about z, one or a range [rad]; default: any.")
+    height: str = option("Z [Z2]", "Height of the base, one or a range [m].", default="0")
+    ordered: bool = flag("--ordered", "The poses are a path: follow it from the best places.")
+    count: int = option("N", "Number of places.", "-n", "--count", default=5)
+    seed: int = option("N", "Seed of the search.", default=0)
+    output: Path | None = option("FILE", "Write the places to .csv.", "-o", "--output", writes=[".csv"])
+    plot: Path | None = option("FILE", "Draw the floor to a .png, .pdf or .svg file.", writes=PLOTS)
+
+
+@command
+def place(
+    asked: PlaceOptions,
+    robot: OneTip,
+    tolerances: ToleranceOptions,
+    around: CollisionOptions,
+    file: FileOptions,
+    out: JsonOutput,
+) -> None:
+    """Find where the robot should stand: base poses sorted by poses reached, then clearance, margin, manipulability.
+
+    Obstacles are in the frame of the poses. Exit code 1 when no place reaches any pose.
+
+    Examples:
+    ik place hydrolek_7w --poses cuts.csv --plot floor.png
+    ik place hydrolek_7w --poses cuts.csv --where -2 -2 2 2 --yaw 0 --ordered
+    """
+    import numpy as np
+
+    arm = robot.load(robot.tip)
+    from ..robot.pose_files import read_poses
+    from ..study.place import PlaceInterrupted
+    from ..study.place import place as search
+
+    blocks = read_poses(asked.poses, "targets", given=file.convention(robot.deg), base=arm.base)[1]
+    poses = np.concatenate([some for _, some in blocks])
+    where: Any = "floor" if asked.where is None else np.array(vector(asked.where, "--where", 4)).reshape(2, 2)
+    turn = math.radians(1.0) if robot.deg else 1.0
+    yaw = None if asked.yaw is None else [turn * x for x in _one_or_two(asked.yaw, "--yaw")]
+    height, stopped = _one_or_two(asked.height, "--height"), False
+    more: Any = {
+        **given(tolerances),
+        **around.read(arm),
+        "seed": asked.seed,
+        "ordered": asked.ordered,
+        "count": asked.count,
+    }
+    with progress("counting", None) as step:
+        try:
+            found = search(arm, poses, where, yaw=yaw, height=height, progress=step, **more)
+        except PlaceInterrupted as interrupt:
+            found, stopped = interrupt.result, True
+    _write(found, asked)
+    write_json(found.to_dict(), out.as_json)
+    if not out.as_json:
+        made = table(
+            ">",
+            ">x (m)",
+            ">y (m)",
+            ">z (m)",
+            f">yaw ({'deg' if robot.deg else 'rad'})",
+            ">reached",
+            ">clearance",
+            ">margin",
+        )
+        for k, one in enumerate(found):
+            at = (fixed(x, 3) for x in (one.x, one.y, one.height, one.yaw / turn))
+            clear = "-" if math.isnan(one.clearance) else length(one.clearance)
+            made.add_row(str(k + 1), *at, f"{one.count} of {len(poses)}", clear, fixed(one.margin, 3))
+        show(made)
+        if asked.ordered and len(found) and found[0].path is not None:
+            show(facts({"path from the first": found[0].path.message}))
+    if stopped:
+        notice(f"partial: the best of {len(found.candidates):,} candidates")
+        raise KeyboardInterrupt
+    if not any(one.count for one in found):
+        raise typer.Exit(1)
+
+
+def _one_or_two(text: str, name: str) -> list[float]:
+    """Return the ends of a range, twice the same where there is one number."""
+    values = vector(text, name)
+    if len(values) > 2:
+        raise InvalidOption(f"{name} takes one number or two, not '{text}'")
+    return [values[0], values[-1]]
+
+
+def _write(found: Any, asked: PlaceOptions) -> None:
+    """Write the places and the picture asked for."""
+    if asked.output is not None:
+        text = io.StringIO()
+        writer = csv.writer(text)
+        keys = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
+        writer.writerow(keys)
+        writer.writerows([["" if (x := getattr(one, key)) != x else x for key in keys] for one in found])
+        write_whole(asked.output, text.getvalue())
+        notice(f"wrote {asked.output}")
+    if asked.plot is not None:
+        from ..show.plot import plot
+
+        plot(found, file=asked.plot)
+        notice(f"wrote {asked.plot}")

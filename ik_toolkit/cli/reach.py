@@ -1,0 +1,161 @@
+"""`ik reach`: what a robot reaches, cell by cell, and how sure every no is."""
+
+from pathlib import Path
+from typing import Any
+
+from ..errors import InvalidOption
+from ..text import figure, length
+from .command import PLOTS, command, option, options
+from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
+from .output import facts, notice, partial, progress, show, write_json
+from .pictures import incomplete, written
+
+
+@options()
+class ReachOptions:
+    """Options for the region, the orientations and what is written."""
+
+    region: str | None = option("X Y Z X Y Z", "Lower and upper corner [m]; default: the box around the reach.")
+    resolution: float | None = option("M", "Width of a cell [m]; default: a fortieth of the longest side.")
+    orientations: str = option("any|N", "Any orientation, or N tool axes about which the tip may turn.", default="any")
+    poses: Path | None = option("FILE", "Loose poses instead of a region: CSV, NPZ or JSON, as for ik solve --targets.")
+    audit: str = option("N|full", "Unproven noes that are tried again with 1,000 attempts.", default="2000")
+    priority: str | None = option("position", "Position first: the orientation may be as near as it gets.")
+    seed: int = option("N", "Seed of the search.", default=0)
+    threads: int | None = option("N", "Threads; default: one a core.")
+    cluster: str | None = option("ADDRESS", "Solve on the workers of a Dask scheduler.")
+    output: Path | None = option(
+        "FILE",
+        "Write the map to an .npz file; a stopped run goes on from FILE.partial.",
+        "-o",
+        "--output",
+        writes=[".npz"],
+    )
+    plot: Path | None = option("FILE", "Draw planes through the map to a .png, .pdf or .svg file.", writes=PLOTS)
+    html: Path | None = option("FILE", "Write robot and cells as one 3-D HTML page.", writes=[".html", ".htm"])
+
+
+@command
+def reach(
+    asked: ReachOptions,
+    robot: OneTip,
+    tolerances: ToleranceOptions,
+    around: CollisionOptions,
+    file: FileOptions,
+    out: JsonOutput,
+) -> None:
+    """Map what the tip reaches inside the limits: yes with a configuration, no with a proof, or nothing found.
+
+    A sample of the noes without proof is tried again, and the share that was wrong is stated. Ctrl-C keeps what is
+    finished in FILE.partial; the same command goes on from there, also after the process was killed.
+
+    Examples:
+    ik reach hydrolek_7w --resolution 0.1 -o map.npz --plot map.png
+    ik reach hydrolek_7w --region 0 -1 0 1 1 1 --orientations 6 -o axes.npz
+    """
+    arm = robot.load(robot.tip)
+    from ..study.reachability import MapNotSaved, ReachabilityInterrupted, reachability
+    from ..study.reachability_grid import grid_of
+    from .batch import cluster_of  # it loads the solvers
+
+    region, turns = (
+        _region(asked, file, arm, robot.deg),
+        asked.orientations if asked.orientations == "any" else _count(asked),
+    )
+    grid = grid_of(arm, region, asked.resolution, turns)
+    size = f" x {grid.turns} orientations" if grid.rotations is not None else ""
+    cells = "poses" if grid.poses is not None else f"cells of {length(float(grid.size.max()))}"
+    notice(f"{grid.cells:,} {cells}{size}: {grid.answers:,} answers, at most {grid.memory(arm.n) / 1e6:,.0f} MB")
+    more: dict[str, Any] = {**given(tolerances), **around.read(arm), "seed": asked.seed}
+    more |= {"priority": asked.priority} if asked.priority is not None else {}
+    stopped = False
+    with cluster_of(asked.cluster) as executor, progress("answers", grid.answers) as step:
+        try:
+            found = reachability(
+                arm, region, resolution=asked.resolution, orientations=turns, audit=_audit(asked),
+                threads=asked.threads, executor=executor, file=asked.output, progress=step, **more,
+            )  # fmt: skip
+        except ReachabilityInterrupted as interrupt:
+            found, stopped = interrupt.result, True
+        except MapNotSaved as failure:
+            found, stopped = failure.result, True
+            notice(f"ik: {failure.__cause__ or failure.args[0].partition(';')[0]}")
+    counts = found.counts()
+    if stopped:
+        kept = f"; they are in {partial(asked.output)}" if asked.output is not None else ""
+        notice(f"partial: {found.states.size - counts['untried']:,} of {found.states.size:,} answers{kept}")
+    else:
+        _draw(found, arm, asked)
+    write_json(found.to_dict(), out.as_json)
+    if not out.as_json:
+        total = max(found.states.size, 1)
+        rows = {
+            "reached": "yes",
+            "proven out of reach": "no",
+            "not found, not proven": "unknown",
+            "not tried": "untried",
+        }
+        words = {
+            name: f"{counts[key]:,} ({figure(100 * counts[key] / total)} %)"
+            for name, key in rows.items()
+            if counts[key]
+        }
+        show(facts(words | {"audit": str(found.audit)}))
+    if stopped:
+        raise KeyboardInterrupt
+
+
+def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
+    """Return the region or the loose poses asked for."""
+    if asked.poses is not None:
+        if asked.region is not None or asked.resolution is not None or asked.orientations != "any":
+            raise InvalidOption("--poses are answered as they are; omit --region, --resolution and --orientations")
+        import numpy as np
+
+        from ..robot.pose_files import read_poses
+
+        blocks = read_poses(asked.poses, "targets", given=file.convention(deg), base=arm.base)[1]
+        poses = np.concatenate([poses for _, poses in blocks])
+        if poses.ndim != 3:
+            raise InvalidOption(
+                f"'{asked.poses}' has positions; loose poses need orientations, and a region has positions"
+            )
+        return poses
+    if asked.region is None:
+        return None
+    import numpy as np
+
+    from ..text import vector
+
+    return np.array(vector(asked.region, "--region", 6)).reshape(2, 3)
+
+
+def _count(asked: ReachOptions) -> int:
+    try:
+        return int(asked.orientations)
+    except ValueError:
+        raise InvalidOption(f"--orientations is 'any' or a number of tool axes, not '{asked.orientations}'") from None
+
+
+def _audit(asked: ReachOptions) -> int | str:
+    try:
+        return asked.audit if asked.audit == "full" else int(asked.audit)
+    except ValueError:
+        raise InvalidOption(f"--audit is a number of noes or 'full', not '{asked.audit}'") from None
+
+
+def _draw(found: Any, arm: Any, asked: ReachOptions) -> None:
+    """Say which file was written, and draw the pictures asked for."""
+    if asked.output is not None:
+        notice(f"wrote {asked.output} ({asked.output.stat().st_size / 1e6:.1f} MB)")
+    if asked.plot is not None:
+        from ..show.plot import plot
+
+        plot(found, file=asked.plot)
+        notice(f"wrote {asked.plot}")
+    if asked.html is not None:
+        from ..show.scene import view
+
+        scene = view(arm, found, title=f"{arm.name}: what {arm.tip} reaches")
+        incomplete(scene)
+        written(scene.save(asked.html))

@@ -1,0 +1,195 @@
+"""Pictures of where a robot reaches and where it should stand: planes through a map, its cells in 3-D, scores over the floor."""
+
+import base64
+import textwrap
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..study.place import Placements
+from ..study.reachability_map import Reach, ReachabilityMap
+from ..style import COLOURS, GREY, PALE
+from .plots import drawing, literal_text
+from .scene_state import css
+
+
+def plot_map(found: ReachabilityMap) -> Any:
+    """Draw the planes through the middle of a map's reached cells, coloured by share of orientations or by manipulability.
+
+    White is proven out of reach, grey is neither found nor proven; the title has the answers and the audit.
+    """
+    counts, total = found.counts(), found.states.size
+    words = [
+        f"{100 * counts['yes'] / total:.3g} % of {total:,} answers reached",
+        f"{100 * counts['no'] / total:.3g} % proven no",
+    ]
+    words += [f"{100 * counts['unknown'] / total:.3g} % not found, not proven"]
+    with drawing() as plt:
+        if found.grid.poses is not None:
+            figure = _loose(plt, found)
+        else:
+            figure = _planes(plt, found)
+        text = [f"{found.robot}, {found.tip}: {', '.join(words)}", str(found.audit)]
+        lines = [line for one in text for line in textwrap.wrap(one, int(15 * figure.get_figwidth()))]
+        figure.suptitle(literal_text("\n".join(lines)), x=0.01, ha="left", fontsize=8.5)
+    return figure
+
+
+def _planes(plt: Any, found: ReachabilityMap) -> Any:
+    grid = found.grid
+    what = "share" if grid.turns > 1 else "manipulability"
+    planes = (("z", 0, 1, "from above"), ("y", 0, 2, "from the side"), ("x", 1, 2, "from the front"))
+    drawn = [one for one in planes if all(grid.size[k] > 0.0 for k in one[1:3])] or [planes[0]]
+    figure, axes = plt.subplots(
+        1, len(drawn), figsize=(max(4.6, 3.3 * len(drawn)), 4.2), layout="constrained", squeeze=False
+    )
+    top = 1.0 if what == "share" else max(float(found.manipulability.max(initial=0.0)), 1e-12)
+    open_ = ((found.states >= Reach.FEW).any(axis=1) & ~(found.states == Reach.YES).any(axis=1)).reshape(grid.shape)
+    middle = _middle(found)
+    for axis, (across, i, j, side) in zip(axes[0], drawn, strict=True):
+        values, at = found.slice(across, middle["xyz".index(across)], what)
+        k = "xyz".index(across)
+        row = 0 if grid.size[k] == 0.0 else round((at - grid.low_centre[k]) / grid.size[k])
+        unknown = np.take(open_, row, axis=k)
+        size = np.where(grid.size > 0.0, grid.size, max(float(grid.size.max()), 1e-3))
+        ends = np.array([grid.low, grid.low + size * grid.shape])
+        box = {"origin": "lower", "extent": (*ends[:, i], *ends[:, j]), "interpolation": "nearest"}
+        axis.imshow(np.where(unknown, 0.0, np.nan).T, cmap="Greys", vmin=-0.17, vmax=1.0, **box)
+        image = axis.imshow(np.where(values > 0.0, values, np.nan).T, cmap="viridis", vmin=0.0, vmax=top, **box)
+        axis.grid(False)
+        flat = f"{across} = {at:.3g} m" if grid.size[k] > 0.0 else f"{across} = {grid.low[k]:.3g} m"
+        axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=f"{side}, {flat}", aspect="equal")
+    label = "share of orientations reached" if what == "share" else "manipulability"
+    figure.colorbar(image, ax=axes, label=label, shrink=0.7, aspect=25, pad=0.02)
+    return figure
+
+
+def _middle(found: ReachabilityMap) -> np.ndarray:
+    """Return the cell centre (3,) [m] through which the planes go: that of the cell nearest the mean of those reached."""
+    reached = np.flatnonzero(found.reached.ravel())
+    cells = np.arange(found.grid.cells) if not len(reached) else reached
+    at = np.stack(np.unravel_index(cells, found.grid.shape), axis=-1)
+    return found.grid.low_centre + found.grid.size * np.round(at.mean(axis=0))
+
+
+def _loose(plt: Any, found: ReachabilityMap) -> Any:
+    figure, axes = plt.subplots(1, 2, figsize=(8.2, 4.0), layout="constrained")
+    at, yes, no = found.grid.centres(), found.reached.ravel(), (found.states == Reach.NO).ravel()
+    kinds = (
+        (~yes & ~no, GREY, "not found, not proven"),
+        (no, PALE, "proven out of reach"),
+        (yes, COLOURS[0], "reached"),
+    )
+    for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
+        for some, colour, label in kinds:
+            axis.plot(at[some, i], at[some, j], ".", ms=2, color=colour, label=label, rasterized=True)
+        axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=side, aspect="equal")
+    axes[0].legend(loc="upper left", markerscale=4)
+    return figure
+
+
+def draw_cells(scene: Any, found: ReachabilityMap) -> None:
+    """Draw the reached cells of a map around the robot, coloured as in its chart; the slider cuts them along y, x or z.
+
+    Each plane of cells is a cloud of its own; frame k of the animation hides the planes before k.
+    """
+    if found.tip != scene.robot.tips[0] or found.joint_names != scene.robot.joint_names:
+        raise InvalidOption(
+            f"this map is of {found.tip} on {found.robot}, not of {scene.robot.tips[0]} on {scene.robot.name}"
+        )
+    yes = found.reached.ravel()
+    if not yes.any():
+        scene.say("nothing of this region is reached")
+        return
+    colours = ramp(found.share.ravel() if found.grid.turns > 1 else found.manipulability)
+    points, base = found.grid.centres(), scene.body.T_world_base
+    points = points @ base[:3, :3].T + base[:3, 3]
+    sizes, shape = found.grid.size, found.grid.shape
+    across = next((k for k in (1, 0, 2) if shape[k] > 1), 0) if found.grid.poses is None else 0
+    plane = (
+        np.unravel_index(np.arange(found.grid.cells), shape)[across]
+        if found.grid.poses is None
+        else 0 * yes.astype(int)
+    )
+    big = 0.55 * float(sizes[sizes > 0].min()) if (sizes > 0).any() else 0.01 * scene._extent()
+    used = np.unique(plane[yes])
+    for k in used:
+        some = yes & (plane == k)
+        scene.window.points(f"cells/{k}", points[some], colours[some], big)
+        scene._boxes[f"cells/{k}"] = np.array([points[some].min(axis=0), points[some].max(axis=0)])
+        scene._shown.add(f"cells/{k}")
+    what = "share of orientations reached" if found.grid.turns > 1 else "manipulability"
+    scene._say(
+        f"cells/{used[0]}",
+        *((css(ramp(np.array([0.0, x, 1.0]))[1]), f"{what}: {word}") for x, word in ((0.0, "low"), (1.0, "high"))),
+    )
+    scene.say(str(found.audit))
+    if len(used) < 2:
+        return
+    # A plane that is cut away is drawn with size zero; the first frame shows the inside.
+    poses, half = np.zeros((len(used), len(used), 3, 4), "<f4"), len(used) // 2
+    for frame in range(len(used)):
+        poses[frame, frame:, :, :3] = np.eye(3)
+    for k in used[:half]:
+        scene.window.place(f"cells/{k}", np.diag((0.0, 0.0, 0.0, 1.0)))
+    at = found.grid.low_centre[across] + found.grid.size[across] * used
+    labels = ["all cells", *(f"{'xyz'[across]} from {x:.3g} m" for x in at[1:])]
+    paths = [f"/meshcat/cells/{k}" for k in used]
+    data = base64.b64encode(poses.tobytes()).decode()
+    scene.window.say(
+        animation={"paths": paths, "count": len(used), "first": half, "fps": 8.0, "labels": labels, "data": data}
+    )
+
+
+def ramp(values: np.ndarray) -> np.ndarray:
+    """Return colours (N, 3) in 0..1 of values (N,) from their least to their largest, as matplotlib's viridis."""
+    stops = np.array(
+        [
+            (0.267, 0.005, 0.329),
+            (0.229, 0.322, 0.546),
+            (0.128, 0.567, 0.551),
+            (0.369, 0.789, 0.383),
+            (0.993, 0.906, 0.144),
+        ]
+    )
+    high = max(float(np.max(values, initial=0.0)), 1e-300)
+    x = np.clip(np.asarray(values, dtype=float) / high, 0.0, 1.0) * (len(stops) - 1)
+    return np.stack([np.interp(x, np.arange(len(stops)), stops[:, c]) for c in range(3)], axis=-1)
+
+
+def plot_places(found: Placements) -> Any:
+    """Draw the floor from above: the best share of the poses that a base in each square reached (grey: none), and the places."""
+    bases, shares = found.candidates, found.shares
+    at = found.poses if found.poses.ndim == 2 else found.poses[:, :3, 3]
+    low, high = bases[:, :2].min(axis=0), bases[:, :2].max(axis=0)
+    wide = max(float((high - low).max()) / 32.0, 1e-6)
+    sides = np.floor((high - low) / wide).astype(int) + 1
+    best = np.full(sides, np.nan)
+    cell = np.floor((bases[:, :2] - low) / wide).astype(int)
+    np.fmax.at(best, (cell[:, 0], cell[:, 1]), shares)
+    with drawing() as plt:
+        figure, axis = plt.subplots(figsize=(6.6, 5.2), layout="constrained")
+        extent = (low[0], low[0] + wide * sides[0], low[1], low[1] + wide * sides[1])
+        box = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
+        axis.imshow(np.where(best > 0.0, np.nan, best).T, cmap="Greys", vmin=-0.17, vmax=1.0, **box)
+        image = axis.imshow(np.where(best > 0.0, best, np.nan).T, cmap="viridis", vmin=0.0, **box)
+        axis.plot(at[:, 0], at[:, 1], ".", color=COLOURS[1], ms=2.5, label="poses")
+        for k, one in enumerate(found):
+            end = 0.06 * float((high - low).max()) * np.array([np.cos(one.yaw), np.sin(one.yaw)])
+            axis.annotate(
+                "", (one.x + end[0], one.y + end[1]), (one.x, one.y), arrowprops={"arrowstyle": "->", "lw": 1.6}
+            )
+            axis.plot(
+                one.x, one.y, "o", ms=7 if k == 0 else 4, color="black", mfc="white", label="places" if k == 0 else None
+            )
+        axis.grid(False)
+        axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        axis.legend(loc="upper left", frameon=True)
+        figure.colorbar(image, ax=axis, label="best share of the poses counted", shrink=0.8)
+        if len(found):
+            one = found[0]
+            words = f"best: {one.count} of {len(found.poses)} poses from x {one.x:.3f} m, y {one.y:.3f} m"
+            words += f", yaw {np.degrees(one.yaw):.1f} deg"
+            figure.suptitle(literal_text(f"{found.robot}, {words}"), x=0.01, ha="left", fontsize=9)
+    return figure

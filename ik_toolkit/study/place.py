@@ -1,0 +1,292 @@
+"""Where a robot should stand: base poses from which it reaches the most of given poses.
+
+An inverse map votes first: sampled tip poses, sorted by what a base on the floor cannot change (the height of the tip, and
+the direction of the vertical in its frame), say from where each pose is reached (Vahrenkamp, Asfour, Dillmann 2013). Bases
+spread over the floor join them, the best are refined, and the last candidates are counted on every pose.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Unpack
+
+import numpy as np
+
+from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
+from ..robot.geometry.collision import CollisionModel
+from ..robot.robot import Robot
+from ..solvers.batch.targets import known
+from ..solvers.collision_free import collision_model
+from ..solvers.options import BatchOptions, PathOptions, avoided
+from ..solvers.solve import require_robot
+from ..text import TextTable, angle, figure, length
+from ..validate import number, switch
+from . import place_search
+from .place_search import Candidates, base_poses, in_base, put_together
+from .reachability import quality
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A base pose, and what is reached from it.
+
+    Attributes:
+        T_world_base: Pose (4, 4) [m] of the base, in the frame of the poses.
+        x, y, height, yaw: The same as numbers [m, rad].
+        reached: Which poses are reached (N,), and `count`, how many.
+        q: Configurations (N, n) [rad or m], NaN where a pose is not reached.
+        clearance: Least distance [m] found at some of the configurations; NaN without avoid_collisions.
+        margin: Mean distance to the nearest limit over half the range, 0 to 1.
+        manipulability: Mean manipulability.
+        path: For ordered poses the PathResult through those that are reached, or None.
+    """
+
+    T_world_base: np.ndarray
+    reached: np.ndarray
+    q: np.ndarray
+    clearance: float
+    margin: float
+    manipulability: float
+    path: Any = None
+
+    x = property(lambda self: float(self.T_world_base[0, 3]))
+    y = property(lambda self: float(self.T_world_base[1, 3]))
+    height = property(lambda self: float(self.T_world_base[2, 3]))
+    yaw = property(lambda self: float(np.arctan2(self.T_world_base[1, 0], self.T_world_base[0, 0])))
+    count = property(lambda self: int(self.reached.sum()))
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """What placements are sorted by, larger first: reconfigurations avoided, poses, clearance, margin, manipulability."""
+        clear = 0.0 if np.isnan(self.clearance) else self.clearance
+        breaks = 0 if self.path is None else len(self.path.reconfigurations)
+        return (self.count, -breaks, clear, self.margin, self.manipulability)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Placements(Sequence[Placement]):
+    """Base poses, best first; and the candidates that were counted, for a picture of the floor.
+
+    Attributes:
+        robot: Name of the robot.
+        poses: The poses (N, 4, 4), or positions (N, 3), asked for.
+        found: The placements.
+        candidates: Bases (M, 4) that were counted: x, y, yaw, height [m, rad].
+        shares: Share of the poses that each reached (M,), counted on some of them.
+    """
+
+    robot: str
+    poses: np.ndarray
+    found: tuple[Placement, ...]
+    candidates: np.ndarray
+    shares: np.ndarray
+
+    def __len__(self) -> int:
+        """Return the number of placements."""
+        return len(self.found)
+
+    def __getitem__(self, k: Any) -> Any:
+        """Return placement k, 0 is the best."""
+        return self.found[k]
+
+    def __iter__(self) -> Iterator[Placement]:
+        """Yield the placements, best first."""
+        return iter(self.found)
+
+    def table(self) -> TextTable:
+        """Return the placements as a table."""
+        rows = [
+            (
+                k,
+                f"{one.x:.3f}, {one.y:.3f}, {one.height:.3f}",
+                angle(one.yaw),
+                f"{one.count} of {len(one.reached)}",
+                None if np.isnan(one.clearance) else length(one.clearance),
+                figure(one.margin),
+                figure(one.manipulability),
+            )
+            for k, one in enumerate(self.found)
+        ]
+        head = ("", "x, y, z of the base [m]", "yaw", "reached", "clearance", "margin", "manipulability")
+        return TextTable(self.robot, f"{len(rows)} places to stand", head, rows, "ik.plot(placements) draws the floor.")
+
+    def _repr_html_(self) -> str:
+        """Return the table for notebooks."""
+        return self.table().html()
+
+    def __repr__(self) -> str:
+        """Return the table for terminals."""
+        return str(self.table())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, strings and lists."""
+        keys = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
+        rows = [{key: getattr(one, key) for key in keys} | {"reached": one.reached.tolist()} for one in self.found]
+        return {"robot": self.robot, "poses": len(self.poses), "placements": rows}
+
+
+class PlaceInterrupted(Portable, KeyboardInterrupt):
+    """Ctrl-C while places were searched; `result` has the Placements of the best candidates so far."""
+
+    def __init__(self, result: Placements) -> None:
+        """Keep the placements."""
+        super().__init__(f"interrupted after {len(result.candidates)} candidates")
+        self.result = result
+
+
+def place(
+    robot: Robot,
+    poses: Any,
+    where: Any = "floor",
+    *,
+    yaw: Any = None,
+    height: Any = 0.0,
+    ordered: bool = False,
+    count: int = 5,
+    progress: Callable[[int], None] | None = None,
+    **options: Unpack[BatchOptions],
+) -> Placements:
+    """Find where the robot should stand so that it reaches the most of the poses.
+
+    Args:
+        robot: The Robot, whose base goes to the place.
+        poses: Poses (N, 4, 4), or positions (N, 3) [m], in a frame whose z is up.
+        where: 'floor', as far around the poses as the robot reaches, or a part of it, ((x, y), (x, y)) [m], lower corner first.
+        yaw: Turn of the base about z [rad]: None for any, a number, or (lower, upper).
+        height: Height of the base [m], a number or (lower, upper).
+        ordered: Whether the poses are a path: `solve_path` then follows it from the best places, and the fewest reconfigurations
+            decide between places that reach as many.
+        count: Number of placements to return.
+        progress: Called as progress(done) with the number of candidates counted.
+        **options: As for `solve_batch`: tolerances, limits, free_turn, seed, ...; the shapes of a CollisionModel given as
+            avoid_collisions are those of the scene, in the frame of the poses.
+
+    Returns:
+        The placements, sorted by poses reached, then clearance, margin to the limits and manipulability.
+
+    Raises:
+        InvalidOption, InvalidTarget: An argument is wrong.
+        PlaceInterrupted: Ctrl-C, as a KeyboardInterrupt; its `result` has the best so far.
+    """
+    require_robot(robot)
+    if not isinstance(robot, Robot):
+        arms = ", ".join(robot.tips)
+        raise InvalidOption(
+            f"place is about one tip, and this robot has several ({arms}); give one of its arms, as tree.arms[0]"
+        )
+    if robot.on_base is not None:
+        raise InvalidOption("place chooses the pose of the base; load the robot without on_base")
+    check_progress(progress, "the number of candidates counted")
+    count = whole(count, "count")
+    W = known(poses, robot.base)
+    if not isinstance(W, np.ndarray) or W.shape[1:] not in ((4, 4), (3,)) or not len(W):
+        raise InvalidTarget("place needs poses (N, 4, 4) or positions (N, 3)")
+    W = floats(W, "poses must be numbers", InvalidTarget)
+    if not np.isfinite(W).all():
+        raise InvalidTarget("poses must be finite numbers")
+    if "restarts" in options:
+        raise InvalidOption("place chooses the number of attempts; omit restarts")
+    low, high = _region(robot, W, where, yaw, height)
+    scene = _scene(robot, options.pop("avoid_collisions", False))
+    study = Candidates(
+        robot, W, (low, high), scene, {**options, "seed": whole(options.get("seed", 0), "seed", 0)}, progress
+    )
+    try:
+        best = study.run()
+    except KeyboardInterrupt:
+        best = study.best(count)
+        if not len(best):
+            raise
+        raise PlaceInterrupted(_result(study, best, count, False)) from None
+    return _result(study, best, count, switch(ordered, "ordered"))
+
+
+def _region(robot: Robot, W: np.ndarray, where: Any, yaw: Any, height: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper corner (4,) of the bases x, y, yaw, height [m, rad]."""
+    at = W if W.ndim == 2 else W[:, :3, 3]
+    if isinstance(where, str):
+        if where != "floor":
+            raise InvalidOption(f"where must be 'floor' or two corners ((x, y), (x, y)) [m], not '{where:.60}'")
+        xy = np.array([at[:, :2].min(axis=0) - robot.reach, at[:, :2].max(axis=0) + robot.reach])
+    else:
+        xy = floats(where, "where must be 'floor' or two corners ((x, y), (x, y)) [m]", InvalidOption)
+        if xy.shape != (2, 2) or not np.isfinite(xy).all() or (xy[0] > xy[1]).any():
+            raise InvalidOption(
+                f"where must be 'floor' or two corners ((x, y), (x, y)) [m], lower first, not {where!r:.60}"
+            )
+    turns = (-np.pi, np.pi) if yaw is None else _ends(yaw, "yaw [rad]")
+    heights = _ends(height, "height [m]")
+    ends = np.array([[*xy[0], turns[0], heights[0]], [*xy[1], turns[1], heights[1]]])
+    return ends[0], ends[1]
+
+
+def _ends(value: Any, what: str) -> tuple[float, float]:
+    """Return a number, or a lower and an upper one, as two."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        return number(value, what), number(value, what)
+    pair = floats(value, f"{what} must be a number or (lower, upper)", InvalidOption)
+    if pair.shape != (2,) or not np.isfinite(pair).all() or pair[0] > pair[1]:
+        raise InvalidOption(f"{what} must be a number or (lower, upper), not {value!r:.60}")
+    return float(pair[0]), float(pair[1])
+
+
+def _scene(robot: Robot, asked: Any) -> CollisionModel | None:
+    """Return a collision model of our own, whose shapes can be moved, of what is to be avoided."""
+    if (found := avoided(asked)) is False:
+        return None
+    given = collision_model(robot, found)
+    if given.attached:
+        raise InvalidOption(
+            "place keeps no shapes that the robot holds; give it a tool with shapes (`Robot.with_tool`)"
+        )
+    made = CollisionModel(robot, geometry=given._given, ignore=given.ignore, margin=given.margin)
+    for name, shape, T in given.placed():
+        made.add(shape, T, name)
+    return made
+
+
+def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> Placements:
+    """Return the placements at the best of bases (M, 4), which differ by more than a hundredth of the reach or a degree."""
+    apart: list[np.ndarray] = []
+    for base in bases:
+        if all(
+            np.abs((base - one)[[0, 1, 3]]).max() > 0.01 * study.robot.reach or abs(base[2] - one[2]) > 0.0175
+            for one in apart
+        ):
+            apart.append(base)
+    measure = quality(study.robot, position_only=study.W.ndim == 2)
+    found = [_placement(study, base, measure) for base in apart[: count + 3]]
+    found = sorted(found, key=lambda one: one.rank, reverse=True)[:count]
+    if ordered:  # The first few are followed; those with fewer reconfigurations go before others that reach as many.
+        found = [replace(one, path=_followed(study, one)) for one in found[: place_search.SEARCH.followed]] + found[
+            place_search.SEARCH.followed :
+        ]
+        found = sorted(found, key=lambda one: one.rank, reverse=True)
+    bases, shares = put_together(study.tried)
+    return Placements(study.robot.name, study.W, tuple(found), bases, shares)
+
+
+def _placement(study: Candidates, base: np.ndarray, measure: Any) -> Placement:
+    """Return what is reached from one base (4,), with many attempts at every pose."""
+    good, q = study.solve_beside(base, study.W, place_search.SEARCH.sure)
+    q = np.where(good[:, None], q, np.nan)
+    clear = np.nan
+    if study.scene is not None and good.any():
+        looked = q[good][:: max(1, int(good.sum()) // place_search.SEARCH.measured)]
+        clear = min(
+            (near.distance for one in looked if (near := study.scene.distance(one)) is not None), default=np.inf
+        )
+    size, margin = measure(q[good]).mean(axis=1) if good.any() else (0.0, 0.0)
+    return Placement(base_poses(base[None])[0], good, q, float(clear), float(margin), float(size))
+
+
+def _followed(study: Candidates, one: Placement) -> Any:
+    """Return the path through the poses that a placement reaches, or None where there are fewer than two."""
+    from ..paths.solve_path import solve_path  # imported when needed: most searches follow no path
+
+    if one.count < 2:
+        return None
+    asked: Any = {key: study.options[key] for key in {*PathOptions.__annotations__, "seed"} & study.options.keys()}
+    base = np.array([one.x, one.y, one.yaw, one.height])
+    study.stand(base)
+    seen = in_base(base[None], study.W)[0][one.reached]
+    return solve_path(study.robot, seen, avoid_collisions=False if study.scene is None else study.scene, **asked)

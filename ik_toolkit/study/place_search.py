@@ -1,0 +1,220 @@
+"""The search for where a robot should stand: votes of an inverse map, bases spread over the floor, refinement, counts."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..robot.geometry.collision import CollisionModel
+from ..robot.robot import Robot
+from ..solvers.batch.solve_batch import solve_parts
+
+
+class SearchSizes(NamedTuple):
+    """How much is searched. Measured on three edges of a sheet, 800 poses (see `scripts/benchmarks/reach.py`)."""
+
+    samples: int = 400_000  # sampled configurations of the inverse map
+    height: float = 1 / 40  # width of its cells along the tip's height, over the reach
+    sides: int = 9  # cells of directions along an edge of the cube around them
+    floor: float = 1 / 24  # width of the cells of floor that are voted for, over the reach
+    yaws: int = 36  # cells of yaw that are voted for
+    voted: int = 300  # candidates from the votes
+    spread: int = 3000  # candidates spread over the region
+    few: int = 32  # poses at which these are counted
+    rounds: int = 4  # rounds of refinement, each with half the width
+    keep: int = 10  # bases that are refined
+    around: int = 20  # new bases around each
+    last: int = 500  # candidates that are counted on all poses
+    near: int = 40  # candidates a round that are counted again beside obstacles
+    attempts: int = 4  # attempts at a pose while counting
+    sure: int = 50  # attempts at a pose for the placements that are returned
+    followed: int = 3  # placements along which ordered poses are followed
+    measured: int = 50  # configurations at which clearance is measured
+
+
+SEARCH = SearchSizes()
+
+
+def base_poses(bases: np.ndarray) -> np.ndarray:
+    """Return T_world_base (M, 4, 4) of bases (M, 4): x, y, yaw, height [m, rad]."""
+    c, s = np.cos(bases[:, 2]), np.sin(bases[:, 2])
+    T = np.zeros((len(bases), 4, 4))
+    T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1], T[:, 2, 2], T[:, 3, 3] = c, -s, s, c, 1.0, 1.0
+    T[:, 0, 3], T[:, 1, 3], T[:, 2, 3] = bases[:, 0], bases[:, 1], bases[:, 3]
+    return T
+
+
+def in_base(bases: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Return poses (M, N, 4, 4) or positions (M, N, 3) seen from bases (M, 4), of W (N, 4, 4) or (N, 3) in the world."""
+    inverse = np.linalg.inv(base_poses(bases))
+    if W.ndim == 2:
+        return np.einsum("mij,nj->mni", inverse[:, :3, :3], W) + inverse[:, None, :3, 3]
+    return inverse[:, None] @ W[None]
+
+
+def put_together(counted: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return all bases (M, 4) that were counted in parts, and their shares (M,)."""
+    return np.concatenate([bases for bases, _ in counted]), np.concatenate([share for _, share in counted])
+
+
+class Candidates:
+    """The candidates so far, and the steps that find better ones."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        W: np.ndarray,
+        ends: tuple[np.ndarray, np.ndarray],
+        scene: CollisionModel | None,
+        options: Any,
+        progress: Callable[[int], None] | None,
+    ) -> None:
+        self.robot, self.W, (self.low, self.high) = robot, W, ends
+        self.scene, self.options, self.progress = scene, options, progress
+        self.shapes = [] if scene is None else [(name, T.copy()) for name, _, T in scene.placed()]
+        self.rng = np.random.default_rng(options["seed"])
+        self.tried: list[tuple[np.ndarray, np.ndarray]] = []
+        self.full: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def run(self) -> np.ndarray:
+        """Return the best bases (M, 4), best first."""
+        S, N = SEARCH, len(self.W)
+        few, some = (self.W[:: max(1, -(-N // k))] for k in (S.few, 4 * S.few))
+        bases = np.concatenate([self.votes(), self.spread(S.spread)])
+        bases, score = self.top(bases, self.count(bases, few), 4 * S.keep)
+        score = self.count(bases, some)
+        # Widths of the first round: of the region, but no wider than what the arm spans.
+        width = np.minimum(
+            self.high - self.low, np.array([0.15, 0.15, 0.3 / self.robot.reach, 0.15]) * self.robot.reach
+        )
+        for k in range(S.rounds):
+            bases, score = self.top(bases, score, S.keep)
+            new = self.near(bases, width * 0.5**k, S.around)
+            bases, score = np.concatenate([bases, new]), np.append(score, self.count(new, some))
+        left = S.last - 4 * S.around * 3
+        bases, score = self.top(bases, score, left)
+        score = self.count(bases, self.W)
+        self.full.append((bases, score))
+        for k in range(4):
+            start, _ = self.top(*put_together(self.full), 3)
+            new = self.near(start, width * 0.5 ** (k + 2), S.around)
+            self.full.append((new, self.count(new, self.W)))
+        return self.best(4 * S.keep)
+
+    def best(self, count: int) -> np.ndarray:
+        """Return the best bases (M, 4) so far: of those counted on all poses, if there are any."""
+        found = self.full or self.tried
+        if not found:
+            return np.empty((0, 4))
+        return self.top(*put_together(found), count)[0]
+
+    @staticmethod
+    def top(bases: np.ndarray, score: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the best of bases with their scores, best first; of two equal ones the earlier."""
+        order = np.argsort(-score, kind="stable")[:count]
+        return bases[order], score[order]
+
+    def near(self, bases: np.ndarray, width: np.ndarray, count: int) -> np.ndarray:
+        """Return random bases around each, inside the region."""
+        new = np.repeat(bases, count, axis=0) + self.rng.normal(size=(len(bases) * count, 4)) * width
+        if self.high[2] - self.low[2] > 2.0 * np.pi - 1e-9:
+            new[:, 2] = (new[:, 2] - self.low[2]) % (2.0 * np.pi) + self.low[2]
+        return np.clip(new, self.low, self.high)
+
+    def spread(self, count: int) -> np.ndarray:
+        """Return bases spread evenly over the region: the additive recurrence of Roberts (2018)."""
+        g = 1.1673039782614187  # root of x^5 = x + 1
+        steps = (0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, 5.0))) % 1.0
+        return self.low + steps * (self.high - self.low)
+
+    def count(self, bases: np.ndarray, W: np.ndarray) -> np.ndarray:
+        """Return the share of poses W that is reached from each of the bases (M,); beside obstacles 0 for those not looked at."""
+        share = np.zeros(len(bases))
+        for a in range(0, len(bases), max(1, 2**15 // len(W))):
+            some = bases[a : a + max(1, 2**15 // len(W))]
+            found = self.solve(in_base(some, W).reshape(-1, *W.shape[1:]), SEARCH.attempts)[0]
+            share[a : a + len(some)] = found.reshape(len(some), len(W)).mean(axis=1)
+        if self.scene is not None:
+            order = np.argsort(-share, kind="stable")[: 4 * SEARCH.near]
+            looked = order[:: max(1, len(order) // SEARCH.near)]
+            free = np.zeros(len(bases))
+            for k in looked[share[looked] > 0.0]:
+                free[k] = self.solve_beside(bases[k], W, SEARCH.attempts)[0].mean()
+            share = free
+        self.tried.append((bases, share))
+        if self.progress is not None:
+            self.progress(sum(len(one) for one, _ in self.tried))
+        return share
+
+    def solve(self, T: np.ndarray, attempts: int, **more: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Solve for targets (m, ...) in the base frame; return which are reached (m,), and q (m, n)."""
+        asked = {"restarts": attempts - 1, "check": 0.0, "finish": False, **self.options, **more}
+        parts = list(solve_parts(self.robot, T, **asked))
+        return np.concatenate([part.success for part in parts]), np.concatenate([part.q for part in parts])
+
+    def solve_beside(self, base: np.ndarray, W: np.ndarray, attempts: int) -> tuple[np.ndarray, np.ndarray]:
+        """Solve for poses W from one base, beside the obstacles of the scene if there is one."""
+        T = in_base(base[None], W)[0]
+        if self.scene is None:
+            return self.solve(T, attempts, check=1.0)
+        self.stand(base)
+        return self.solve(T, attempts, avoid_collisions=self.scene)
+
+    def stand(self, base: np.ndarray) -> None:
+        """Move the shapes of the scene to where they are seen from a base (4,)."""
+        back = np.linalg.inv(base_poses(base[None])[0])
+        for name, at in self.shapes:
+            self.scene.move(name, back @ at)  # pyright: ignore[reportOptionalMemberAccess]
+
+    def votes(self) -> np.ndarray:
+        """Return the bases (M, 4) that the inverse map votes for; none for positions, which any yaw suits."""
+        S, robot = SEARCH, self.robot
+        if self.W.ndim == 2 or self.options.get("free_turn") is not None:
+            return np.empty((0, 4))
+        A = robot.chain.forward(robot.random_q(self.rng, S.samples))[0]
+        inverse = np.linalg.inv(A)
+        keys = _keys(A, 0.0, robot.reach * S.height)
+        order = np.argsort(keys, kind="stable")
+        keys, cell = keys[order], robot.reach * S.floor
+        found = []
+        for height in np.unique(np.linspace(self.low[3], self.high[3], 5)):
+            sides = np.append(np.maximum(np.ceil((self.high - self.low)[:2] / cell), 1).astype(int), S.yaws)
+            votes = np.zeros(sides, np.int32)
+            W = self.W[:: max(1, len(self.W) // 400)]
+            first = np.searchsorted(keys, (asked := _keys(W, height, robot.reach * S.height)), "left")
+            last = np.searchsorted(keys, asked, "right")
+            for T, a, b in zip(W, first, last, strict=True):
+                B = T @ inverse[order[a:b]]
+                turn = np.arctan2(B[:, 1, 0] - B[:, 0, 1], B[:, 0, 0] + B[:, 1, 1])
+                at = np.column_stack(
+                    [(B[:, :2, 3] - self.low[:2]) / cell, (turn + np.pi) / (2.0 * np.pi) * S.yaws]
+                ).astype(int)
+                at[:, 2] %= S.yaws
+                at = at[
+                    ((B[:, :2, 3] >= self.low[:2]) & (at[:, :2] < sides[:2]).all(axis=1, keepdims=True)).all(axis=1)
+                ]
+                votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
+            smooth = votes.astype(float)
+            for axis in range(3):  # neighbours vote along, also across the seam of yaw; x and y end beyond the reach
+                smooth = smooth + np.roll(smooth, 1, axis) + np.roll(smooth, -1, axis)
+            top = np.argsort(-smooth.ravel(), kind="stable")[: S.voted]
+            x, y, turn = np.unravel_index(top[smooth.ravel()[top] > 0.0], votes.shape)
+            yaw = (turn + 0.5) / S.yaws * 2.0 * np.pi - np.pi
+            found.append(
+                np.column_stack(
+                    [self.low[0] + (x + 0.5) * cell, self.low[1] + (y + 0.5) * cell, yaw, np.full(len(x), height)]
+                )
+            )
+        return np.clip(np.concatenate(found), self.low, self.high)
+
+
+def _keys(T: np.ndarray, height: float, wide: float) -> np.ndarray:
+    """Return cells (N,) of what a base on the floor cannot change: the tip's height, and the direction of z in its frame."""
+    z, S = T[:, 2, :3], SEARCH.sides
+    side = np.abs(z).argmax(axis=1)
+    rows = np.arange(len(z))
+    top = z[rows, side]
+    cells = [np.arctan(z[rows, (side + k) % 3] / np.abs(top)) / (0.5 * np.pi) + 0.5 for k in (1, 2)]
+    u, v = (np.minimum((x * S).astype(int), S - 1) for x in cells)
+    level = np.floor((T[:, 2, 3] - height) / wide).astype(int)
+    return (((level * 6 + side * 2 + (top > 0.0)) * S) + u) * S + v

@@ -1,0 +1,358 @@
+"""What a robot reaches, cell by cell: yes with a configuration, no with a proof, or nothing found, and how often that is wrong.
+
+Few attempts at every answer find most; in a grid the configurations of neighbours are then tried, and many attempts only
+where a no touches a yes. Where a closed form or the elimination decides, there is one pass, and no attempt is needed.
+"""
+
+import json
+from collections.abc import Callable
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from ..errors import IKError, InvalidOption, Portable, check_progress, whole
+from ..files import PARTIAL, as_path, require_place
+from ..kernel.counted_error import POSE, POSITION
+from ..kernel.records import AT
+from ..robot.robot import Robot
+from ..solvers.batch.result import BatchResult
+from ..solvers.batch.solve_batch import solve_parts
+from ..solvers.decide import Deciding
+from ..solvers.options import BatchOptions
+from ..solvers.plan import Plan
+from ..solvers.solve import Solver, require_robot
+from ..solvers.status import DECIDED, SEARCHED, Status
+from .reachability_grid import EFFORT, Grid, grid_of, require_memory
+from .reachability_map import Audit, Log, Reach, ReachabilityMap
+
+
+class ReachabilityInterrupted(Portable, KeyboardInterrupt):
+    """Ctrl-C during a study of reachability; `result` is the ReachabilityMap of what was finished before it."""
+
+    def __init__(self, result: ReachabilityMap) -> None:
+        """Keep the map of the finished part."""
+        counts = result.counts()
+        super().__init__(
+            f"interrupted after {result.states.size - counts['untried']:,} of {result.states.size:,} answers"
+        )
+        self.result = result
+
+
+class MapNotSaved(IKError):
+    """The map was computed, but its file could not be written; `result` is the ReachabilityMap."""
+
+    def __init__(self, result: ReachabilityMap, error: OSError) -> None:
+        """Keep the map."""
+        super().__init__(f"{error.strerror or error}: {error.filename}; the map is in the error's `result`")
+        self.result = result
+
+
+def proven_rows(batch: BatchResult) -> np.ndarray:
+    """Return which rows (N,) of a batch are proven to be out of reach: by a bound, a closed form or a certificate."""
+    status, excess = batch.table[:, AT.status], batch.table[:, AT.excess]
+    decided = excess == DECIDED
+    if batch.plan.row.closed:
+        decided = decided | (excess != SEARCHED)
+    return (status == Status.UNREACHABLE) | ((status == Status.LIMIT_BLOCKED) & decided)
+
+
+def decides(plan: Plan) -> bool:
+    """Return whether a batch of this plan answers yes or no by itself, so that more attempts are of no use."""
+    return plan.row.closed or isinstance(plan, Deciding)
+
+
+def reachability(
+    robot: Robot,
+    region: Any = None,
+    *,
+    resolution: float | None = None,
+    orientations: Any = "any",
+    audit: int | str = 2000,
+    threads: int | None = None,
+    executor: Executor | None = None,
+    check: float = 0.01,
+    file: str | Path | None = None,
+    progress: Callable[[int], None] | None = None,
+    **options: Unpack[BatchOptions],
+) -> ReachabilityMap:
+    """Answer, for every cell of a region, whether the tip reaches it inside the limits.
+
+    A yes has a configuration that was checked. A no is proven (by a bound, a closed form or a certificate), or no attempt
+    found a configuration; the audit then tries a sample of these noes again and says how often they are wrong.
+
+    Args:
+        robot: The Robot.
+        region: Lower and upper corner of a box, (3,) each [m] in the base frame; by default the box around the reach. Corners that
+            agree in a coordinate make a plane. Or loose poses (N, 4, 4), each answered as it is.
+        resolution: Width of a cell [m], by default a fortieth of the longest side. A cell is answered at its centre.
+        orientations: 'any' leaves the orientation free; a number K asks for K tool axes, spread evenly, about which the tip may
+            turn (the tip's z, or `free_turn`); rotations (K, 3, 3) or poses (K, 4, 4) are asked for as they are.
+        audit: How many of the unproven noes are tried again with 1,000 attempts; 'full' for all.
+        threads: As for `solve_batch`.
+        executor: As for `solve_batch`.
+        check: Share of the yeses that Pinocchio verifies; all yeses to positions and poses are checked by forward kinematics.
+        file: An .npz file for the map. What is finished stands in NAME.partial until then, also if the process is killed; the
+            same call goes on from there.
+        progress: Called as progress(done) with the number of answers that were tried.
+        **options: As for `solve_batch`: tolerances, seed, limits, avoid_collisions, priority, free_turn, ...; with `priority`, yes
+            is what CONVERGED means there.
+
+    Returns:
+        The map.
+
+    Raises:
+        InvalidOption, InvalidTarget: An argument is wrong, or the map would not fit into memory.
+        ReachabilityInterrupted: Ctrl-C, as a KeyboardInterrupt; its `result` has what was finished.
+        MapNotSaved: The file cannot be written, as on a full disk; its `result` is the map.
+        BatchCheckFailed: As for `solve_batch`.
+    """
+    require_robot(robot)
+    if not isinstance(robot, Robot):
+        arms = ", ".join(robot.tips)
+        raise InvalidOption(
+            f"reachability is about one tip, and this robot has {len(robot.tips)} ({arms}); give one of its arms, as tree.arms[0]"
+        )
+    check_progress(progress, "the number of answers tried")
+    if "restarts" in options:
+        raise InvalidOption("reachability chooses the number of attempts; omit restarts, and see audit=")
+    grid = grid_of(robot, region, resolution, orientations)
+    if grid.free:
+        options.setdefault("free_turn", "z")
+    full = isinstance(audit, str) and audit == "full"
+    tried_again = grid.answers if full else whole(audit, "audit (or 'full')", 0)
+    require_memory(grid, robot.n)
+    solver = Solver(robot, "auto", **options)
+    plan = solver.plan_for((POSITION if grid.rotations is None and grid.poses is None else POSE,))
+    # Limits that the options narrow are those of a variant of the robot.
+    robot = solver.robot  # pyright: ignore[reportAssignmentType]
+    if grid.free:
+        grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn)
+    asked = {
+        key: value if isinstance(value, int | float | str | bool) else repr(value) for key, value in options.items()
+    }
+    said = json.dumps(asked, sort_keys=True)
+    log = None
+    if file is not None:
+        file = as_path(file, "file")
+        if file.suffix.lower() != ".npz":
+            raise InvalidOption(f"a map is written as .npz, not '{file.name}'")
+        require_place(file)
+        log = Log(file.with_name(file.name + PARTIAL), _question(robot, grid, said))
+    work = {"threads": threads, "executor": executor, "check": check, **options}
+    study = _Study(robot, grid, plan, work, log, progress)
+    audited = None
+    try:
+        study.search()
+        audited = study.audit(tried_again, plan.options.seed)
+    except KeyboardInterrupt:
+        if (study.states != Reach.UNTRIED).any():
+            raise ReachabilityInterrupted(study.result(audited, said)) from None
+        raise
+    finally:
+        if log is not None:
+            log.close(False)
+    found = study.result(audited, said)
+    if log is not None and file is not None:
+        try:
+            found.save(file)
+        except OSError as error:
+            raise MapNotSaved(found, error) from None
+        log.close(True)
+    return found
+
+
+def _question(robot: Robot, grid: Grid, options: str) -> str:
+    """Return a text that is the same for the same study only."""
+    import hashlib
+
+    digest = hashlib.sha256()
+    for array in (
+        grid.low,
+        grid.size,
+        grid.rotations,
+        grid.poses,
+        robot.lower,
+        robot.upper,
+        robot.chain.rows,
+        robot.chain.ends,
+    ):
+        digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
+    about = [robot.name, robot.tip, robot.base, list(grid.shape), options, digest.hexdigest()]
+    return json.dumps(about)
+
+
+class _Study:
+    """The answers so far, and the passes that find them."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        grid: Grid,
+        plan: Plan,
+        work: dict[str, Any],
+        log: Log | None,
+        progress: Callable[[int], None] | None,
+    ) -> None:
+        self.robot, self.grid, self.plan, self.work, self.log, self.progress = robot, grid, plan, work, log, progress
+        self.states = np.zeros(grid.answers, np.int8)
+        self.q = np.full((grid.answers, robot.n), np.nan)
+        for rows, states, q in log.entries if log is not None else ():
+            self.states[rows] = states
+            self.q[rows[states == Reach.YES]] = q
+
+    def search(self) -> None:
+        """Answer everything."""
+        rest = np.flatnonzero(self.states == Reach.UNTRIED)
+        if decides(self.plan):
+            self.solve(rest, Reach.MANY)
+        elif self.grid.poses is not None:
+            self.solve(rest, Reach.MANY, restarts=EFFORT.loose - 1)
+        else:
+            self.solve(rest, Reach.FEW, restarts=EFFORT.few - 1)
+            tried = np.zeros((*self.grid.shape, self.grid.turns), np.uint8)
+            self.flood(tried)
+            for k in range(1, EFFORT.rounds + 1):
+                near = _dilated((self.states == Reach.YES).reshape(tried.shape)).ravel()
+                rows = np.flatnonzero(near & (self.states >= Reach.FEW))
+                self.solve(rows, Reach.MANY, restarts=EFFORT.touching - 1, seed=self.plan.options.seed + k)
+                self.flood(tried)
+
+    def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
+        """Solve answers (m,), from q0 (m, n) if given; those without a solution or proof become `failed`. Returns the yeses."""
+        yes = 0
+        for a in range(0, len(rows), EFFORT.chunk):
+            end = min(a + EFFORT.chunk, len(rows))
+            done = a
+            start = None if q0 is None else q0[a:end]
+            asked = {**self.work, **more}
+            for part in solve_parts(self.robot, self.grid.targets(rows[a:end]), q0=start, finish=False, **asked):
+                yes += self.take(rows[done : done + len(part)], part, failed)
+                done += len(part)
+                if self.progress is not None:
+                    self.progress(int((self.states != Reach.UNTRIED).sum()))
+        return yes
+
+    def take(self, rows: np.ndarray, batch: BatchResult, failed: int) -> int:
+        """Keep the answers (m,) that a batch has found; those known to be reached stay so."""
+        good = batch.success & self.inside(rows, batch)
+        states = np.where(
+            good, Reach.YES, np.where(proven_rows(batch), Reach.NO, np.maximum(self.states[rows], failed))
+        ).astype(np.int8)
+        changed = states != self.states[rows]
+        self.states[rows] = states
+        self.q[rows[good]] = batch.q[good]
+        if self.log is not None and changed.any():
+            self.log.add(rows[changed], states[changed], batch.q[good & changed])
+        return int(good.sum())
+
+    def inside(self, rows: np.ndarray, batch: BatchResult) -> np.ndarray:
+        """Return whether q is within the limits and, for positions and poses, the tolerances (m,), by forward kinematics."""
+        robot, o, q = self.robot, self.plan.options, batch.q
+        good = ((q >= robot.lower) & (q <= robot.upper)).all(axis=1) if o.limits is True else np.ones(len(q), bool)
+        if o.in_part or o.priority is not None:
+            return good
+        T, P = self.grid.targets(rows), robot.chain.forward(q)[0]
+        at = T if T.ndim == 2 else T[:, :3, 3]
+        good &= np.linalg.norm(P[:, :3, 3] - at, axis=1) <= o.position_tolerance * (1.0 + 1e-6) + 1e-9
+        if T.ndim == 3:
+            # |R - S| (Frobenius) = 2 sqrt(2) sin(angle / 2).
+            chord = np.linalg.norm((P[:, :3, :3] - T[:, :3, :3]).reshape(len(q), 9), axis=1) / np.sqrt(8.0)
+            good &= 2.0 * np.arcsin(np.minimum(chord, 1.0)) <= o.orientation_tolerance * (1.0 + 1e-6) + 1e-8
+        return good
+
+    def flood(self, tried: np.ndarray) -> None:
+        """Try the configurations of reached neighbours at unproven noes, until that finds no more.
+
+        tried: (nx, ny, nz, K) a bit for each of the six neighbours whose configuration has been tried.
+        """
+        open_, found = (Reach.FEW, Reach.MANY), 1
+        flat, shape = tried.reshape(-1), tried.shape
+        steps = [(axis, step) for axis in range(3) if shape[axis] > 1 for step in (1, -1)]
+        while found:
+            found = 0
+            for bit, (axis, step) in enumerate(steps):
+                yes = (self.states == Reach.YES).reshape(shape)
+                beside = np.zeros(shape, bool)
+                ahead, behind = [slice(None)] * 4, [slice(None)] * 4
+                ahead[axis], behind[axis] = (
+                    (slice(1, None), slice(None, -1)) if step > 0 else (slice(None, -1), slice(1, None))
+                )
+                beside[tuple(ahead)] = yes[tuple(behind)]
+                new = beside.ravel() & np.isin(self.states, open_) & (flat >> bit & 1 == 0)
+                rows = np.flatnonzero(new)
+                flat[rows] |= 1 << bit
+                stride = step * int(np.prod(shape[axis + 1 :]))
+                if len(rows):
+                    found += self.solve(rows, Reach.FEW, self.q[rows - stride], restarts=0)
+
+    def audit(self, count: int, seed: int) -> Audit:
+        """Try a random sample of the unproven noes again."""
+        left = np.flatnonzero((self.states == Reach.FEW) | (self.states == Reach.MANY))
+        rows = np.sort(np.random.default_rng(seed).permutation(left)[:count])
+        found = 0
+        for a in range(0, len(rows), 256):  # so that Ctrl-C loses little
+            found += self.solve(
+                rows[a : a + 256], Reach.MANY, restarts=EFFORT.audited - 1, seed=self.plan.options.seed + 1
+            )
+        return Audit(len(left), len(rows), found, EFFORT.audited)
+
+    def result(self, audit: Audit | None, options: str) -> ReachabilityMap:
+        """Return the map of the answers so far."""
+        audit = Audit(int((self.states >= Reach.FEW).sum())) if audit is None else audit
+        grid, robot = self.grid, self.robot
+        K, cells = grid.turns, grid.cells
+        best, margin, q = np.zeros(cells, np.float32), np.zeros(cells, np.float32), np.full((cells, robot.n), np.nan)
+        measure = quality(robot, position_only=grid.rotations is None and grid.poses is None)
+        for a in range(0, cells, max(EFFORT.chunk // K, 1)):
+            some = slice(a, a + max(EFFORT.chunk // K, 1))
+            yes = (self.states == Reach.YES).reshape(cells, K)[some]
+            values = np.full((2, *yes.shape), -1.0)
+            values[:, yes] = measure(self.q.reshape(cells, K, robot.n)[some][yes])
+            pick = values[0].argmax(axis=1)
+            any_yes = yes.any(axis=1)
+            best[some], margin[some] = np.where(any_yes, values.max(axis=2), 0.0)
+            q[some][any_yes] = self.q.reshape(cells, K, robot.n)[some][any_yes, pick[any_yes]]
+        states = self.states.reshape(cells, K)
+        return ReachabilityMap(
+            robot.name, robot.tip, robot.base, robot.joint_names, grid, states, best, margin, q, audit, options
+        )
+
+
+def _dilated(yes: np.ndarray) -> np.ndarray:
+    """Return which answers (nx, ny, nz, K) are yes, or touch a yes of the same orientation, also at a corner."""
+    near = yes.copy()
+    for axis in range(3):
+        one = np.moveaxis(near, axis, 0)
+        before = one.copy()
+        one[1:] |= before[:-1]
+        one[:-1] |= before[1:]
+    return near
+
+
+def quality(robot: Robot, position_only: bool) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function that gives manipulability and margin to the limits (2, N) of configurations (N, n).
+
+    Manipulability is the product of as many singular values as the Jacobian has at random configurations (Yoshikawa 1985, for
+    arms that cannot move in all directions, too).
+    """
+    rows = 3 if position_only else 6
+    J = robot.chain.forward(robot.random_q(np.random.default_rng(0), 32), True)[1][:, :rows]
+    rank = int(np.linalg.matrix_rank(J, tol=1e-9 * float(np.abs(J).max())).max())
+    half = 0.5 * (robot.upper - robot.lower)
+    bounded = np.isfinite(half) & (half > 0.0)
+
+    def of(q: np.ndarray) -> np.ndarray:
+        J = robot.chain.forward(q, True)[1][:, :rows] if len(q) else np.zeros((0, rows, robot.n))
+        if rank in (rows, robot.n):
+            square = J @ J.swapaxes(1, 2) if rank == rows else J.swapaxes(1, 2) @ J
+            size = np.sqrt(np.maximum(np.linalg.det(square), 0.0))
+        else:
+            size = np.prod(np.linalg.svd(J, compute_uv=False)[:, :rank], axis=1)
+        if not bounded.any():
+            return np.array([size, np.ones(len(q))])
+        room = np.minimum(q - robot.lower, robot.upper - q)[:, bounded] / half[bounded]
+        return np.array([size, np.clip(room.min(axis=1), 0.0, 1.0)])
+
+    return of

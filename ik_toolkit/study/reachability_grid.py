@@ -1,0 +1,200 @@
+"""The cells of a map of reach, and the poses asked for at their centres."""
+
+import os
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidOption, InvalidTarget, floats, whole
+from ..robot.robot import Robot
+from ..validate import positive
+from .workspace import envelope
+
+
+class Effort(NamedTuple):
+    """How much is computed. `scripts/benchmarks/reach.py` measures what these attempts miss on a Panda."""
+
+    few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours
+    touching: int = 40  # attempts at a no that touches a yes, in each round
+    rounds: int = 2  # rounds of these, each with random starts of its own
+    loose: int = 50  # attempts at loose poses, which have no neighbours
+    audited: int = 1000  # attempts at a no of the audit
+    chunk: int = 2**16  # answers computed between two entries of the file
+    cells: int = 40  # cells along the longest side of a region, unless the resolution is given
+
+
+EFFORT = Effort()
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The cells of a map, and the poses asked for at their centres.
+
+    Attributes:
+        low: Lower corner (3,) of the first cell [m], base frame.
+        size: Width (3,) of a cell [m]; 0 along an axis of a single plane.
+        shape: Number of cells along x, y and z; (N, 1, 1) for loose poses.
+        rotations: R_base_tip (K, 3, 3) asked for at every centre; None if the orientation is free.
+        free: Whether the tip may turn about its own `axis` at each of the rotations.
+        poses: Loose poses (N, 4, 4), instead of cells; or None.
+        axis: The tip axis (3,) about which it may turn.
+    """
+
+    low: np.ndarray
+    size: np.ndarray
+    shape: tuple[int, ...]
+    rotations: np.ndarray | None = None
+    free: bool = False
+    poses: np.ndarray | None = None
+    axis: tuple[float, ...] = (0.0, 0.0, 1.0)
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return int(np.prod(self.shape, dtype=object))
+
+    @property
+    def turns(self) -> int:
+        """Number of orientations asked for in each cell."""
+        return 1 if self.rotations is None else len(self.rotations)
+
+    @property
+    def answers(self) -> int:
+        """Number of answers: cells times orientations."""
+        return self.cells * self.turns
+
+    def memory(self, n: int) -> int:
+        """Return the memory [bytes] that a study of n joints takes at most, without that of the program."""
+        # An answer has its state, its q, two numbers and two marks of the flood; a cell what is kept of its answers.
+        return self.answers * (8 * n + 1 + 8 + 4) + self.cells * (8 * n + 16) + EFFORT.chunk * 8 * (2 * 16 + 3 * n + 20)
+
+    @property
+    def low_centre(self) -> np.ndarray:
+        """Centre (3,) of the first cell [m]."""
+        return self.low + 0.5 * self.size
+
+    def centres(self) -> np.ndarray:
+        """Return the centres (N, 3) of all cells [m], in the order of the answers."""
+        return self.targets(np.arange(self.cells) * self.turns)[:, :3, 3] if self.turns > 1 else self._positions(None)
+
+    def _positions(self, cells: np.ndarray | None) -> np.ndarray:
+        cells = np.arange(self.cells) if cells is None else cells
+        if self.poses is not None:
+            return self.poses[cells, :3, 3]
+        return self.low_centre + self.size * np.stack(np.unravel_index(cells, self.shape), axis=-1)
+
+    def targets(self, rows: np.ndarray) -> np.ndarray:
+        """Return the targets of answers (m,): positions (m, 3) [m], or poses (m, 4, 4)."""
+        if self.poses is not None:
+            return self.poses[rows]
+        at = self._positions(rows // self.turns)
+        if self.rotations is None:
+            return at
+        T = np.zeros((len(rows), 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = self.rotations[rows % self.turns], at, 1.0
+        return T
+
+    def index(self, points: np.ndarray) -> np.ndarray:
+        """Return the cell (m,) that holds each point (m, 3) [m], -1 outside."""
+        wide = self.size > 0.0
+        k = np.zeros(points.shape)
+        # In a map of one plane, points within a micrometre of it belong to it.
+        k[:, ~wide] = np.where(np.abs(points[:, ~wide] - self.low[~wide]) <= 1e-6, 0.0, -1.0)
+        k[:, wide] = np.floor((points[:, wide] - self.low[wide]) / self.size[wide])
+        inside = np.all((k >= 0.0) & (k < self.shape), axis=1)
+        flat = np.ravel_multi_index(tuple(np.where(inside[:, None], k, 0.0).astype(np.int64).T), self.shape)
+        return np.where(inside, flat, -1)
+
+
+def grid_of(
+    robot: Robot, region: Any = None, resolution: float | None = None, orientations: Any = "any", axis: Any = None
+) -> Grid:
+    """Return the cells and poses that `reachability` asks for with these arguments, without computing anything else."""
+    if (isinstance(region, np.ndarray) and region.ndim == 3) or (isinstance(region, list) and len(region) > 2):
+        if resolution is not None or not (isinstance(orientations, str) and orientations == "any"):
+            raise InvalidOption("loose poses are answered as they are; omit resolution and orientations")
+        T = floats(
+            np.array([np.asarray(getattr(one, "homogeneous", one)) for one in region]),
+            "poses must be numbers",
+            InvalidTarget,
+        )
+        if T.shape[1:] != (4, 4):
+            raise InvalidTarget(f"loose poses have the shape (N, 4, 4), not {T.shape}")
+        return Grid(np.zeros(3), np.zeros(3), (len(T), 1, 1), poses=T)
+    if region is None:
+        low, high, _ = envelope(robot)
+        flat = high - low < 1e-9 * robot.reach
+        low, high = np.where(flat, 0.5 * (low + high), low), np.where(flat, 0.5 * (low + high), high)
+    else:
+        box = floats(
+            region, "region must be two corners, (lower, upper) (3,) each [m], or poses (N, 4, 4)", InvalidOption
+        )
+        if box.shape != (2, 3) or not np.isfinite(box).all() or not np.all(box[0] <= box[1]):
+            raise InvalidOption(
+                f"region must be two corners, (lower, upper) (3,) each [m], the lower first, or poses (N, 4, 4), not {region!r:.80}"
+            )
+        low, high = box
+    wide = high - low
+    if resolution is None:
+        resolution = float(wide.max()) / EFFORT.cells or 1.0
+    pitch = positive(resolution, "resolution [m]")
+    counts = np.maximum(np.ceil(wide / pitch - 1e-9), 1.0)
+    size = np.where(wide > 0.0, pitch, 0.0)
+    low = 0.5 * (low + high) - 0.5 * size * counts  # The cells are centred in the region.
+    rotations, free = _rotations(orientations)
+    if rotations is not None and free and axis is not None:
+        rotations = rotations @ _frame(np.array([axis]))[0].T  # the tip's own axis then points where its z did
+    shape = tuple(int(k) for k in counts)
+    return Grid(low, size, shape, rotations, free, None, (0.0, 0.0, 1.0) if axis is None else tuple(axis))
+
+
+def _rotations(orientations: Any) -> tuple[np.ndarray | None, bool]:
+    """Return the rotations (K, 3, 3) asked for, or None, and whether only their z axes count."""
+    if isinstance(orientations, str):
+        if orientations != "any":
+            raise InvalidOption(
+                f"orientations must be 'any', a number of tool axes, or rotations, not '{orientations:.60}'"
+            )
+        return None, False
+    if np.ndim(orientations) == 0:
+        return _spread(whole(orientations, "the number of orientations")), True
+    given = [getattr(one, "homogeneous", getattr(one, "T_base_tip", one)) for one in orientations]
+    R = floats(given, "orientations must be rotations (K, 3, 3) or poses (K, 4, 4)", InvalidOption)
+    if R.ndim != 3 or R.shape[1:] not in ((3, 3), (4, 4)) or not len(R):
+        raise InvalidOption(f"orientations must be rotations (K, 3, 3) or poses (K, 4, 4), not of shape {R.shape}")
+    R = R[:, :3, :3]
+    if not np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max() < 1e-6 or not (np.linalg.det(R) > 0.0).all():
+        raise InvalidOption("orientations must be rotations: orthonormal and right-handed")
+    U, _, Vt = np.linalg.svd(R)
+    return U @ Vt, False
+
+
+def _spread(count: int) -> np.ndarray:
+    """Return rotations (count, 3, 3) whose z axes are spread over the sphere (Fibonacci's lattice, Gonzalez 2010)."""
+    k = np.arange(count)
+    z, turn = 1.0 - (2.0 * k + 1.0) / count, np.pi * (3.0 - np.sqrt(5.0)) * k
+    r = np.sqrt(1.0 - z * z)
+    return _frame(np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=-1))
+
+
+def _frame(Z: np.ndarray) -> np.ndarray:
+    """Return rotations (K, 3, 3) whose z axes are unit vectors Z (K, 3)."""
+    X = np.cross(Z, np.eye(3)[np.abs(Z).argmin(axis=1)])
+    X /= np.linalg.norm(X, axis=1, keepdims=True)
+    return np.stack([X, np.cross(Z, X), Z], axis=-1)
+
+
+def require_memory(grid: Grid, n: int) -> None:
+    """Raise InvalidOption if a study takes more than half of this machine's memory; the message says what would fit."""
+    need, have = grid.memory(n), 0.5 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if need > have:
+        fits, many = (
+            have / need,
+            f"{grid.answers:,} answers take {need / 1e9:,.3g} GB, more than half of this machine's memory",
+        )
+        if grid.poses is not None:
+            raise InvalidOption(f"{many}; some {int(fits * grid.answers):,} fit")
+        axes = int((grid.size > 0.0).sum())
+        coarser = float(grid.size.max()) * fits ** (-1.0 / max(axes, 1))
+        raise InvalidOption(f"{many}; a resolution of {coarser:.3g} m fits, or a part of the region")

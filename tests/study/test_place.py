@@ -1,0 +1,158 @@
+"""Where a robot should stand: as good as planted and random bases, true counts, obstacles, ranges, paths, helpful errors."""
+
+import csv
+
+import numpy as np
+import pytest
+import robots
+import second_fk
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.study import place_search
+from ik_toolkit.study.place import PlaceInterrupted
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Search less than a person would want, so that tests are fast."""
+    less = {
+        "samples": 60_000,
+        "spread": 300,
+        "last": 280,
+        "keep": 4,
+        "around": 8,
+        "rounds": 2,
+        "near": 10,
+        "voted": 100,
+    }
+    monkeypatch.setattr(place_search, "SEARCH", place_search.SEARCH._replace(**less))
+
+
+def moved(x, y, yaw, height=0.0):
+    return place_search.base_poses(np.array([[x, y, yaw, height]]))[0]
+
+
+def sheet(robot, G=None):
+    """Sixty poses of a cut that the arm reaches from the base pose G."""
+    middle, T = 0.5 * (robot.lower + robot.upper), np.tile(np.eye(4), (60, 1, 1))
+    T[:] = robot.fk(middle).homogeneous
+    T[:, 2, 3] += np.linspace(-0.15, 0.15, 60)
+    T[:, 1, 3] += 0.1 * np.sin(np.linspace(0.0, 6.0, 60))
+    return (moved(1.5, -2.0, 2.1) if G is None else G) @ T
+
+
+@pytest.fixture(scope="module")
+def hydrolek():
+    return robots.load("hydrolek_7w")
+
+
+def test_places_reach_what_they_say_and_no_random_base_reaches_more(hydrolek):
+    W = sheet(hydrolek)
+    found = ik.place(hydrolek, W, count=3)
+    best = found[0]
+    assert len(found) == 3 and [one.count for one in found] == sorted((one.count for one in found), reverse=True)
+    assert best.count >= 55
+    fk = second_fk.SecondFK(hydrolek.urdf, hydrolek.base, hydrolek.tip)
+    for one in found:
+        T = one.T_world_base @ fk.fk(one.q[one.reached], hydrolek.joint_names)
+        assert np.abs(T - W[one.reached]).max() < 3e-6 and np.isnan(one.q[~one.reached]).all()
+        assert np.allclose(one.T_world_base, moved(one.x, one.y, one.yaw, one.height))
+        assert 0.0 <= one.margin <= 1.0 and one.manipulability > 0.0 and np.isnan(one.clearance)
+    rng = np.random.default_rng(0)
+    low, high = W[:, :2, 3].min(axis=0) - hydrolek.reach, W[:, :2, 3].max(axis=0) + hydrolek.reach
+    bases = np.column_stack([rng.uniform(low, high, (200, 2)), rng.uniform(-np.pi, np.pi, 200), np.zeros(200)])
+    T = place_search.in_base(bases, W).reshape(-1, 4, 4)
+    counts = ik.solve_batch(hydrolek, T, restarts=3).success.reshape(200, 60).sum(axis=1)
+    assert best.count >= counts.max()
+    assert "of 60" in repr(found) and found.to_dict()["placements"][0]["count"] == best.count
+
+
+def test_the_votes_of_the_inverse_map_find_the_region(hydrolek, monkeypatch):
+    """Without bases spread over the floor the votes alone lead to the poses."""
+    monkeypatch.setattr(place_search.Candidates, "spread", lambda *_: np.empty((0, 4)))
+    assert ik.place(hydrolek, sheet(hydrolek), count=1)[0].count >= 55
+
+
+def test_positions_regions_yaw_and_height_are_kept(hydrolek):
+    W = sheet(hydrolek, moved(0.0, 0.0, 0.0, 0.4))
+    at = W[:, :3, 3]
+    found = ik.place(hydrolek, at, ((-1.0, -0.5), (0.5, 0.6)), yaw=(-0.4, 0.3), height=(0.3, 0.5))
+    assert found[0].count == 60
+    for one in found:
+        assert -1.0 <= one.x <= 0.5 and -0.5 <= one.y <= 0.6 and -0.4 <= one.yaw <= 0.3 and 0.3 <= one.height <= 0.5
+    fixed = ik.place(hydrolek, W, ((-0.3, -0.3), (0.3, 0.3)), yaw=0.0, height=0.4, count=1)[0]
+    assert fixed.yaw == 0.0 and fixed.height == 0.4 and fixed.count >= 55
+
+
+def test_obstacles_of_the_scene_count(hydrolek):
+    W = sheet(hydrolek, np.eye(4))[::4]
+    where, asked = ((-0.6, -0.6), (0.6, 0.6)), {"yaw": (-0.5, 0.5), "count": 1}
+    scene = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), W[7, :3, 3] - (0.35, 0.0, 0.0), name="wall")
+    before = [T.copy() for _, _, T in scene.placed()]
+    free, beside = (
+        ik.place(hydrolek, W, where, **asked)[0],
+        ik.place(hydrolek, W, where, avoid_collisions=scene, **asked)[0],
+    )
+    assert 0 < beside.count <= free.count and beside.clearance > 0.0
+    judge = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), np.linalg.inv(beside.T_world_base) @ before[0])
+    assert not any(judge.collides(q) for q in beside.q[beside.reached])
+    assert all(
+        (T == old).all() for (_, _, T), old in zip(scene.placed(), before, strict=True)
+    )  # the caller's is untouched
+
+
+def test_ordered_poses_are_followed(hydrolek):
+    W = sheet(hydrolek)[::6]
+    found = ik.place(hydrolek, W, ordered=True, count=2)
+    path = found[0].path
+    assert path is not None and len(path.q) >= found[0].count == 10
+    assert path.success
+
+
+def test_ctrl_c_keeps_the_best_so_far(hydrolek):
+    def stop(done):
+        if done > 500:
+            raise KeyboardInterrupt
+
+    with pytest.raises(PlaceInterrupted) as interrupt:
+        ik.place(hydrolek, sheet(hydrolek), progress=stop)
+    assert interrupt.value.result[0].count > 0
+
+
+def test_mistakes_are_named(hydrolek):
+    W = sheet(hydrolek)
+    for error, words, poses, arguments in (
+        (InvalidTarget, "poses", np.zeros((0, 3)), {}),
+        (InvalidTarget, "finite|NaN", np.full((2, 3), np.nan), {}),
+        (InvalidOption, "floor", W, {"where": "roof"}),
+        (InvalidOption, "lower first", W, {"where": ((1, 1), (0, 0))}),
+        (InvalidOption, "yaw", W, {"yaw": np.nan}),
+        (InvalidOption, "height", W, {"height": (2, 1)}),
+        (InvalidOption, "count", W, {"count": 0}),
+        (InvalidOption, "restarts", W, {"restarts": 5}),
+        (InvalidOption, "tolerance", W, {"tolerence": 5}),
+    ):
+        with pytest.raises(error, match=words):
+            ik.place(hydrolek, poses, **arguments)
+    with pytest.raises(InvalidOption, match="on_base"):
+        ik.place(ik.Robot.load("hydrolek_7w", on_base="planar", base_limits=(-1, 1)), W)
+    with pytest.raises(InvalidOption, match=r"arms\[0\]"):
+        ik.place(ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"]), W)
+
+
+def test_the_command(hydrolek, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez("cuts.npz", targets=sheet(hydrolek))
+    assert (
+        main(["place", "hydrolek_7w", "--poses", "cuts.npz", "-n", "2", "-o", "places.csv", "--plot", "floor.png"]) == 0
+    )
+    said = capsys.readouterr()
+    assert "of 60" in said.out and (tmp_path / "floor.png").stat().st_size > 10_000
+    with open("places.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 2 and float(rows[0]["count"]) >= 55
+    far = ["--where", "50", "50", "51", "51"]
+    assert main(["place", "hydrolek_7w", "--poses", "cuts.npz", *far]) == 1
+    assert main(["place", "hydrolek_7w", "--poses", "cuts.npz", "--yaw", "1 2 3"]) == 2

@@ -1,0 +1,323 @@
+"""Maps of reach: equal to geometry where it is known, never a false yes, audited noes, files that survive, helpful errors."""
+
+import pickle
+import resource
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+import robots
+import second_fk
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.solvers.batch.solve_batch import solve_parts
+from ik_toolkit.study import reachability as study
+from ik_toolkit.study.reachability import MapNotSaved, ReachabilityInterrupted
+
+TURNS = np.array([np.eye(3), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], [[1, 0, 0], [0, -1, 0], [0, 0, -1]]], dtype=float)
+BOX = ((0.3, -0.4, -0.3), (1.1, 0.4, 0.5))
+
+
+@pytest.fixture(scope="module")
+def dense():
+    """The HydroLek on a grid of tool axes and its map."""
+    robot = robots.load("hydrolek_7w")
+    return robot, ik.reachability(robot, BOX, resolution=0.1, orientations=5, audit=20)
+
+
+def two_links(x, y, limit, slack=0.0):
+    """Whether two links of 1 m, joints within +-limit [rad], reach points, by the law of cosines."""
+    c = (x * x + y * y - 2.0) / 2.0
+    bend = np.arccos(np.clip(c, -1.0, 1.0))
+    found = np.zeros(np.shape(x), bool)
+    for q2 in (bend, -bend):
+        q1 = np.arctan2(y, x) - np.arctan2(np.sin(q2), 1.0 + np.cos(q2))
+        q1 = (q1 + np.pi) % (2.0 * np.pi) - np.pi
+        found |= (np.abs(q1) <= limit + slack) & (np.abs(q2) <= limit + slack) & (np.abs(c) <= 1.0 + slack)
+    return found
+
+
+@pytest.mark.parametrize("resolution", [0.0511, 0.1])
+def test_a_planar_arm_equals_the_law_of_cosines(resolution):
+    found = ik.reachability(robots.load("planar_2r"), ((-2.1, -2.1, 0), (2.1, 2.1, 0)), resolution=resolution)
+    x, y, _ = found.grid.centres().T
+    limit = np.deg2rad(150.0)
+    sure = two_links(x, y, limit, 1e-5) == two_links(x, y, limit, -1e-5)  # not within some micrometres of the border
+    assert sure.mean() > 0.99
+    assert (found.reached.ravel() == two_links(x, y, limit))[sure].all()
+    assert found.counts()["unknown"] == 0 and str(found.audit) == "every no is proven"
+
+
+def test_poses_of_three_planar_links_equal_geometry():
+    arm, limit, angles = robots.load("planar_3r"), np.pi / 3.0, np.linspace(-2.9, 2.9, 12)
+    c, s, o, i = np.cos(angles), np.sin(angles), np.zeros(12), np.ones(12)
+    turns = np.stack([c, -s, o, s, c, o, o, o, i], axis=-1).reshape(-1, 3, 3)
+    found = ik.reachability(arm, ((-6.1, -6.1, 0), (6.1, 6.1, 0)), resolution=0.41, orientations=turns, audit=0)
+    x, y, _ = (found.grid.centres()[:, None] - 2.0 * turns[None, :, :, 0]).transpose(2, 0, 1) / 2.0
+    want = np.zeros(x.shape, bool)
+    for sign in (1.0, -1.0):
+        cos = (x * x + y * y - 2.0) / 2.0
+        q2 = sign * np.arccos(np.clip(cos, -1.0, 1.0))
+        q1 = np.arctan2(y, x) - np.arctan2(np.sin(q2), 1.0 + np.cos(q2))
+        q1 = (q1 + np.pi) % (2 * np.pi) - np.pi
+        q3 = (angles - q1 - q2 + np.pi) % (2 * np.pi) - np.pi
+        want |= (np.abs(cos) <= 1.0) & (np.abs([q1, q2, q3]) <= limit).all(axis=0)
+    assert want.sum() > 100
+    assert ((found.states == 1) == want).all()
+
+
+def judged(robot, found, urdf=None):
+    """Check every reached cell's configuration by the FK from the URDF's text; return how many there are."""
+    fk = second_fk.SecondFK(urdf or robot.urdf, robot.base, robot.tip)
+    yes = found.reached.ravel()
+    q, T = found.q[yes], fk.fk(found.q[yes], robot.joint_names)
+    assert ((q >= robot.lower) & (q <= robot.upper)).all()
+    assert np.linalg.norm(T[:, :3, 3] - found.grid.centres()[yes], axis=1).max() < 1.1e-6
+    return T, yes
+
+
+def test_every_yes_is_true(dense):
+    robot, found = dense
+    T, yes = judged(robot, found)
+    assert yes.sum() > 20
+    axes = T[:, None, :3, 2] @ found.grid.rotations[:, :, 2].T  # cosine to each tool axis
+    best = np.where(found.states[yes] == 1, axes[:, 0], -1.0).max(axis=1)
+    assert best.min() > 1.0 - 1e-11
+
+
+def test_no_yes_is_missed(dense):
+    """Also those that a few attempts miss and a neighbour or more attempts find."""
+    robot, found = dense
+    T = found.grid.targets(np.arange(found.grid.answers))
+    truth = ik.solve_batch(robot, T, free_turn="z", restarts=150, seed=5).success.reshape(found.states.shape)
+    assert truth.sum() > 60
+    assert ((found.states == 1) | ~truth).all()
+
+
+def test_neighbours_and_more_attempts_find_what_few_miss(monkeypatch):
+    robot, asked = robots.load("hydrolek_7w"), {"resolution": 0.04, "audit": 0, "max_iterations": 5}
+    T = robot.fk(0.72 * robot.upper + 0.28 * robot.lower).homogeneous  # far from home
+    asked["orientations"] = T[None]
+    box = (T[:3, 3] - 0.12, T[:3, 3] + 0.12)
+    monkeypatch.setattr(study, "decides", lambda plan: False)
+    full = ik.reachability(robot, box, **asked).reached.sum()
+    monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(few=1))
+    monkeypatch.setattr(study._Study, "flood", lambda *_: None)
+    monkeypatch.setattr(study, "_dilated", lambda yes: np.zeros_like(yes))
+    few = ik.reachability(robot, box, **asked).reached.sum()
+    assert 0 < few < full
+
+
+def test_the_audit_finds_false_noes_and_corrects_them(monkeypatch):
+    robot = robots.load("hydrolek_7w")
+    Q = robot.random_q(np.random.default_rng(3), 150)
+    T = robot.chain.forward(Q)[0]
+    monkeypatch.setattr(study, "decides", lambda plan: False)
+    monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(loose=1, audited=200))
+    short = {"max_iterations": 4}  # most attempts then end too early
+    bare = ik.reachability(robot, T, audit=0, **short)
+    assert bare.audit.tried == 0 and bare.audit.unproven == bare.counts()["unknown"] > 10
+    found = ik.reachability(robot, T, audit="full", **short)
+    audit = found.audit
+    assert audit.tried == audit.unproven == bare.audit.unproven and audit.found > 0.8 * audit.tried
+    assert 0.9 < audit.interval[0] < audit.found / audit.tried <= audit.interval[1]
+    assert found.counts()["yes"] == bare.counts()["yes"] + audit.found
+    part = ik.reachability(robot, T, audit=7, **short)
+    assert part.audit.tried == 7 and "7 of" in str(part.audit)
+
+
+def test_questions_to_a_map(dense):
+    _, found = dense
+    centres, R = found.grid.centres(), found.grid.rotations
+    T = np.tile(np.eye(4), (found.grid.answers, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = np.tile(R, (len(centres), 1, 1)), np.repeat(centres, len(R), axis=0) + 0.04
+    assert (found.contains(T) == (found.states == 1).ravel()).all()
+    assert (found.contains(centres) == found.reached.ravel()).all()
+    assert not found.contains([[9.0, 0.0, 0.0]]).any()
+    assert found.score(centres).max() == 1.0 and (found.score(T)[~found.contains(T)] == 0.0).all()
+    assert (found.score(centres, "share") == found.share.ravel()).all()
+    values, at = found.slice("z", 0.12)
+    assert values.shape == found.grid.shape[:2] and abs(at - 0.12) <= 0.05
+    assert (values == found.share[:, :, round((at - centres[0, 2]) / 0.1)]).all()
+    for words, call in (
+        ("x, y", lambda: found.slice("w")),
+        ("0.45", lambda: found.slice("z", 3.0)),
+        ("share", lambda: found.score(centres, "shares")),
+        ("finite", lambda: found.contains([[np.nan, 0.0, 0.0]])),
+    ):
+        with pytest.raises((InvalidOption, InvalidTarget), match=words):
+            call()
+
+
+def test_a_file_reads_back_and_a_damaged_one_says_so(dense, tmp_path):
+    _, found = dense
+    file = found.save(tmp_path / "map.npz")
+    again = ik.ReachabilityMap.load(file)
+    assert repr(again) == repr(found) and again.audit == found.audit
+    for name in ("states", "manipulability", "margin", "q"):
+        assert np.array_equal(getattr(again, name), getattr(found, name), equal_nan=True)
+    assert (again.contains(found.grid.centres()) == found.reached.ravel()).all()
+    data = file.read_bytes()
+    for bad in (data[: len(data) // 2], b"", b"no map", data.replace(b"shape.npy", b"shope.npy")):
+        (tmp_path / "bad.npz").write_bytes(bad)
+        with pytest.raises(InvalidOption, match=r"bad\.npz"):
+            ik.ReachabilityMap.load(tmp_path / "bad.npz")
+    with pytest.raises(InvalidOption, match="npz"):
+        found.save(tmp_path / "map.json")
+
+
+def stopping(after):
+    """A progress that presses Ctrl-C."""
+    count = iter(range(10**9))
+
+    def tell(_):
+        if next(count) == after:
+            raise KeyboardInterrupt
+
+    return tell
+
+
+def test_a_stopped_study_goes_on_where_it_was(tmp_path, monkeypatch):
+    robot, asked = robots.load("hydrolek_7w"), {"resolution": 0.08, "audit": 30, "threads": 2}
+    monkeypatch.setattr(study, "EFFORT", study.EFFORT._replace(chunk=256))
+    whole, file = ik.reachability(robot, BOX, **asked), tmp_path / "map.npz"
+    with pytest.raises(ReachabilityInterrupted) as stop:
+        ik.reachability(robot, BOX, file=file, progress=stopping(1), **asked)
+    part = stop.value.result
+    assert part.counts()["untried"] == part.states.size - 256 and "not tried" in repr(part)
+    partial = tmp_path / "map.npz.partial"
+    partial.write_bytes(partial.read_bytes()[:-7])  # as if it was killed in the middle of an entry
+    told = []
+    again = ik.reachability(robot, BOX, file=file, progress=told.append, **asked)
+    assert told[0] == 256  # the first part was not computed again, the one cut off was
+    assert (again.states == whole.states).all()
+    assert file.exists() and not partial.exists()
+    with pytest.raises(ReachabilityInterrupted):
+        ik.reachability(robot, BOX, file=file, progress=stopping(1), **asked)
+    with pytest.raises(InvalidOption, match=r"another robot, region or options"):
+        ik.reachability(robot, BOX, file=file, **{**asked, "resolution": 0.2})
+
+
+def test_a_full_disk_loses_nothing_finished(tmp_path):
+    robot, asked = robots.load("hydrolek_7w"), {"resolution": 0.1, "audit": 0, "file": tmp_path / "map.npz"}
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))  # no file may grow longer
+    try:
+        with pytest.raises(MapNotSaved, match=r"map\.npz") as failure:
+            ik.reachability(robot, BOX, **asked)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    kept = failure.value.result
+    assert kept.counts()["untried"] == 0
+    assert (ik.reachability(robot, BOX, **asked).states == kept.states).all()
+
+
+def test_an_executor_gives_the_same_map():
+    robot, asked = robots.load("hydrolek_7w"), {"resolution": 0.2, "orientations": 3, "audit": 0}
+    with ThreadPoolExecutor(2) as pool:
+        pooled = ik.reachability(robot, BOX, executor=pool, **asked)
+    assert (pooled.states == ik.reachability(robot, BOX, threads=1, **asked).states).all()
+
+
+@pytest.mark.parametrize("name", ["cartesian_pp", "scara", "palletizer"])
+def test_slides_mimic_joints_and_few_joints(name):
+    robot = robots.load(name)
+    found = ik.reachability(robot, resolution=robot.reach / 6, audit=0)
+    T, yes = judged(robot, found)
+    assert yes.any() and (found.manipulability[yes] >= 0.0).all() and (found.manipulability > 0.0).any()
+    assert np.isfinite(found.margin).all() and found.margin.max() <= 1.0
+
+
+def test_obstacles_and_priority_count():
+    arm = robots.load("planar_2r")
+    around = ik.CollisionModel(arm).add_box((0.3, 0.5, 0.3), (1.2, 0.6, 0.0))
+    asked = {"region": ((0, -1.2, 0), (1.8, 1.2, 0)), "resolution": 0.2, "audit": 5}
+    free, kept = ik.reachability(arm, **asked), ik.reachability(arm, avoid_collisions=around, **asked)
+    assert 0 < kept.reached.sum() < free.reached.sum() and (free.reached | ~kept.reached).all()
+    assert not any(around.collisions(q) for q in kept.q[kept.reached.ravel()]) and kept.audit.tried == 5
+    robot = robots.load("hydrolek_7w")
+    asked = {"region": BOX, "resolution": 0.25, "audit": 0}
+    any_turn = ik.reachability(robot, **asked).reached
+    first = ik.reachability(robot, orientations=TURNS[:1], priority="position", **asked).reached
+    # At the very border the search for the nearest orientation may need more attempts than the map makes.
+    assert (any_turn | ~first).all() and any_turn.sum() - 2 <= first.sum()
+    assert first.sum() > 2 * ik.reachability(robot, orientations=TURNS[:1], **asked).reached.sum()
+
+
+def test_a_page_cuts_the_cells_with_its_slider(dense):
+    robot, found = dense
+    scene = ik.view(robot, found)
+    planes = [name for name in scene.names if name.startswith("cells/")]
+    drawn = sum(len(scene.window.objects[name]) for name in planes)
+    told = scene.window.about["animation"]
+    assert len(planes) == told["count"] == len(told["labels"]) > 3 and drawn > 0
+    scene.update(robot.home)
+    assert not any(name.startswith("cells/") for name in scene.names) and scene.window.about["animation"] is None
+    with pytest.raises(InvalidOption, match="planar_2r"):
+        ik.view(robots.load("planar_2r"), found)
+
+
+def test_mistakes_are_named():
+    robot = robots.load("hydrolek_7w")
+    for words, arguments in (
+        ("resolution", {"resolution": -0.1}),
+        ("resolution", {"resolution": np.nan}),
+        (r"of 0\.\d+ m fits", {"resolution": 1e-4}),
+        ("lower first", {"region": (BOX[1], BOX[0])}),
+        ("two corners", {"region": (1.0, 2.0)}),
+        ("orthonormal", {"orientations": 2.0 * TURNS}),
+        ("'any'", {"orientations": "all"}),
+        ("at least 1", {"orientations": 0}),
+        ("full", {"audit": -1}),
+        ("restarts", {"restarts": 3}),
+        ("loose poses", {"region": np.tile(np.eye(4), (3, 1, 1)), "resolution": 0.1}),
+        ("npz", {"file": "map.csv"}),
+        ("tolerance", {"tolerence": 1e-3}),
+    ):
+        with pytest.raises(InvalidOption, match=words):
+            ik.reachability(robot, **arguments)
+    with pytest.raises(InvalidOption, match=r"several|arms\[0\]"):
+        ik.reachability(ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"]))
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    asked = [
+        "reach",
+        "hydrolek_7w",
+        "--region",
+        "0.3",
+        "-0.4",
+        "-0.3",
+        "1.1",
+        "0.4",
+        "0.5",
+        "--resolution",
+        "0.2",
+        "--audit",
+        "10",
+    ]
+    assert main([*asked, "-o", "map.npz", "--plot", "map.png", "--html", "map.html"]) == 0
+    said = capsys.readouterr()
+    assert "reached" in said.out and "64 cells of 200 mm: 64 answers" in said.err
+    assert ik.ReachabilityMap.load("map.npz").grid.shape == (4, 4, 4) and (tmp_path / "map.png").stat().st_size > 10_000
+    assert (tmp_path / "map.html").stat().st_size > 100_000
+    assert main(["reach", "hydrolek_7w", "--orientations", "many"]) == 2
+    assert "number of tool axes" in capsys.readouterr().err
+
+
+def test_batches_may_leave_failures_where_the_search_ended():
+    """The same answers but for what the descent afterwards reaches; also in another process."""
+    robot = robots.load("hydrolek_7w")
+    T = np.random.default_rng(2).uniform(-0.6, 1.2, (300, 3))
+    whole = ik.solve_batch(robot, T, restarts=2)
+    (bare, *more) = solve_parts(robot, T, restarts=2, finish=False, threads=1)
+    assert not more and bare.plan.bare and pickle.loads(pickle.dumps(bare.plan)).bare and not whole.plan.bare
+    assert (whole.success | ~bare.success).all() and 0 < bare.success.sum() < 300
+    assert ((bare.status == ik.Status.UNREACHABLE) == (whole.status == ik.Status.UNREACHABLE)).all()
+    lost = ~whole.success
+    assert (bare.position_error[lost] >= whole.position_error[lost] - 1e-9).all() and (
+        bare.q[lost] != whole.q[lost]
+    ).any()
