@@ -1,0 +1,273 @@
+"""The least-squares fit of an arm's errors to measurements, by SciPy's `least_squares` with derivatives from `DrawnArm`.
+
+Every unknown has a weak prior: zero, within the spread that `DrawnArm.scales` gives. What the data tell is far stronger; what they do
+not tell stays as drawn. Which combinations they do not tell is read from the singular values of the derivatives, in units of the prior
+and of the noise (Hollerbach, Wampler 1996): a direction is untold if moving along it by one spread changes all errors together by less
+than UNTOLD standard deviations.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import MissingExtra
+from .drawn_arm import DrawnArm
+from .measurements import NOISE, Measurements
+
+UNTOLD = 0.3  # such data narrow a prior by 4 %
+OUTLIER = (4.0, 3.0)  # an outlier is off by more than so many standard deviations, and so many medians of all errors
+ROUNDS = 6  # of naming outliers and fitting again
+
+
+class Fit:
+    """A calibration while it is computed.
+
+    Attributes:
+        arm, measured, Q: The arm, the measurements and the joint values (N, n).
+        scales: Prior spread (P,) of the unknowns x [m or rad].
+        noise: Standard deviations [m, rad] of the measurements.
+        kept: Which measurements (N,) count; the others are outliers.
+        free: Which unknowns (P,) are fitted; the others are fixed as drawn.
+        x, z: The unknowns of the arm and of what is touched.
+    """
+
+    def __init__(
+        self, arm: DrawnArm, measured: Measurements, Q: np.ndarray, scales: np.ndarray, noise: Any = None
+    ) -> None:
+        """Begin as drawn, with all measurements; noise None is estimated."""
+        try:
+            from scipy.optimize import least_squares
+        except ImportError:
+            raise MissingExtra("scipy", "tune") from None
+        self._solve = least_squares
+        self.arm, self.measured, self.Q, self.scales = arm, measured, Q, scales
+        self.given = noise is not None
+        self.noise = tuple(NOISE if noise is None else noise)
+        self.kept = np.ones(len(Q), dtype=bool)
+        self.free = np.ones(len(scales), dtype=bool)
+        self.x = np.zeros(len(scales))
+        self.z = measured.start(arm.poses(self.x, Q))
+        self.converged = True
+
+    # -------------------------------------------------------------------------------------------------------- one fit
+    def weighted(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the errors of some measurements and of known places over their noise (m,), and their derivatives (m, P + Z) by the
+        unknowns: those of the arm in units of the prior, z in metres."""
+        taken = self.measured.taken(rows)
+        T, J = self.arm.evaluate(x, self.Q[rows])
+        E, D, Z = taken.errors(T, z)
+        sigma = taken.sigma(self.noise)
+        A = np.concatenate([D @ J * self.scales, Z], axis=2) / sigma[:, None]
+        known, slope = taken.known(z)
+        part = np.hstack([np.zeros((len(known), len(x))), slope]) / self.noise[0]
+        return np.append(E / sigma, known / self.noise[0]), np.vstack([A.reshape(-1, A.shape[2]), part])
+
+    def run(
+        self, rows: np.ndarray, robust: bool = False, x: Any = None, z: Any = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Fit x and z to some measurements, from where the fit stands or from those given."""
+        P, free = len(self.x), self.free
+        used = np.append(free, np.ones(len(self.z), dtype=bool))
+        start = np.append(self.x if x is None else x, self.z if z is None else z)
+        prior = np.eye(int(free.sum()), int(used.sum()))
+        last: dict[bytes, Any] = {}
+
+        def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            if v.tobytes() not in last:
+                every = start.copy()
+                every[used] = v
+                every[:P] *= np.where(free, self.scales, 1.0)
+                e, A = self.weighted(every[:P], every[P:], rows)
+                last.clear()
+                last[v.tobytes()] = np.append(e, v[: len(prior)]), np.vstack([A[:, used], prior])
+            return last[v.tobytes()]
+
+        def soft(squares: np.ndarray) -> np.ndarray:  # soft_l1 of SciPy, but for the prior
+            grown = np.sqrt(1.0 + squares)
+            rho = np.array([2.0 * (grown - 1.0), 1.0 / grown, -0.5 / grown**3])
+            rho[:, -len(prior) :] = squares[-len(prior) :], np.ones(len(prior)), np.zeros(len(prior))
+            return rho
+
+        first = start.copy()
+        first[:P][free] /= self.scales[free]
+        made = self._solve(
+            lambda v: at(v)[0],
+            first[used],
+            lambda v: at(v)[1],
+            loss=soft if robust else "linear",
+            x_scale="jac",
+            max_nfev=200,
+        )
+        self.converged = bool(made.status > 0)
+        every = start.copy()
+        every[used] = made.x
+        every[:P] *= np.where(free, self.scales, 1.0)
+        return every[:P], every[P:]
+
+    def errors(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the errors (N, per) [m, rad] of all measurements."""
+        return self.measured.errors(self.arm.poses(x, self.Q), z)[0]
+
+    # ------------------------------------------------------------------------------------------------- noise, outliers
+    def settle(self) -> None:
+        """Fit robustly, estimate the noise, name outliers and fit again without them, until nothing changes."""
+        every = np.ones(len(self.Q), dtype=bool)
+        for _ in range(1 if self.given else 3):
+            self.x, self.z = self.run(every, robust=True)
+            if not self.given:
+                self.noise = self._scatter(every, robust=True)
+        for _ in range(ROUNDS):
+            E = self.errors(self.x, self.z) / self.measured.sigma(self.noise)
+            parts = [E[:, :3], E[:, 3:]] if self.measured.what == "pose" else [E]
+            far = np.zeros(len(E), dtype=bool)
+            for part in parts:
+                size = np.linalg.norm(part, axis=1)
+                far |= size > max(OUTLIER[0], OUTLIER[1] * float(np.median(size)))
+            before, self.kept = self.kept, ~far
+            self.x, self.z = self.run(self.kept)
+            if not self.given:
+                self.noise = self._scatter(self.kept)
+            if (before == self.kept).all() and not far.any():
+                break
+            if (before == self.kept).all():
+                break
+
+    def _scatter(self, rows: np.ndarray, robust: bool = False) -> tuple[float, float]:
+        """Estimate the noise [m, rad] from the errors that are left, and from how many numbers the unknowns take up."""
+        E = self.errors(self.x, self.z)[rows]
+        share = 1.0 - min(0.9, self.taken_up(rows) / E.size)
+        found = []
+        for part in (E[:, :3], E[:, 3:]):
+            if not part.size:
+                found.append(self.noise[1])
+                continue
+            if robust:
+                size = 1.4826 * float(np.median(np.abs(part)))
+            else:
+                size = float(np.sqrt((part**2).mean()))
+            found.append(max(size / np.sqrt(share), 1e-9))
+        return found[0], found[1]
+
+    def taken_up(self, rows: np.ndarray) -> float:
+        """Return how many of the numbers measured the unknowns take up: the trace of the fit's projection."""
+        A = self.weighted(self.x, self.z, rows)[1]
+        Z = len(self.z)
+        A = A[:, np.append(self.free, np.ones(Z, dtype=bool))]
+        H = A.T @ A
+        prior = np.diag(np.append(np.ones(len(H) - Z), np.zeros(Z)))
+        return float(np.trace(np.linalg.pinv(H + prior, hermitian=True) @ H))
+
+    # ------------------------------------------------------------------------------------------------------ what is told
+    def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the singular values of the derivatives by all unknowns of the arm, those of what is touched eliminated, and a basis
+        (P, k) of the directions that the data do not tell."""
+        A = self.weighted(x, z, rows)[1]
+        P = len(x)
+        A, Z = A[:, :P], A[:, P:]
+        if Z.shape[1]:
+            U, s, _ = np.linalg.svd(Z, full_matrices=False)
+            U = U[:, s > 1e-9 * s[0]]
+            A = A - U @ (U.T @ A)
+        _, S, V = np.linalg.svd(A, full_matrices=True)
+        S = np.append(S, np.zeros(P - len(S)))[:P]
+        return S, V[S < UNTOLD].T
+
+    def fix(self, N: np.ndarray) -> dict[int, list[int]]:
+        """Choose an unknown for each direction of a basis N (P, k) to stay as drawn; return those that share its motion.
+
+        Offsets of joints, tool and base are kept free where a link's frame can be fixed instead.
+        """
+        from scipy.linalg import qr
+
+        prefer = {"frames": 1.0, "joints": 0.2, "tool": 0.5, "base": 0.1}
+        weights = np.array([prefer[one.group] for one in self.arm.unknowns])
+        pivots = qr((N * weights[:, None]).T, mode="r", pivoting=True)[1][: N.shape[1]]
+        B = np.abs(N @ np.linalg.inv(N[pivots]))
+        self.free[pivots], self.x[pivots] = False, 0.0
+        return {int(p): [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(pivots)}
+
+    def spread(self, every: bool = False) -> np.ndarray:
+        """Return the covariance (P, P) of the unknowns [m, rad], of all as if none were fixed, or with zeros for those that are."""
+        A = self.weighted(self.x, self.z, self.kept)[1]
+        P = len(self.x)
+        used = np.append(np.ones(P, dtype=bool) if every else self.free, np.ones(len(self.z), dtype=bool))
+        A = A[:, used]
+        known = np.append(np.ones(int(used[:P].sum())), np.full(len(self.z), 1e-6))
+        C = np.zeros((P, P))
+        at = np.flatnonzero(used[:P])
+        C[np.ix_(at, at)] = np.linalg.inv(A.T @ A + np.diag(known))[: len(at), : len(at)]
+        return C * np.outer(self.scales, self.scales)
+
+    def held_out(self, parts: int = 5, seed: int = 0) -> np.ndarray | None:
+        """Return the errors (N,) [m] of measurements that took no part in the fit, each of `parts` left out in turn, or None.
+
+        None stands where too few would be left.
+        """
+        rows = np.random.default_rng(seed).permutation(np.flatnonzero(self.kept))
+        found = np.full(len(self.Q), np.nan)
+        if (len(rows) - len(rows) // parts - 1) * self.measured.per < self.taken_up(self.kept):
+            return None
+        for k in range(parts):
+            out = np.zeros(len(self.Q), dtype=bool)
+            out[rows[k::parts]] = True
+            if self.measured.count and not set(self.measured.labels[out]) <= set(
+                self.measured.labels[self.kept & ~out]
+            ):
+                return None
+            x, z = self.run(self.kept & ~out)
+            E = self.errors(x, z)[out][:, :3]
+            found[out] = np.linalg.norm(E, axis=1)
+        return found
+
+
+def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> None:
+    """Move the arm's base, and turn its tool, to where measured poses or positions show them, as drawn otherwise.
+
+    The base is the rotation and translation that fits the positions best (Kabsch 1976); a tool of measured poses is turned by the mean
+    of what is left.
+    """
+    from ..robot.rotation import nearest_rotation
+
+    drawn = arm.poses(np.zeros(len(arm.unknowns)), Q)
+    p, m = drawn[:, :3, 3], measured.positions
+    if "base" in arm.groups:
+        a, b = p - p.mean(0), m - m.mean(0)
+        R = nearest_rotation(b.T @ a)[0]
+        arm.base = type(arm.base)(R, m.mean(0) - R @ p.mean(0)) * arm.base
+    if "tool" in arm.groups and measured.what == "pose":
+        R = np.swapaxes(arm.base.rotation @ drawn[:, :3, :3], 1, 2) @ measured.rotations
+        arm.tool = arm.tool * type(arm.tool)(nearest_rotation(R.sum(0))[0], np.zeros(3))
+
+
+def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[list[int], float, float]:
+    """Find joints that count against the drawing: those whose reversal, offsets (and base and tool) fitted, lowers the errors most.
+
+    Returns their indices, and the root mean square error [m] before and after; none unless it falls to less than half.
+    """
+    loose = ("joints", *(group for group in groups if group in ("base", "tool")))
+
+    def left(sign: np.ndarray) -> float:
+        arm = DrawnArm(robot, loose)
+        arm.sign = sign
+        if measured.what in ("pose", "position"):
+            registered(arm, measured, Q)
+        scales = arm.scales(0.05, 0.5)
+        fit = Fit(arm, measured, Q, scales, (0.01, 0.01))
+        x, z = fit.run(fit.kept, robust=True)
+        return float(np.sqrt(np.median((fit.errors(x, z)[:, :3] ** 2).sum(1))))
+
+    sign = np.ones(robot.n)
+    lead = {robot.joint_names.index(tie.leader) for tie in robot.mimic_joints.values()}
+    first = best = left(sign)
+    while True:
+        tried = {}
+        for i in range(robot.n):
+            if sign[i] > 0 and i not in lead and np.ptp(Q[:, i]) > 1e-3:
+                other = sign.copy()
+                other[i] = -1.0
+                tried[i] = left(other)
+        i = min(tried, key=lambda one: tried[one], default=-1)
+        if i < 0 or tried[i] > 0.8 * best:
+            break
+        sign[i], best = -1.0, tried[i]
+    return ([], first, first) if best > 0.5 * first else (np.flatnonzero(sign < 0).tolist(), first, best)
