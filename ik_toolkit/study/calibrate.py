@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import FEW_TURNS, InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..robot.robot import Robot
 from .calibration import Calibration, Convention
-from .calibration_fit import UNTOLD, Fit, registered, reversed_joints
+from .calibration_fit import Fit, registered, reversed_joints, told
 from .drawn_arm import DEFAULT, DrawnArm, read_groups, require_one_tip
 from .measurements import Measurements, prior_spread, read_noise
 
@@ -139,9 +139,8 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
 def _settle_convention(fit: Fit) -> tuple[list[Convention], tuple[int, int, int]]:
     """Fix what the data do not tell, and fit again; return what was fixed, and the rank here, as drawn, and of poses all over."""
     names = [one.name for one in fit.arm.unknowns]
-    S, N = fit.untold(fit.x, fit.z, fit.kept)
-    drawn = np.linalg.matrix_rank(np.diag(S))
-    could = len(names) - N.shape[1]
+    _, N = fit.untold(fit.x, fit.z, fit.kept)
+    drawn = could = len(names) - N.shape[1]
     if fit.measured.what in ("pose", "position"):
         drawn = len(names) - fit.untold(np.zeros(len(names)), fit.z, fit.kept)[1].shape[1]
         could = _could_tell(fit)
@@ -162,5 +161,4 @@ def _could_tell(fit: Fit) -> int:
     taken = fit.measured.taken(np.zeros(SAMPLES, dtype=int))
     A = taken.errors(T, fit.z)[1] @ J * fit.scales / taken.sigma(fit.noise)[:, None]
     share = np.sqrt(fit.kept.sum() / SAMPLES)
-    S = np.linalg.svd(A.reshape(-1, A.shape[2]) * share, compute_uv=False)
-    return int((S >= UNTOLD).sum())
+    return A.shape[2] - told(A.reshape(-1, A.shape[2]) * share)[1].shape[1]

@@ -168,23 +168,26 @@ class Fit:
             U, s, _ = np.linalg.svd(Z, full_matrices=False)
             U = U[:, s > 1e-9 * s[0]]
             A = A - U @ (U.T @ A)
-        _, S, V = np.linalg.svd(A, full_matrices=True)
-        S = np.append(S, np.zeros(P - len(S)))[:P]
-        return S, V[S < UNTOLD].T
+        return told(A)
 
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
         """Choose an unknown for each direction of a basis N (P, k) to stay as drawn; return those that share its motion.
 
         Offsets of joints, tool and base are kept free where a link's frame can be fixed instead.
         """
-        from scipy.linalg import qr
-
-        prefer = {"frames": 1.0, "joints": 0.2, "tool": 0.5, "base": 0.1}
-        weights = np.array([prefer[one.group] for one in self.arm.unknowns])
-        pivots = qr((N * weights[:, None]).T, mode="r", pivoting=True)[1][: N.shape[1]]
-        B = np.abs(N @ np.linalg.inv(N[pivots]))
-        self.free[pivots], self.x[pivots] = False, 0.0
-        return {int(p): [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(pivots)}
+        groups = [one.group for one in self.arm.unknowns]
+        order = [p for group in ("frames", "tool", "joints", "base") for p in range(len(groups)) if groups[p] == group]
+        left, fixed = N.copy(), []
+        for least in (0.5, 0.25, 0.1, 1e-3):  # far from dependent ones first, so that the choice depends little on the data
+            for p in order:
+                size = float(np.linalg.norm(left[p]))
+                if size > least and len(fixed) < N.shape[1]:
+                    along = left[p] / size
+                    left -= np.outer(left @ along, along)
+                    fixed.append(p)
+        B = np.abs(N @ np.linalg.pinv(N[fixed]))
+        self.free[fixed], self.x[fixed] = False, 0.0
+        return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}
 
     def spread(self, every: bool = False) -> np.ndarray:
         """Return the covariance (P, P) of the unknowns [m, rad], of all as if none were fixed, or with zeros for those that are."""
@@ -218,6 +221,13 @@ class Fit:
             E = self.errors(x, z)[out][:, :3]
             found[out] = np.linalg.norm(E, axis=1)
         return found
+
+
+def told(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the singular values (P,) of derivatives A (m, P) in units of prior and noise, and a basis (P, k) of what they do not tell."""
+    squares, V = np.linalg.eigh(A.T @ A)
+    S = np.sqrt(np.maximum(squares, 0.0))[::-1]
+    return S, V[:, ::-1][:, S < UNTOLD]
 
 
 def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> None:
