@@ -66,7 +66,7 @@ def calibrate(
             f"parameters has base, which needs measured poses or positions; what is '{what}': leave base out"
         )
     spread, sigma = prior_spread(prior), read_noise(noise)
-    against, wrong, right = reversed_joints(robot, groups, data, Q)
+    against, share = reversed_joints(robot, groups, data, Q)
     arm = DrawnArm(robot, groups)
     arm.sign[against] = -1.0
     _require_enough(arm, data)
@@ -78,7 +78,7 @@ def calibrate(
     fit.settle()
     fixed, ranks = _settle_convention(fit)
     names = [robot.joint_names[i] for i in against]
-    return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, (wrong, right)))
+    return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, share))
 
 
 def _configurations(robot: Robot, q: Any, count: int) -> np.ndarray:

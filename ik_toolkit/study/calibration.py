@@ -64,6 +64,7 @@ class Calibration:
     reversed: dict[
         str, tuple[float, float]
     ]  # joints that count against the drawing; errors [m] without and with their reversal
+    width: float  # standard deviations that the half of a 95 % interval takes
     observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
     condition: float  # ratio of the largest to the least singular value of the free unknowns
     touched: np.ndarray  # (K, 3) places found of sockets or fixed ends [m], base frame
@@ -112,6 +113,7 @@ class Calibration:
             held_out=None if out is None else float(np.sqrt(np.nanmean(out**2))),
             outliers=tuple(np.flatnonzero(~fit.kept).tolist()),
             reversed=dict(against),
+            width=fit.width(),
             observability=O1,
             condition=float(S[0] / S[-1]) if len(S) and S[-1] > 0.0 else np.inf,
             touched=fit.z.reshape(-1, 3) if data.what in ("socket", "distance") else np.empty((0, 3)),
@@ -129,10 +131,10 @@ class Calibration:
     def _findings(self, placed: bool, pairs: int) -> list[str]:
         """Sentences on what the data leave open and what is unusual."""
         said = []
-        for joint, (wrong, right) in self.reversed.items():
+        for joint, share in self.reversed.items():
             said.append(
-                f"joint {joint} counts against the drawing: reversed, the typical error falls from {length(wrong)} to {length(right)}; the "
-                "corrected robot has its axis reversed"
+                f"joint {joint} counts against the drawing: reversed, errors fall to {100 * share:.2g} %; the corrected robot has its axis "
+                "reversed"
             )
         if self.outliers:
             rows = ", ".join(map(str, self.outliers[:12])) + (
@@ -183,7 +185,7 @@ class Calibration:
     @property
     def errors(self) -> dict[str, tuple[float, float]]:
         """Each error [m or rad] by name, with the half width of its 95 % interval, but for those fixed."""
-        half = 1.96 * np.sqrt(np.diag(self.spread))
+        half = self.width * np.sqrt(np.diag(self.spread))
         every = {one.name: (float(x), float(h)) for one, x, h in zip(self.unknowns, self.x, half, strict=True)}
         return {name: every[name] for name in self.names}
 
@@ -212,7 +214,7 @@ class Calibration:
             raise InvalidConfiguration(f"q must be (N, {self.drawn.n}) finite numbers, not of shape {Q.shape}")
         T, J = self._arm().evaluate(self.x, Q)
         moved = T[:, :3, :3] @ J[:, :3]
-        return T[:, :3, 3], 1.96 * np.sqrt(np.maximum(np.einsum("nij,jk,nik->ni", moved, self._every, moved), 0.0))
+        return T[:, :3, 3], self.width * np.sqrt(np.maximum(np.einsum("nij,jk,nik->ni", moved, self._every, moved), 0.0))
 
     # ------------------------------------------------------------------------------------------------ corrected robot
     @property

@@ -16,6 +16,7 @@ from .measurements import NOISE, Measurements
 
 UNTOLD = 0.3  # such data narrow a prior by 4 %
 OUTLIER = (4.0, 3.0)  # an outlier is off by more than so many standard deviations, and so many medians of all errors
+LOOSE = (0.05, 0.1)  # [m, rad] errors that links may add while only offsets, base and tool are fitted
 ROUNDS = 6  # of naming outliers and fitting again
 
 
@@ -127,8 +128,6 @@ class Fit:
             self.x, self.z = self.run(self.kept)
             if not self.given:
                 self.noise = self._scatter(self.kept)
-            if (before == self.kept).all() and not far.any():
-                break
             if (before == self.kept).all():
                 break
 
@@ -188,6 +187,14 @@ class Fit:
         B = np.abs(N @ np.linalg.pinv(N[fixed]))
         self.free[fixed], self.x[fixed] = False, 0.0
         return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}
+
+    def width(self) -> float:
+        """Return how many standard deviations the half of a 95 % interval takes: Student's t where the noise is estimated."""
+        from scipy.special import stdtrit
+
+        if self.given:
+            return 1.96
+        return float(stdtrit(max(1.0, self.kept.sum() * self.measured.per - self.taken_up(self.kept) + 0.0), 0.975))
 
     def spread(self, every: bool = False) -> np.ndarray:
         """Return the covariance (P, P) of the unknowns [m, rad], of all as if none were fixed, or with zeros for those that are."""
@@ -249,10 +256,10 @@ def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> None:
         arm.tool = arm.tool * type(arm.tool)(nearest_rotation(R.sum(0))[0], np.zeros(3))
 
 
-def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[list[int], float, float]:
+def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[list[int], float]:
     """Find joints that count against the drawing: those whose reversal, offsets (and base and tool) fitted, lowers the errors most.
 
-    Returns their indices, and the root mean square error [m] before and after; none unless it falls to less than half.
+    Returns their indices, and to which share the typical error falls; none unless it is less than half.
     """
     loose = ("joints", *(group for group in groups if group in ("base", "tool")))
 
@@ -261,10 +268,9 @@ def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarr
         arm.sign = sign
         if measured.what in ("pose", "position"):
             registered(arm, measured, Q)
-        scales = arm.scales(0.05, 0.5)
-        fit = Fit(arm, measured, Q, scales, (0.01, 0.01))
+        fit = Fit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
         x, z = fit.run(fit.kept, robust=True)
-        return float(np.sqrt(np.median((fit.errors(x, z)[:, :3] ** 2).sum(1))))
+        return float(np.median((fit.errors(x, z) ** 2 / measured.sigma(LOOSE) ** 2).sum(1)))
 
     sign = np.ones(robot.n)
     lead = {robot.joint_names.index(tie.leader) for tie in robot.mimic_joints.values()}
@@ -277,7 +283,8 @@ def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarr
                 other[i] = -1.0
                 tried[i] = left(other)
         i = min(tried, key=lambda one: tried[one], default=-1)
-        if i < 0 or tried[i] > 0.8 * best:
+        if i < 0 or tried[i] > 0.6 * best:
             break
         sign[i], best = -1.0, tried[i]
-    return ([], first, first) if best > 0.5 * first else (np.flatnonzero(sign < 0).tolist(), first, best)
+    share = float(np.sqrt(best / max(first, 1e-300)))
+    return (np.flatnonzero(sign < 0).tolist(), share) if share < 0.5 else ([], 1.0)

@@ -104,35 +104,46 @@ class DrawnArm:
     def evaluate(self, x: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the poses (N, 4, 4) and their derivatives J (N, 6, P) by x: velocities in the tip's own axes, linear rows first."""
         model, data, robot = self.model, self._data, self.robot
-        blocks = []
         base, tool = self.base, self.tool
+        joints, blocks = [place for place in self._places if place.joint > 0], {}
         for place in self._places:
-            C, D = _motion(place, x)
+            C, blocks[place.joint] = _motion(place, x)
             if place.joint > 0:
                 model.jointPlacements[place.joint] = self._drawn[place.joint] * C
             elif place.joint == 0:
                 tool = tool * C
             else:
                 base = base * C
-            kept = place.columns >= 0
-            blocks.append((place.joint, place.columns[kept], D[:, kept]))
         model.frames[self._tip].placement = self._tip_place * tool
-        T, J = np.empty((len(Q), 4, 4)), np.zeros((len(Q), 6, len(self.unknowns)))
+        T, before = np.empty((len(Q), 4, 4)), np.empty((len(joints), len(Q), 4, 4))
+        ends = np.empty((2, len(Q), 4, 4))
         full = robot.rest.copy()
         for k, q in enumerate(Q * self.sign):
             pin.forwardKinematics(model, data, robot._fill(full, q))
-            tip = pin.updateFramePlacement(model, data, self._tip)
-            root = pin.updateFramePlacement(model, data, self._base)
-            reach = root.actInv(tip)
-            T[k] = (base * reach).homogeneous
-            for joint, columns, D in blocks:
-                if joint > 0:
-                    before = data.oMi[model.parents[joint]] * model.jointPlacements[joint]
-                    motion = tip.actInv(before).toActionMatrix() @ D
-                    J[k][:, columns] = -motion if joint in self._up else motion
-                else:
-                    J[k][:, columns] = D if joint == 0 else reach.inverse().toActionMatrix() @ D
+            ends[0, k] = pin.updateFramePlacement(model, data, self._tip).homogeneous
+            ends[1, k] = pin.updateFramePlacement(model, data, self._base).homogeneous
+            for i, place in enumerate(joints):
+                before[i, k] = data.oMi[model.parents[place.joint]].homogeneous
+        back = _inverse(ends[0])
+        T = base.homogeneous @ _inverse(ends[1]) @ ends[0]
+        J = np.zeros((len(Q), 6, len(self.unknowns)))
+        seen = {place.joint: back @ before[i] @ model.jointPlacements[place.joint].homogeneous for i, place in enumerate(joints)}
+        seen |= {0: np.tile(np.eye(4), (len(Q), 1, 1)), -1: back @ ends[1]}
+        for place in self._places:
+            G, D, kept = seen[place.joint], blocks[place.joint], place.columns >= 0
+            turned = G[:, :3, :3] @ D[3:, kept]
+            moved = G[:, :3, :3] @ D[:3, kept] + np.cross(G[:, :3, 3][:, :, None], turned, axis=1)
+            sign = -1.0 if place.joint in self._up else 1.0
+            J[:, :3, place.columns[kept]], J[:, 3:, place.columns[kept]] = sign * moved, sign * turned
         return T, J
+
+
+def _inverse(T: np.ndarray) -> np.ndarray:
+    """Return the inverses of poses (N, 4, 4)."""
+    made = np.tile(np.eye(4), (len(T), 1, 1))
+    made[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
+    made[:, :3, 3] = -np.einsum("nij,nj->ni", made[:, :3, :3], T[:, :3, 3])
+    return made
 
 
 def require_one_tip(robot: Any) -> None:
