@@ -1,5 +1,6 @@
 """What a calibration found: errors with intervals, the corrected robot, residuals, and which poses to measure next."""
 
+import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,8 @@ from ..errors import InvalidConfiguration, floats
 from ..files import as_path, write_whole
 from ..robot.formats.convert import corrected_robot
 from ..robot.robot import Robot
-from ..text import TextTable, length
+from ..style import COLOURS, GREY, PALE
+from ..text import TextTable, figure, length
 from .calibration_fit import Fit
 from .drawn_arm import DrawnArm, Unknown
 from .suggest_poses import chosen_poses
@@ -303,12 +305,64 @@ class Calibration:
 
     def save(self, path: str | Path) -> Path:
         """Write all of it as one HTML page that needs no network: residuals before and after, errors, what the data leave open."""
-        from .calibration_page import page
-
-        write_whole(as_path(path, "path"), page(self))
-        return Path(path)
+        file = as_path(path, "path")
+        write_whole(file, _page(self))
+        return file
 
 
 def shown(value: float, turns: bool) -> str:
     """Write an error [m or rad] in mm or degrees, with its sign."""
     return f"{np.degrees(value) if turns else 1e3 * value:+.3f}"
+
+
+def _page(found: Calibration) -> str:
+    """Write a calibration as an HTML page."""
+    before, after = found.rms
+    kept = len(found.after) - len(found.outliers)
+    figures = {
+        "measurements": f"{len(found.after)} ({found.what}), {kept} used",
+        "as drawn, corrected": f"{length(before)}, {length(after)} (root mean square)",
+        "held out": length(found.held_out) if found.held_out is not None else "too few measurements",
+        "noise of a measurement": length(found.noise[0]) + (f", {np.degrees(found.noise[1]):.2g} deg" if found.what == "pose" else ""),
+        "told": f"{found.rank} of {len(found.x)} unknowns ({found.rank_drawn} at the arm as drawn, {found.rank_anywhere} from poses all over)",
+        "observability O1, condition": f"{figure(found.observability)}, {figure(found.condition)}",
+    }
+    parts = [
+        TextTable(f"Is {found.drawn.name} as drawn?", "", ("", ""), figures.items()),
+        TextTable("Errors", "in the axes of each joint's own frame", ("error", "with 95 % interval"), found.table().rows, most=1000),
+    ]
+    if found.fixed:
+        rows = [(one.fixed, ", ".join(one.shared) or "no error: nothing measured depends on it") for one in found.fixed]
+        parts.append(TextTable("Fixed as drawn", "the measurements cannot tell it from", ("fixed", "shares its motion with"), rows, most=1000))
+    if len(found.touched):
+        rows = [(k, *(f"{1e3 * x:.2f} mm" for x in place)) for k, place in enumerate(found.touched.tolist())]
+        parts.append(TextTable("Places touched", "as found, base frame", ("", "x", "y", "z"), rows, most=1000))
+    said = "".join(f"<li>{html.escape(note)}</li>" for note in found.notes)
+    body = "".join(f"<section>{part.html()}</section>" for part in parts)
+    title = html.escape(f"Calibration of {found.drawn.name}")
+    return (
+        f"<!DOCTYPE html><html lang='en'><head><meta charset='utf-8'><title>{title}</title><style>"
+        "body{font:15px/1.45 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}section{margin:1.5rem 0;overflow-x:auto}"
+        "td,th{padding:.1rem .8rem .1rem 0;text-align:left;vertical-align:top}svg{max-width:100%;height:auto}</style></head><body>"
+        f"{_picture(found)}<ul>{said}</ul>{body}</body></html>\n"
+    )
+
+
+def _picture(found: Calibration) -> str:
+    """Draw the residual of every measurement before and after, on a logarithmic scale, as SVG."""
+    wide, high, left = 800.0, 260.0, 70.0
+    values = np.maximum(np.array([found.before, found.after]), 1e-9)
+    low, top = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()) + 1e-9)
+    y = high - 30.0 - (np.log10(values) - low) / (top - low) * (high - 50.0)
+    x = left + 10.0 + (wide - left - 20.0) * (np.arange(len(found.after)) + 0.5) / len(found.after)
+    rows = [f"<svg viewBox='0 0 {wide:.0f} {high:.0f}' role='img' font-family='system-ui' font-size='13'>"]
+    for power in range(int(low), int(top) + 1):
+        at = high - 30.0 - (power - low) / (top - low) * (high - 50.0)
+        rows.append(f"<path d='M{left} {at:.1f}H{wide}' stroke='{PALE}'/><text x='{left - 6}' y='{at + 4:.1f}' text-anchor='end'>{length(10.0**power)}</text>")
+    for k in range(len(x)):
+        colour = COLOURS[1] if k in found.outliers else COLOURS[0]
+        rows.append(f"<path d='M{x[k]:.1f} {y[0, k]:.1f}V{y[1, k]:.1f}' stroke='{PALE}'/><circle cx='{x[k]:.1f}' cy='{y[0, k]:.1f}' r='3' fill='{GREY}'/>")
+        rows.append(f"<circle cx='{x[k]:.1f}' cy='{y[1, k]:.1f}' r='3.5' fill='{colour}'><title>row {k}: {length(float(found.after[k]))}</title></circle>")
+    words = [(GREY, "as drawn"), (COLOURS[0], "corrected"), *([(COLOURS[1], "outlier, left out")] if found.outliers else [])]
+    rows += [f"<text x='{left + 10 + 130 * k}' y='{high - 6}' fill='{colour}'>&#9679; {word}</text>" for k, (colour, word) in enumerate(words)]
+    return "".join([*rows, "</svg>"])
