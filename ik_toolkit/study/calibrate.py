@@ -72,7 +72,6 @@ def calibrate(
     _require_enough(arm, data)
     if what in ("pose", "position"):
         _require_same_frame(arm, data, Q)
-        registered(arm, data, Q)
     fit = Fit(arm, data, Q, arm.scales(*spread), sigma)
     before = fit.errors(fit.x, fit.z)
     fit.settle()
@@ -127,8 +126,7 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
     off = np.median(np.linalg.norm(arm.poses(np.zeros(len(arm.unknowns)), Q)[:, :3, 3] - data.positions, axis=1))
     moved = DrawnArm(arm.robot, ("base",))
     moved.sign = arm.sign
-    registered(moved, data, Q)
-    left = np.median(np.linalg.norm(moved.poses(np.zeros(6), Q)[:, :3, 3] - data.positions, axis=1))
+    left = np.median(np.linalg.norm(moved.poses(registered(moved, data, Q), Q)[:, :3, 3] - data.positions, axis=1))
     if off > ELSEWHERE * arm.robot.reach and left < 0.2 * off:
         raise InvalidTarget(
             f"the measurements are {off:.3g} m from where the arm is drawn, and {left:.3g} m once its base is moved: they are in a frame of "
@@ -142,7 +140,7 @@ def _settle_convention(fit: Fit) -> tuple[list[Convention], tuple[int, int, int]
     _, N = fit.untold(fit.x, fit.z, fit.kept)
     drawn = could = len(names) - N.shape[1]
     if fit.measured.what in ("pose", "position"):
-        drawn = len(names) - fit.untold(np.zeros(len(names)), fit.z, fit.kept)[1].shape[1]
+        drawn = len(names) - fit.untold(registered(fit.arm, fit.measured, fit.Q), fit.z, fit.kept)[1].shape[1]
         could = _could_tell(fit)
     fixed = fit.fix(N) if N.shape[1] else {}
     if fixed:

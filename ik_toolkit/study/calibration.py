@@ -75,7 +75,7 @@ class Calibration:
     notes: tuple[str, ...]  # sentences on what the data leave open
     converged: bool  # whether the last fit ended by its tolerances
     _every: np.ndarray  # (P, P) covariance of all unknowns, as if none were fixed
-    _state: tuple[np.ndarray, np.ndarray, np.ndarray]  # sign (n,), base and tool (4, 4) at x = 0
+    _sign: np.ndarray  # (n,) factors 1 or -1 of the joint values
     _q: np.ndarray  # (N, n) where was measured
 
     @classmethod
@@ -120,11 +120,11 @@ class Calibration:
             condition=float(S[0] / S[-1]) if len(S) and S[-1] > 0.0 else np.inf,
             touched=fit.z.reshape(-1, 3) if data.what in ("socket", "distance") else np.empty((0, 3)),
             prior=tuple(prior),
-            T_world_base=(arm.base * corrections.get(-1, pin.SE3.Identity())).homogeneous,
+            T_world_base=corrections.get(-1, pin.SE3.Identity()).homogeneous,
             notes=(),
             converged=converged,
             _every=fit.spread(every=True),
-            _state=(arm.sign.copy(), arm.base.homogeneous, arm.tool.homogeneous),
+            _sign=arm.sign.copy(),
             _q=fit.Q.copy(),
         )
         made.notes = tuple(made._findings(data.places is not None, len(data.pairs)))
@@ -198,8 +198,8 @@ class Calibration:
         return float(np.sqrt((self.before[kept] ** 2).mean())), float(np.sqrt((self.after[kept] ** 2).mean()))
 
     def _arm(self) -> DrawnArm:
-        arm = DrawnArm(self.drawn, self.parameters, *self._state[1:])
-        arm.sign = self._state[0]
+        arm = DrawnArm(self.drawn, self.parameters)
+        arm.sign = self._sign
         return arm
 
     def fk(self, q: Any) -> pin.SE3:
@@ -229,8 +229,8 @@ class Calibration:
         C = arm.corrections(self.x)
         model = self.drawn.model
         joints = {model.names[j]: T.homogeneous for j, T in C.items() if j > 0}
-        tool = (arm.tool * C.get(0, pin.SE3.Identity())).homogeneous
-        against = [model.names[j] for j, i in self.drawn._path.owner.items() if self._state[0][i] < 0.0]
+        tool = C.get(0, pin.SE3.Identity()).homogeneous
+        against = [model.names[j] for j, i in self.drawn._path.owner.items() if self._sign[i] < 0.0]
         return corrected_robot(self.drawn, joints, against, tool)
 
     def write(self, path: str | Path) -> Robot:

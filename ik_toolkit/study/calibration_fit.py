@@ -9,8 +9,10 @@ than UNTOLD standard deviations.
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ..errors import MissingExtra
+from ..robot.rotation import nearest_rotation
 from .drawn_arm import DrawnArm
 from .measurements import NOISE, Measurements
 
@@ -46,7 +48,7 @@ class Fit:
         self.noise = tuple(NOISE if noise is None else noise)
         self.kept = np.ones(len(Q), dtype=bool)
         self.free = np.ones(len(scales), dtype=bool)
-        self.x = np.zeros(len(scales))
+        self.x = registered(arm, measured, Q)
         self.z = measured.start(arm.poses(self.x, Q))
         self.converged = True
 
@@ -237,23 +239,26 @@ def told(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return S, V[:, ::-1][:, S < UNTOLD]
 
 
-def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> None:
-    """Move the arm's base, and turn its tool, to where measured poses or positions show them, as drawn otherwise.
+def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:
+    """Return x (P,) with the base, and the direction of the tool, where measured poses or positions show them; all else as drawn.
 
-    The base is the rotation and translation that fits the positions best (Kabsch 1976); a tool of measured poses is turned by the mean
+    The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool of measured poses is turned by the mean
     of what is left.
     """
-    from ..robot.rotation import nearest_rotation
-
-    drawn = arm.poses(np.zeros(len(arm.unknowns)), Q)
+    x = np.zeros(len(arm.unknowns))
+    at = {group: [k for k, one in enumerate(arm.unknowns) if one.group == group] for group in ("base", "tool")}
+    if measured.what not in ("pose", "position"):
+        return x
+    drawn = arm.poses(x, Q)
     p, m = drawn[:, :3, 3], measured.positions
-    if "base" in arm.groups:
-        a, b = p - p.mean(0), m - m.mean(0)
-        R = nearest_rotation(b.T @ a)[0]
-        arm.base = type(arm.base)(R, m.mean(0) - R @ p.mean(0)) * arm.base
-    if "tool" in arm.groups and measured.what == "pose":
-        R = np.swapaxes(arm.base.rotation @ drawn[:, :3, :3], 1, 2) @ measured.rotations
-        arm.tool = arm.tool * type(arm.tool)(nearest_rotation(R.sum(0))[0], np.zeros(3))
+    R = np.eye(3)
+    if at["base"]:
+        R = nearest_rotation((m - m.mean(0)).T @ (p - p.mean(0)))[0]
+        x[at["base"]] = [*(m.mean(0) - R @ p.mean(0)), *pin.log3(R)]
+    if at["tool"] and measured.what == "pose":
+        turned = np.swapaxes(R @ drawn[:, :3, :3], 1, 2) @ measured.rotations
+        x[at["tool"][3:]] = pin.log3(nearest_rotation(turned.sum(0))[0])
+    return x
 
 
 def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[list[int], float]:
@@ -266,8 +271,6 @@ def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarr
     def left(sign: np.ndarray) -> float:
         arm = DrawnArm(robot, loose)
         arm.sign = sign
-        if measured.what in ("pose", "position"):
-            registered(arm, measured, Q)
         fit = Fit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
         x, z = fit.run(fit.kept, robust=True)
         return float(np.median((fit.errors(x, z) ** 2 / measured.sigma(LOOSE) ** 2).sum(1)))

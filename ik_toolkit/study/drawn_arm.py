@@ -49,13 +49,9 @@ class DrawnArm:
         sign: Factor (n,) of 1 or -1 of the joint values.
     """
 
-    def __init__(
-        self, robot: Robot, groups: Sequence[str], base: np.ndarray | None = None, tool: np.ndarray | None = None
-    ) -> None:
-        """Copy the model; base and tool (4, 4) are where the robot's base stands, and a further motion of the tip."""
+    def __init__(self, robot: Robot, groups: Sequence[str]) -> None:
+        """Copy the model."""
         self.robot, self.groups, self.sign = robot, tuple(groups), np.ones(robot.n)
-        self.base = pin.SE3.Identity() if base is None else pin.SE3(base)
-        self.tool = pin.SE3.Identity() if tool is None else pin.SE3(tool)
         self.model = pin.Model(robot.model)
         base_id, tip_id = robot._ids
         tip = self.model.frames[tip_id]
@@ -104,16 +100,16 @@ class DrawnArm:
     def evaluate(self, x: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the poses (N, 4, 4) and their derivatives J (N, 6, P) by x: velocities in the tip's own axes, linear rows first."""
         model, data, robot = self.model, self._data, self.robot
-        base, tool = self.base, self.tool
+        base, tool = pin.SE3.Identity(), pin.SE3.Identity()
         joints, blocks = [place for place in self._places if place.joint > 0], {}
         for place in self._places:
             C, blocks[place.joint] = _motion(place, x)
             if place.joint > 0:
                 model.jointPlacements[place.joint] = self._drawn[place.joint] * C
             elif place.joint == 0:
-                tool = tool * C
+                tool = C
             else:
-                base = base * C
+                base = C
         model.frames[self._tip].placement = self._tip_place * tool
         T, before = np.empty((len(Q), 4, 4)), np.empty((len(joints), len(Q), 4, 4))
         ends = np.empty((2, len(Q), 4, 4))
