@@ -30,6 +30,7 @@ MODULES = (
     "bench",
     "tune",
     "workspace",
+    "calibrate",
     "files",
     "view",
     "doctor",

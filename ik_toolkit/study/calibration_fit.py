@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from ..errors import MissingExtra
 from ..robot.rotation import nearest_rotation
-from .drawn_arm import DrawnArm
+from .drawn_arm import WIDE, DrawnArm
 from .measurements import NOISE, Measurements
 
 UNTOLD = 0.3  # such data narrow a prior by 4 %
@@ -186,7 +186,8 @@ class Fit:
                     along = left[p] / size
                     left -= np.outer(left @ along, along)
                     fixed.append(p)
-        B = np.abs(N @ np.linalg.pinv(N[fixed]))
+        equal = N * np.array([[WIDE.get(group, 1.0)] for group in groups])  # so that a millimetre counts alike everywhere
+        B = np.abs(equal @ np.linalg.pinv(equal[fixed]))
         self.free[fixed], self.x[fixed] = False, 0.0
         return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}
 

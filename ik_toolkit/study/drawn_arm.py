@@ -20,6 +20,7 @@ from ..robot.tree import Tree
 PARTS = ("x", "y", "z", "rx", "ry", "rz")
 GROUPS = ("joints", "frames", "tool", "base")
 DEFAULT = ("joints", "frames", "tool")
+WIDE = {"tool": 10.0, "base": 200.0}  # how many times farther than a link tool and base may be from where they are drawn
 
 
 class Unknown(NamedTuple):
@@ -85,9 +86,8 @@ class DrawnArm:
             self._places.append(_Place(columns, joint, shift, turn))
 
     def scales(self, length: float, angle: float) -> np.ndarray:
-        """Return how far each unknown may be off: the length [m] or angle [rad] given, 10 times it for the tool, 200 times for the base."""
-        wide = {"tool": 10.0, "base": 200.0}
-        return np.array([(angle if one.turns else length) * wide.get(one.group, 1.0) for one in self.unknowns])
+        """Return how far each unknown (P,) may be off: the length [m] or angle [rad] given, and more for tool and base, see WIDE."""
+        return np.array([(angle if one.turns else length) * WIDE.get(one.group, 1.0) for one in self.unknowns])
 
     def corrections(self, x: np.ndarray) -> dict[int, pin.SE3]:
         """Return the error of each frame at x by joint, 0 for the tip and -1 for the base."""
