@@ -8,9 +8,9 @@ import numpy as np
 from ..errors import FEW_TURNS, InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..robot.robot import Robot
 from .calibration import Calibration, Convention
-from .calibration_fit import Fit, registered, reversed_joints, told
+from .calibration_fit import UNTOLD, Fit, registered, reversed_joints, told
 from .drawn_arm import DEFAULT, DrawnArm, read_groups, require_one_tip
-from .measurements import Measurements, prior_spread, read_noise
+from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
 ELSEWHERE = 0.2  # measurements that lie this share of the reach away from the drawn arm are in a frame of their own
 SAMPLES = 200  # random configurations that show what poses measured elsewhere could tell
@@ -142,10 +142,13 @@ def _settle_convention(fit: Fit) -> tuple[list[Convention], tuple[int, int, int]
     if fit.measured.what in ("pose", "position"):
         drawn = len(names) - fit.untold(registered(fit.arm, fit.measured, fit.Q), fit.z, fit.kept)[1].shape[1]
         could = _could_tell(fit)
+    seen = np.linalg.norm(fit.weighted(fit.x, fit.z, fit.kept)[1], axis=0) > UNTOLD
     fixed = fit.fix(N) if N.shape[1] else {}
     if fixed:
         fit.x, fit.z = fit.run(fit.kept)
-    return [Convention(names[p], tuple(names[k] for k in others)) for p, others in fixed.items()], (
+    touched = (f"the {TOUCHED[fit.measured.what]}",) if fit.measured.count else ()
+    told_by = {p: tuple(names[k] for k in others) or (touched if seen[p] else ()) for p, others in fixed.items()}
+    return [Convention(names[p], shared) for p, shared in told_by.items()], (
         len(names) - len(fixed),
         int(drawn),
         max(could, len(names) - len(fixed)),

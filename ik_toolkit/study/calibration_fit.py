@@ -16,7 +16,7 @@ from ..robot.rotation import nearest_rotation
 from .drawn_arm import WIDE, DrawnArm
 from .measurements import NOISE, Measurements
 
-UNTOLD = 0.3  # such data narrow a prior by 4 %
+UNTOLD = 0.5  # such data narrow a prior by a tenth
 OUTLIER = (4.0, 3.0)  # an outlier is off by more than so many standard deviations, and so many medians of all errors
 LOOSE = (0.05, 0.1)  # [m, rad] errors that links may add while only offsets, base and tool are fitted
 ROUNDS = 6  # of naming outliers and fitting again
