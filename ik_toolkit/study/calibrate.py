@@ -8,11 +8,12 @@ import numpy as np
 from ..errors import FEW_TURNS, InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..robot.robot import Robot
 from .calibration import Calibration, Convention
-from .calibration_fit import UNTOLD, Fit, registered, reversed_joints, told
+from .calibration_fit import UNTOLD, Fit, joint_signs, registered, reversible, told
 from .drawn_arm import DEFAULT, DrawnArm, read_groups, require_one_tip
 from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
 ELSEWHERE = 0.2  # measurements that lie this share of the reach away from the drawn arm are in a frame of their own
+DOUBTFUL = 4.0  # typical errors of so many times NOISE let the signs of the joints be tried again
 SAMPLES = 200  # random configurations that show what poses measured elsewhere could tell
 
 
@@ -66,18 +67,19 @@ def calibrate(
             f"parameters has base, which needs measured poses or positions; what is '{what}': leave base out"
         )
     spread, sigma = prior_spread(prior), read_noise(noise)
-    against, share = reversed_joints(robot, groups, data, Q)
     arm = DrawnArm(robot, groups)
-    arm.sign[against] = -1.0
     _require_enough(arm, data)
+    sign, share = joint_signs(robot, groups, data, Q)
+    arm.sign[:] = sign
     if what in ("pose", "position"):
         _require_same_frame(arm, data, Q)
     fit = Fit(arm, data, Q, arm.scales(*spread), sigma)
-    before = fit.errors(fit.x, fit.z)
     fit.settle()
+    fit, better = _with_last_sign(fit, sigma)
+    before = fit.errors(registered(fit.arm, data, Q), data.start(fit.arm.poses(registered(fit.arm, data, Q), Q)))
     fixed, ranks = _settle_convention(fit)
-    names = [robot.joint_names[i] for i in against]
-    return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, share))
+    names = [joint for joint, one in zip(robot.joint_names, fit.arm.sign, strict=True) if one < 0.0]
+    return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, share * better))
 
 
 def _configurations(robot: Robot, q: Any, count: int) -> np.ndarray:
@@ -132,6 +134,25 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
             f"the measurements are {off:.3g} m from where the arm is drawn, and {left:.3g} m once its base is moved: they are in a frame of "
             "their own; add 'base' to parameters (--parameters joints,frames,tool,base)"
         )
+
+
+def _with_last_sign(fit: Fit, sigma: Any) -> tuple[Fit, float]:
+    """Return the fit, or where it is poor that with one more joint reversed, and to which share the errors fall by it.
+
+    It finds what offsets alone do not show: a reversed roll of a tip that is drawn on the axis.
+    """
+    left = fit.typical()
+    found, least = fit, 1.0
+    for i in reversible(fit.arm.robot, fit.Q) if left > DOUBTFUL else []:
+        arm = DrawnArm(fit.arm.robot, fit.arm.groups)
+        arm.sign[:] = fit.arm.sign
+        arm.sign[i] *= -1.0
+        other = Fit(arm, fit.measured, fit.Q, fit.scales, sigma)
+        other.settle()
+        if other.typical() < least * left:
+            found, least = other, other.typical() / left
+    fit.measured.start(found.arm.poses(found.x, found.Q))  # planes have their normals from the last start
+    return (found, least) if least < 0.5 else (fit, 1.0)
 
 
 def _settle_convention(fit: Fit) -> tuple[list[Convention], tuple[int, int, int]]:

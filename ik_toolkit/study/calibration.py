@@ -17,8 +17,11 @@ from ..style import COLOURS, GREY, PALE
 from ..text import TextTable, figure, length
 from .calibration_fit import Fit
 from .drawn_arm import DrawnArm, Unknown
+from .measurements import WHAT
 from .suggest_poses import chosen_poses
 
+ROUGH = 0.005  # [m] errors left that no instrument makes
+FEW = 2.2  # numbers measured for each error, below which outliers cannot be told well
 UNSURE = 0.7  # of the prior's spread: an error known no better is mostly assumed
 TOUCH = {
     "pose": "",
@@ -127,12 +130,12 @@ class Calibration:
             _sign=arm.sign.copy(),
             _q=fit.Q.copy(),
         )
-        made.notes = tuple(made._findings(data.places is not None, len(data.pairs)))
+        made.notes = tuple(made._findings(data.places is not None, len(data.pairs), fit.given))
         return made
 
-    def _findings(self, placed: bool, pairs: int) -> list[str]:
+    def _findings(self, placed: bool, pairs: int, given: bool) -> list[str]:
         """Sentences on what the data leave open and what is unusual."""
-        said = []
+        said, kept = [], len(self.after) - len(self.outliers)
         for joint, share in self.reversed.items():
             said.append(
                 f"joint {joint} counts against the drawing: reversed, errors fall to {100 * share:.2g} %; the corrected robot has its axis "
@@ -165,6 +168,13 @@ class Calibration:
         ]
         if far:
             said.append(f"larger than assumed, so give prior= larger and look at the data: {', '.join(far[:6])}")
+        count = kept * WHAT[self.what]
+        if count < FEW * self.rank:
+            said.append(f"only {count} numbers for {self.rank} errors: outliers and intervals are uncertain; measure more")
+        rough = self.rms[1] > (5.0 * self.noise[0] if given else ROUGH)
+        if rough:
+            more = "add 'frames' to parameters" if "frames" not in self.parameters else "look for wrong units, rows or tips, or play in joints"
+            said.append(f"what is left, {length(self.rms[1])}, is more than noise: {more}")
         return (
             said
             if self.converged

@@ -6,6 +6,7 @@ and of the noise (Hollerbach, Wampler 1996): a direction is untold if moving alo
 than UNTOLD standard deviations.
 """
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,11 @@ from .drawn_arm import WIDE, DrawnArm
 from .measurements import NOISE, Measurements
 
 UNTOLD = 0.5  # such data narrow a prior by a tenth
+LEAST = 1e-6  # [m, rad] least noise that is assumed, that of no instrument
 OUTLIER = (4.0, 3.0)  # an outlier is off by more than so many standard deviations, and so many medians of all errors
 LOOSE = (0.05, 0.1)  # [m, rad] errors that links may add while only offsets, base and tool are fitted
+# Squared errors over LOOSE below which no sign is tried, and above which all signs of so many joints are.
+GOOD, POOR, MANY = 0.01, 4.0, 7
 ROUNDS = 6  # of naming outliers and fitting again
 
 
@@ -65,13 +69,11 @@ class Fit:
         part = np.hstack([np.zeros((len(known), len(x))), slope]) / self.noise[0]
         return np.append(E / sigma, known / self.noise[0]), np.vstack([A.reshape(-1, A.shape[2]), part])
 
-    def run(
-        self, rows: np.ndarray, robust: bool = False, x: Any = None, z: Any = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Fit x and z to some measurements, from where the fit stands or from those given."""
+    def run(self, rows: np.ndarray, robust: bool = False, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
+        """Fit x and z to some measurements, from where the fit stands, in at most so many evaluations."""
         P, free = len(self.x), self.free
         used = np.append(free, np.ones(len(self.z), dtype=bool))
-        start = np.append(self.x if x is None else x, self.z if z is None else z)
+        start = np.append(self.x, self.z)
         prior = np.eye(int(free.sum()), int(used.sum()))
         last: dict[bytes, Any] = {}
 
@@ -99,7 +101,7 @@ class Fit:
             lambda v: at(v)[1],
             loss=soft if robust else "linear",
             x_scale="jac",
-            max_nfev=200,
+            max_nfev=most,
         )
         self.converged = bool(made.status > 0)
         every = start.copy()
@@ -111,6 +113,10 @@ class Fit:
         """Return the errors (N, per) [m, rad] of all measurements."""
         return self.measured.errors(self.arm.poses(x, self.Q), z)[0]
 
+    def typical(self) -> float:
+        """Return the median error of a measurement, in units of NOISE."""
+        return float(np.sqrt(np.median(((self.errors(self.x, self.z) / self.measured.sigma(NOISE)) ** 2).sum(1))))
+
     # ------------------------------------------------------------------------------------------------- noise, outliers
     def settle(self) -> None:
         """Fit robustly, estimate the noise, name outliers and fit again without them, until nothing changes."""
@@ -120,18 +126,32 @@ class Fit:
             if not self.given:
                 self.noise = self._scatter(every, robust=True)
         for _ in range(ROUNDS):
-            E = self.errors(self.x, self.z) / self.measured.sigma(self.noise)
-            parts = [E[:, :3], E[:, 3:]] if self.measured.what == "pose" else [E]
-            far = np.zeros(len(E), dtype=bool)
-            for part in parts:
-                size = np.linalg.norm(part, axis=1)
-                far |= size > max(OUTLIER[0], OUTLIER[1] * float(np.median(size)))
+            far = self._far()
             before, self.kept = self.kept, ~far
             self.x, self.z = self.run(self.kept)
             if not self.given:
                 self.noise = self._scatter(self.kept)
             if (before == self.kept).all():
                 break
+
+    def _far(self) -> np.ndarray:
+        """Return which measurements (N,) are outliers of the fit: off by more standard deviations than OUTLIER has, lengths or angles.
+
+        What took no part in the fit may be off by the uncertainty of the fit as well.
+        """
+        every = np.ones(len(self.Q), dtype=bool)
+        e, A = self.weighted(self.x, self.z, every)
+        per, used = self.measured.per, np.append(self.free, np.ones(len(self.z), dtype=bool))
+        E, A = e[: len(every) * per].reshape(-1, per), A[: len(every) * per, used]
+        kept = A[np.repeat(self.kept, per)]
+        known = np.append(np.ones(int(self.free.sum())), np.full(len(self.z), 1e-6))
+        doubt = np.einsum("ij,jk,ik->i", A, np.linalg.inv(kept.T @ kept + np.diag(known)), A).reshape(-1, per)
+        E = E / np.sqrt(1.0 + doubt * ~self.kept[:, None])
+        far = np.zeros(len(E), dtype=bool)
+        for part in (E[:, :3], E[:, 3:]) if per > 3 else (E,):
+            size = np.linalg.norm(part, axis=1)
+            far |= size > max(OUTLIER[0], OUTLIER[1] * float(np.median(size)))
+        return far
 
     def _scatter(self, rows: np.ndarray, robust: bool = False) -> tuple[float, float]:
         """Estimate the noise [m, rad] from the errors that are left, and from how many numbers the unknowns take up."""
@@ -146,7 +166,7 @@ class Fit:
                 size = 1.4826 * float(np.median(np.abs(part)))
             else:
                 size = float(np.sqrt((part**2).mean()))
-            found.append(max(size / np.sqrt(share), 1e-9))
+            found.append(max(size / np.sqrt(share), LEAST))
         return found[0], found[1]
 
     def taken_up(self, rows: np.ndarray) -> float:
@@ -262,10 +282,10 @@ def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarr
     return x
 
 
-def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[list[int], float]:
+def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[np.ndarray, float]:
     """Find joints that count against the drawing: those whose reversal, offsets (and base and tool) fitted, lowers the errors most.
 
-    Returns their indices, and to which share the typical error falls; none unless it is less than half.
+    Returns the signs (n,), 1 or -1, and to which share the typical error falls; all 1 unless it is less than half.
     """
     loose = ("joints", *(group for group in groups if group in ("base", "tool")))
 
@@ -273,22 +293,30 @@ def reversed_joints(robot: Any, groups: Any, measured: Measurements, Q: np.ndarr
         arm = DrawnArm(robot, loose)
         arm.sign = sign
         fit = Fit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
-        x, z = fit.run(fit.kept, robust=True)
+        x, z = fit.run(fit.kept, robust=True, most=12)
         return float(np.median((fit.errors(x, z) ** 2 / measured.sigma(LOOSE) ** 2).sum(1)))
 
+    asked = reversible(robot, Q)
     sign = np.ones(robot.n)
-    lead = {robot.joint_names.index(tie.leader) for tie in robot.mimic_joints.values()}
     first = best = left(sign)
-    while True:
-        tried = {}
-        for i in range(robot.n):
-            if sign[i] > 0 and i not in lead and np.ptp(Q[:, i]) > 1e-3:
-                other = sign.copy()
-                other[i] = -1.0
-                tried[i] = left(other)
-        i = min(tried, key=lambda one: tried[one], default=-1)
-        if i < 0 or tried[i] > 0.6 * best:
+    for _ in asked if best > GOOD else ():
+        tried = [(left(np.where(np.arange(robot.n) == i, -sign, sign)), i) for i in asked]
+        value, i = min(tried)
+        if value > 0.6 * best:
             break
-        sign[i], best = -1.0, tried[i]
+        sign[i], best = -sign[i], value
+    if best > POOR and len(asked) <= MANY:  # one by one leads nowhere: all together
+        for flips in product((1.0, -1.0), repeat=len(asked)):
+            other = np.ones(robot.n)
+            other[asked] = flips
+            value = left(other)
+            if value < 0.6 * best:
+                sign, best = other, value
     share = float(np.sqrt(best / max(first, 1e-300)))
-    return (np.flatnonzero(sign < 0).tolist(), share) if share < 0.5 else ([], 1.0)
+    return (sign, share) if share < 0.5 else (np.ones(robot.n), 1.0)
+
+
+def reversible(robot: Any, Q: np.ndarray) -> list[int]:
+    """Return the joints whose sign is tried: those that move, and that no other joint follows."""
+    lead = {robot.joint_names.index(tie.leader) for tie in robot.mimic_joints.values()}
+    return [i for i in range(robot.n) if i not in lead and np.ptp(Q[:, i]) > 1e-3]

@@ -44,7 +44,8 @@ class Measurements:
             T = _poses(measured)
             self.positions, self.rotations = T[:, :3, 3], T[:, :3, :3]
         elif what == "position":
-            self.positions = _rows(measured, 3, "measured positions must have the shape (N, 3)")
+            poses = "; for poses (N, 4, 4) give what='pose'" if np.shape(measured)[1:] == (4, 4) else ""
+            self.positions = _rows(measured, 3, f"measured positions must have the shape (N, 3){poses}")
         elif what == "distance":
             rows = floats(measured, "measured distances must be numbers", InvalidTarget)
             rows = _rows(
@@ -232,11 +233,12 @@ def _poses(measured: Any) -> np.ndarray:
         raise InvalidTarget(f"measured poses must have the shape (N, 4, 4), not {measured!r:.60}") from None
     T = []
     for k, one in enumerate(each):
+        if np.shape(one) == (3,):
+            raise InvalidTarget("measured has positions (N, 3), not poses (N, 4, 4): give what='position'")
         try:
             T.append(as_matrix(one))
         except InvalidTarget as error:
-            hint = "; for (N, 3) give what='position'" if np.shape(one) == (3,) else ""
-            raise InvalidTarget(f"measured pose {k} (counted from 0): {error}{hint}") from None
+            raise InvalidTarget(f"measured pose {k} (counted from 0): {error}") from None
     return np.array(T).reshape(-1, 4, 4)
 
 
