@@ -50,6 +50,9 @@ from .solvers.solve import solve as solve
 from .solvers.solve import solve_all as solve_all
 from .solvers.status import Status as Status
 from .study.benchmark import benchmark as benchmark
+from .study.calibrate import calibrate as calibrate
+from .study.calibration import Calibration as Calibration
+from .study.suggest_poses import suggest_poses as suggest_poses
 from .study.tune import tune as tune
 from .study.workspace import workspace as workspace
 

@@ -22,19 +22,25 @@ class CalibrateOptions:
 
     data: Path | None = option(
         "FILE",
-        "Measurements, a .csv with a column for each joint, and x,y,z (with qx,qy,qz,qw or roll,pitch,yaw for poses), or socket, or "
-        "plane, or distance; or an .npz with q and measured. --deg and --length-unit hold for joints, too.",
+        "Measurements, a .csv with a column for each joint, and x,y,z (of poses also qx,qy,qz,qw or roll,pitch,yaw), or socket, or "
+        "plane, or distance; or an .npz with q and measured. --deg and --length-unit hold for joints as well.",
     )
     what: str | None = option("KIND", "pose, position, distance, socket or plane; default: what the columns say.")
     parameters: str = option(
-        "GROUPS", "What may be wrong: any of joints,frames,tool,base; base for an instrument with a frame of its own.", default="joints,frames,tool"
+        "GROUPS",
+        "What may be wrong: any of joints,frames,tool,base; base for an instrument with a frame of its own.",
+        default="joints,frames,tool",
     )
     place: list[str] | None = option("X,Y,Z", "Known place of socket 0, 1, ... [m], one each; may be repeated.")
     distance: list[str] | None = option("A:B:M", "Known distance [m] of sockets A and B; may be repeated.")
     noise: str | None = option("M [RAD]", "Noise of a measurement [m], of poses also [rad]; default: estimated.")
     prior: str | None = option("M RAD", "How far links and joints may be off [m, rad]; default 0.01 0.035.")
-    suggest: int | None = option("N", "Write N configurations to measure to -o, a .csv; with --data beside those measured.")
-    output: Path | None = option("FILE", "Write the corrected robot (.urdf), or what --suggest finds (.csv).", "-o", "--output", writes=[])
+    suggest: int | None = option(
+        "N", "Write N configurations to measure to -o, a .csv; with --data beside those measured."
+    )
+    output: Path | None = option(
+        "FILE", "Write the corrected robot (.urdf), or what --suggest finds (.csv).", "-o", "--output", writes=[]
+    )
     html: Path | None = option("FILE", "Write all of it as one HTML page.", writes=[".html", ".htm"])
     plot: Path | None = option("FILE", "Draw residuals and errors to a .png, .pdf or .svg file.", writes=PLOTS)
     seed: int = option("N", "Seed of the configurations that --suggest chooses from.", default=0, panel="Solver")
@@ -44,7 +50,7 @@ class CalibrateOptions:
 def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: JsonOutput) -> None:
     """Find where an arm really goes: errors of its joints, links and tool from measurements of its tip, and a corrected URDF.
 
-    Positions, poses or distances from an instrument, or touches of sockets or planes without one. What the data cannot tell is named.
+    Positions, poses or distances from an instrument, or touches of sockets or planes. What the data cannot tell is named.
 
     Examples:
     ik calibrate hydrolek_7w --suggest 30 -o poses.csv
@@ -55,7 +61,9 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
         raise InvalidOption("give --data FILE with measurements, or --suggest N for configurations to measure")
     ends = ".csv" if asked.suggest is not None else ".urdf"
     if asked.output is not None and asked.output.suffix.lower() != ends:
-        raise InvalidOption(f"-o takes a {ends} file {'with --suggest' if ends == '.csv' else 'for the corrected robot'}, not '{asked.output}'")
+        raise InvalidOption(
+            f"-o takes a {ends} file {'with --suggest' if ends == '.csv' else 'for the corrected robot'}, not '{asked.output}'"
+        )
     arm = robot.load(robot.tip)
     groups = [word.strip() for word in asked.parameters.split(",") if word.strip()]
     if asked.data is None:
@@ -115,7 +123,13 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, np.ndarra
         Q, measured = read_named(path, ("q", "measured"))
         what = asked.what or ("pose" if measured.ndim == 3 else "position")
         if what in ("pose", "position", "distance"):
-            (measured[..., :3, 3] if measured.ndim == 3 else measured[:, -1:] if what == "distance" and measured.ndim == 2 else measured)[...] *= scale
+            (
+                measured[..., :3, 3]
+                if measured.ndim == 3
+                else measured[:, -1:]
+                if what == "distance" and measured.ndim == 2
+                else measured
+            )[...] *= scale
         return what, Q * (unit if Q.ndim == 2 and Q.shape[1] == arm.n else 1.0), measured
     if path.suffix.lower() != ".csv" or not path.is_file():
         raise InvalidTarget(f"--data takes an existing .csv or .npz file, not '{path}'")
@@ -127,7 +141,9 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, np.ndarra
         if what == "distance":
             columns[:, -1] *= scale
         return what, Q, columns if columns.shape[1] == 2 else columns[:, 0]
-    poses = np.concatenate([block.poses for block in read_poses(path, "measurements", given=given, besides=arm.joint_names)[1]])
+    poses = np.concatenate(
+        [block.poses for block in read_poses(path, "measurements", given=given, besides=arm.joint_names)[1]]
+    )
     if what == "position" and poses.ndim == 3:
         poses = poses[:, :3, 3]
     return what or ("pose" if poses.ndim == 3 else "position"), Q, poses
@@ -145,14 +161,20 @@ def _suggest(asked: CalibrateOptions, arm: Any, groups: list[str], found: Any, d
     tips = np.array([arm.fk(q).translation for q in Q])
     shown = np.where([turns(kind) for kind in arm.joint_kinds], np.degrees(Q), Q) if deg else Q
     if asked.output is not None:
-        write_table(asked.output, [*arm.joint_names, "drawn_x", "drawn_y", "drawn_z"], np.hstack([shown, tips]).tolist())
+        write_table(
+            asked.output, [*arm.joint_names, "drawn_x", "drawn_y", "drawn_z"], np.hstack([shown, tips]).tolist()
+        )
         notice(f"wrote {asked.output}: add the columns x,y,z as measured, then: ik calibrate {arm.name} --data FILE")
-    write_json({"robot": arm.name, "joint_names": arm.joint_names, "q": Q, "positions": tips, "output": asked.output}, as_json)
+    write_json(
+        {"robot": arm.name, "joint_names": arm.joint_names, "q": Q, "positions": tips, "output": asked.output}, as_json
+    )
     if as_json or asked.output is not None:
         return
     made = table(">#", *(">" + name.replace("_", "_\n") for name in arm.joint_names))
     for k, row in enumerate(shown.tolist()):
-        made.add_row(str(k), *(f"{x:.{2 if deg and turns(kind) else 4}f}" for x, kind in zip(row, arm.joint_kinds, strict=True)))
+        made.add_row(
+            str(k), *(f"{x:.{2 if deg and turns(kind) else 4}f}" for x, kind in zip(row, arm.joint_kinds, strict=True))
+        )
     show(made)
 
 
@@ -162,7 +184,9 @@ def _show(found: Any) -> None:
     noise = length(found.noise[0]) + (f", {figure(np.degrees(found.noise[1]), 2)} deg" if found.what == "pose" else "")
     lines = {
         "as drawn": f"{length(before)} (root mean square of {len(found.after)} measurements)",
-        "corrected": f"{length(after)}; held out {length(found.held_out)}" if found.held_out is not None else length(after),
+        "corrected": f"{length(after)}; held out {length(found.held_out)}"
+        if found.held_out is not None
+        else length(after),
         "noise": f"{noise} of a measurement",
         "told": f"{found.rank} of {len(found.x)} unknowns; {found.rank_drawn} at the arm as drawn",
         "observability": f"O1 {figure(found.observability)}, condition {figure(found.condition)}",
@@ -182,6 +206,13 @@ def _show(found: Any) -> None:
         show(facts({str(k): "  ".join(f"{x:.5f}" for x in place) for k, place in enumerate(found.touched.tolist())}))
     if "base" in found.parameters:
         T = found.T_world_base
-        show(facts({"base": "  ".join(f"{x:.5f}" for x in T[:3, 3]) + " m, in the frame of the measurements (--json has the rotation)"}))
+        show(
+            facts(
+                {
+                    "base": "  ".join(f"{x:.5f}" for x in T[:3, 3])
+                    + " m, in the frame of the measurements (--json has the rotation)"
+                }
+            )
+        )
     for note in found.notes:
         show(f"- {note}")

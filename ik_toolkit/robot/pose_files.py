@@ -129,11 +129,15 @@ def read_columns(path: Path, names: Sequence[str]) -> tuple[list[str], np.ndarra
     for name in names:
         if top.header.count(name) != 1:
             many = "no column" if name not in top.header else "more than one column"
-            raise InvalidTarget(f"'{path.name}' has {many} '{name}'; it needs {', '.join(names)}.{near_match(name, top.header)}")
+            raise InvalidTarget(
+                f"'{path.name}' has {many} '{name}'; it needs {', '.join(names)}.{near_match(name, top.header)}"
+            )
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             lines, texts = zip(*_rows(stream, path.name, top.line), strict=True)
-            return top.header, _numbers(list(texts), [top.header.index(name) for name in names], top, list(lines), path.name)
+            return top.header, _numbers(
+                list(texts), [top.header.index(name) for name in names], top, list(lines), path.name
+            )
     except InvalidTarget:
         raise
     except (OSError, UnicodeDecodeError, ValueError) as error:  # ValueError: there are no rows

@@ -180,12 +180,16 @@ def plot_calibration(found: Calibration) -> Any:
         if out:
             axes[0].semilogy(out, 1e3 * found.after[out], "o", color=COLOURS[1], ms=5, label="outlier, left out")
         axes[0].set(xlabel="measurement (row)", ylabel="off by [mm]")
-        axes[0].set_title(literal_text(f"{found.drawn.name}: {length(found.rms[0])} as drawn, {length(found.rms[1])} corrected (RMS)"))
+        axes[0].set_title(
+            literal_text(f"{found.drawn.name}: {length(found.rms[0])} as drawn, {length(found.rms[1])} corrected (RMS)")
+        )
         axes[0].legend(fontsize=8)
         for axis, kind, scale, unit in ((axes[1], False, 1e3, "mm"), (axes[2], True, 180.0 / np.pi, "deg")):
             some = [(name, scale * x, scale * half) for name, (x, half) in found.errors.items() if turns[name] == kind]
             y = -np.arange(len(some))
-            axis.errorbar([x for _, x, _ in some], y, xerr=[half for *_, half in some], fmt="o", color=COLOURS[0], ms=3.5, lw=1.2)
+            axis.errorbar(
+                [x for _, x, _ in some], y, xerr=[half for *_, half in some], fmt="o", color=COLOURS[0], ms=3.5, lw=1.2
+            )
             axis.set_yticks(y, [literal_text(name) for name, *_ in some], fontsize=7)
             axis.axvline(0.0, color="black", lw=0.8)
             axis.set(xlabel=f"error [{unit}]", title=f"{'angles' if kind else 'lengths'}, 95 % interval")

@@ -31,19 +31,20 @@ def calibrate(
 ) -> Calibration:
     """Find the errors of an arm's joints, links, tool and base from measurements of where its tip goes.
 
-    A wrong sign of a joint is found first. Then all errors are fitted by least squares with a robust loss, outliers are named and left
-    out, and what the measurements cannot tell is fixed as drawn and named. A numerical outcome (untold errors, no convergence) is said
-    in `notes`.
+    A wrong sign of a joint is found first. Then all errors are fitted by least squares with a robust loss, outliers are named and
+    left out, and what the measurements cannot tell is fixed as drawn and named. A numerical outcome (untold errors, no convergence)
+    is said in `notes`.
 
     Args:
         robot: The robot as drawn, with one tip; with_tool says where on the tip is measured.
         q: Joint values (N, n) [rad or m] at which was measured.
-        measured: For 'pose' (N, 4, 4), for 'position' (N, 3) [m], in the base frame unless parameters has base. For 'distance' lengths
-            (N,) [m] from a fixed end, or (N, 2) with the number of the end first. For 'socket' and 'plane' the number (N,), from 0, of
-            the socket or plane that the tip touches.
+        measured: For 'pose' (N, 4, 4), for 'position' (N, 3) [m], in the base frame unless parameters has base. For 'distance'
+            lengths (N,) [m] from a fixed end, or (N, 2) with the number of the end first. For 'socket' and 'plane' the number (N,),
+            from 0, of the socket or plane that the tip touches.
         what: What was measured.
-        parameters: What may be wrong: 'joints' (their offsets), 'frames' (where each moving link's joint stands on the link before),
-            'tool' (where the measured point is), 'base' (the measurements are in a frame of their own, that of a laser tracker).
+        parameters: What may be wrong: 'joints' (their offsets), 'frames' (where each moving link's joint stands on the link
+            before), 'tool' (where the measured point is), 'base' (the measurements are in a frame of their own, such as a laser
+            tracker's).
         places: Known places (K, 3) [m] of the sockets, or of the fixed ends, in the base frame.
         distances: Known distances between sockets: one number [m] for two sockets, or {(0, 1): metres}.
         noise: Standard deviation of the measurements (length [m], angle [rad]), or a length; by default estimated.
@@ -116,13 +117,13 @@ def _require_enough(arm: DrawnArm, data: Measurements) -> None:
     if len(data) * data.per < unknowns:
         need = -(-unknowns // data.per)
         raise InvalidTarget(
-            f"{len(data)} measurements of kind '{data.what}' are {len(data) * data.per} numbers for some {unknowns} unknowns: measure at least "
-            f"{need}, better {2 * need} (ik.suggest_poses says where), or look for less, such as parameters=('joints',)"
+            f"{len(data)} measurements of kind '{data.what}' are {len(data) * data.per} numbers for some {unknowns} unknowns: measure "
+            f"at least {need}, better {2 * need} (ik.suggest_poses says where), or look for less, such as parameters=('joints',)"
         )
 
 
 def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> None:
-    """Raise InvalidTarget if the measurements fit the drawn arm only after a motion of its base, which is not among the parameters."""
+    """Raise InvalidTarget if the measurements fit the drawn arm only after a motion of its base, which is no parameter."""
     if "base" in arm.groups:
         return
     off = np.median(np.linalg.norm(arm.poses(np.zeros(len(arm.unknowns)), Q)[:, :3, 3] - data.positions, axis=1))
@@ -131,8 +132,8 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
     left = np.median(np.linalg.norm(moved.poses(registered(moved, data, Q), Q)[:, :3, 3] - data.positions, axis=1))
     if off > ELSEWHERE * arm.robot.reach and left < 0.2 * off:
         raise InvalidTarget(
-            f"the measurements are {off:.3g} m from where the arm is drawn, and {left:.3g} m once its base is moved: they are in a frame of "
-            "their own; add 'base' to parameters (--parameters joints,frames,tool,base)"
+            f"the measurements are {off:.3g} m from where the arm is drawn, and {left:.3g} m once its base is moved: they are in "
+            "a frame of their own; add 'base' to parameters (--parameters joints,frames,tool,base)"
         )
 
 

@@ -1,9 +1,9 @@
 """The least-squares fit of an arm's errors to measurements, by SciPy's `least_squares` with derivatives from `DrawnArm`.
 
-Every unknown has a weak prior: zero, within the spread that `DrawnArm.scales` gives. What the data tell is far stronger; what they do
-not tell stays as drawn. Which combinations they do not tell is read from the singular values of the derivatives, in units of the prior
-and of the noise (Hollerbach, Wampler 1996): a direction is untold if moving along it by one spread changes all errors together by less
-than UNTOLD standard deviations.
+Every unknown has a weak prior: zero, within the spread that `DrawnArm.scales` gives. What the data tell is far stronger; what they
+do not tell stays as drawn. Which combinations they do not tell is read from the singular values of the derivatives, in units of the
+prior and of the noise (Hollerbach, Wampler 1996): a direction is untold if moving along it by one spread changes all errors
+together by less than UNTOLD standard deviations.
 """
 
 from itertools import product
@@ -59,7 +59,8 @@ class Fit:
     # -------------------------------------------------------------------------------------------------------- one fit
     def weighted(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the errors of some measurements and of known places over their noise (m,), and their derivatives (m, P + Z) by the
-        unknowns: those of the arm in units of the prior, z in metres."""
+        unknowns: those of the arm in units of the prior, z in metres.
+        """
         taken = self.measured.taken(rows)
         T, J = self.arm.evaluate(x, self.Q[rows])
         E, D, Z = taken.errors(T, z)
@@ -135,7 +136,8 @@ class Fit:
                 break
 
     def _far(self) -> np.ndarray:
-        """Return which measurements (N,) are outliers of the fit: off by more standard deviations than OUTLIER has, lengths or angles.
+        """Return which measurements (N,) are outliers of the fit: off by more standard deviations than OUTLIER has, lengths or
+        angles.
 
         What took no part in the fit may be off by the uncertainty of the fit as well.
         """
@@ -180,8 +182,10 @@ class Fit:
 
     # ------------------------------------------------------------------------------------------------------ what is told
     def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the singular values of the derivatives by all unknowns of the arm, those of what is touched eliminated, and a basis
-        (P, k) of the directions that the data do not tell."""
+        """Return the singular values of the derivatives by all unknowns of the arm, those of what is touched eliminated, and a
+        basis
+        (P, k) of the directions that the data do not tell.
+        """
         A = self.weighted(x, z, rows)[1]
         P = len(x)
         A, Z = A[:, :P], A[:, P:]
@@ -199,14 +203,21 @@ class Fit:
         groups = [one.group for one in self.arm.unknowns]
         order = [p for group in ("frames", "tool", "joints", "base") for p in range(len(groups)) if groups[p] == group]
         left, fixed = N.copy(), []
-        for least in (0.5, 0.25, 0.1, 1e-3):  # far from dependent ones first, so that the choice depends little on the data
+        for least in (
+            0.5,
+            0.25,
+            0.1,
+            1e-3,
+        ):  # far from dependent ones first, so that the choice depends little on the data
             for p in order:
                 size = float(np.linalg.norm(left[p]))
                 if size > least and len(fixed) < N.shape[1]:
                     along = left[p] / size
                     left -= np.outer(left @ along, along)
                     fixed.append(p)
-        equal = N * np.array([[WIDE.get(group, 1.0)] for group in groups])  # so that a millimetre counts alike everywhere
+        equal = N * np.array(
+            [[WIDE.get(group, 1.0)] for group in groups]
+        )  # so that a millimetre counts alike everywhere
         B = np.abs(equal @ np.linalg.pinv(equal[fixed]))
         self.free[fixed], self.x[fixed] = False, 0.0
         return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}
@@ -254,7 +265,9 @@ class Fit:
 
 
 def told(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the singular values (P,) of derivatives A (m, P) in units of prior and noise, and a basis (P, k) of what they do not tell."""
+    """Return the singular values (P,) of derivatives A (m, P) in units of prior and noise, and a basis (P, k) of what they do not
+    tell.
+    """
     squares, V = np.linalg.eigh(A.T @ A)
     S = np.sqrt(np.maximum(squares, 0.0))[::-1]
     return S, V[:, ::-1][:, S < UNTOLD]
@@ -263,8 +276,8 @@ def told(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:
     """Return x (P,) with the base, and the direction of the tool, where measured poses or positions show them; all else as drawn.
 
-    The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool of measured poses is turned by the mean
-    of what is left.
+    The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool of measured poses is turned by the
+    mean of what is left.
     """
     x = np.zeros(len(arm.unknowns))
     at = {group: [k for k, one in enumerate(arm.unknowns) if one.group == group] for group in ("base", "tool")}

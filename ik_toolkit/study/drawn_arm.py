@@ -1,4 +1,5 @@
-"""The kinematics of an arm that is not quite as drawn: poses and their derivatives by the errors of its joints, links, base and tool.
+"""The kinematics of an arm that is not quite as drawn: poses and their derivatives by the errors of its joints, links, base and
+tool.
 
 The frame of joint j stands in that of its parent at P_j exp(q_j S_j). An error puts P_j C_j in place of P_j, with C_j = (exp(w), t)
 in the joint's own frame, so it can be written into the <origin> of a URDF. The derivatives are the blocks of Pinocchio's kinematic
@@ -20,11 +21,16 @@ from ..robot.tree import Tree
 PARTS = ("x", "y", "z", "rx", "ry", "rz")
 GROUPS = ("joints", "frames", "tool", "base")
 DEFAULT = ("joints", "frames", "tool")
-WIDE = {"tool": 10.0, "base": 200.0}  # how many times farther than a link tool and base may be from where they are drawn
+WIDE = {
+    "tool": 10.0,
+    "base": 200.0,
+}  # how many times farther than a link tool and base may be from where they are drawn
 
 
 class Unknown(NamedTuple):
-    """One number that a calibration looks for: its name, the group it belongs to, and whether it is an angle [rad], else a length [m]."""
+    """One number that a calibration looks for: its name, the group it belongs to, and whether it is an angle [rad], else a length
+    [m].
+    """
 
     name: str
     group: str
@@ -33,7 +39,8 @@ class Unknown(NamedTuple):
 
 class _Place(NamedTuple):
     """One frame with an error: columns of its unknowns, the joint (0 for the tip, -1 for the base), and the axes of translation and
-    rotation."""
+    rotation.
+    """
 
     columns: np.ndarray
     joint: int
@@ -86,7 +93,9 @@ class DrawnArm:
             self._places.append(_Place(columns, joint, shift, turn))
 
     def scales(self, length: float, angle: float) -> np.ndarray:
-        """Return how far each unknown (P,) may be off: the length [m] or angle [rad] given, and more for tool and base, see WIDE."""
+        """Return how far each unknown (P,) may be off: the length [m] or angle [rad] given, and more for tool and base, see
+        WIDE.
+        """
         return np.array([(angle if one.turns else length) * WIDE.get(one.group, 1.0) for one in self.unknowns])
 
     def corrections(self, x: np.ndarray) -> dict[int, pin.SE3]:
@@ -98,7 +107,9 @@ class DrawnArm:
         return self.evaluate(x, Q)[0]
 
     def evaluate(self, x: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the poses (N, 4, 4) and their derivatives J (N, 6, P) by x: velocities in the tip's own axes, linear rows first."""
+        """Return the poses (N, 4, 4) and their derivatives J (N, 6, P) by x: velocities in the tip's own axes, linear rows
+        first.
+        """
         model, data, robot = self.model, self._data, self.robot
         base, tool = pin.SE3.Identity(), pin.SE3.Identity()
         joints, blocks = [place for place in self._places if place.joint > 0], {}
@@ -123,7 +134,10 @@ class DrawnArm:
         back = _inverse(ends[0])
         T = base.homogeneous @ _inverse(ends[1]) @ ends[0]
         J = np.zeros((len(Q), 6, len(self.unknowns)))
-        seen = {place.joint: back @ before[i] @ model.jointPlacements[place.joint].homogeneous for i, place in enumerate(joints)}
+        seen = {
+            place.joint: back @ before[i] @ model.jointPlacements[place.joint].homogeneous
+            for i, place in enumerate(joints)
+        }
         seen |= {0: np.tile(np.eye(4), (len(Q), 1, 1)), -1: back @ ends[1]}
         for place in self._places:
             G, D, kept = seen[place.joint], blocks[place.joint], place.columns >= 0
@@ -184,7 +198,8 @@ def movable(robot: Robot) -> list[int]:
 def _axes(model: pin.Model, joint: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Return axes (3, 3) of the translations and rotations of a joint's error, and the index of its offset among the six.
 
-    They are those of the joint's frame; where its axis is none of them, the third is turned onto it. An offset has the joint's sign.
+    They are those of the joint's frame; where its axis is none of them, the third is turned onto it. An offset has the joint's
+    sign.
     """
     S = np.asarray(model.joints[joint].createData().S).reshape(6)
     turns = bool(np.abs(S[3:]).max() > np.abs(S[:3]).max())

@@ -162,8 +162,10 @@ class Measurements:
         return np.empty(0)
 
     def errors(self, T: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the errors of measurements (N, per) [m, rad] at poses T (N, 4, 4), and their derivatives (N, per, 6) by the velocity of
-        the tip in its own axes and (N, per, Z) by z."""
+        """Return the errors of measurements (N, per) [m, rad] at poses T (N, 4, 4), and their derivatives (N, per, 6) by the
+        velocity of
+        the tip in its own axes and (N, per, Z) by z.
+        """
         p, R = T[:, :3, 3], T[:, :3, :3]
         N, here = len(T), z.reshape(-1, 3)[self.labels] if self.count else p
         E, D, Z = np.zeros((N, self.per)), np.zeros((N, self.per, 6)), np.zeros((N, self.per, len(z)))
@@ -256,6 +258,7 @@ def _labels(value: Any, what: str) -> np.ndarray:
 
 
 def read_noise(noise: Any) -> tuple[float, float] | None:
+    """Return the noise (length [m], angle [rad]) asked for, None if it is to be estimated. Raises InvalidOption."""
     if noise is None:
         return None
     pair = floats(noise, "noise must be a length [m], or (length [m], angle [rad])", InvalidOption).ravel().tolist()

@@ -2,15 +2,15 @@
 
     python scripts/benchmarks/calibrate.py --seeds 20 --cases 504
 
-An arm gets random errors of every joint, link and the tool (5 mm, 1 degree; for sockets a quarter), by changing the placements of its
-Pinocchio model here, not by the package's own model of errors. It is measured with noise (0.5 mm and 0.05 degrees; touches 0.1 mm) and
-judged against the truth in 500 other configurations. Errors are root mean squares per coordinate over the noise, those of sockets in mm
-and in space.
+An arm gets random errors of every joint, link and the tool (5 mm, 1 degree; for sockets a quarter), by changing the placements of
+its Pinocchio model here, not by the package's own model of errors. It is measured with noise (0.5 mm and 0.05 degrees; touches 0.1
+mm) and judged against the truth in 500 other configurations. Errors are root mean squares per coordinate over the noise, those of
+sockets in mm and in space.
 """
 
 import time
 
-from common import machine, one_thread, parser, write
+from common import machine, one_thread, parser, table, write
 
 one_thread()
 
@@ -41,10 +41,14 @@ class Truth:
         self.tool, self.data = robot.tool * error(rng, share), self.model.createData()
 
     def __call__(self, Q):
+        """Poses (N, 4, 4) at Q."""
         T = []
         for q in Q:
             pin.forwardKinematics(self.model, self.data, self.robot.to_pinocchio(q))
-            base, tip = (pin.updateFramePlacement(self.model, self.data, self.model.getFrameId(name)) for name in (self.robot.base, self.robot.tip))
+            base, tip = (
+                pin.updateFramePlacement(self.model, self.data, self.model.getFrameId(name))
+                for name in (self.robot.base, self.robot.tip)
+            )
             T.append((base.actInv(tip) * self.tool).homogeneous)
         return np.array(T)
 
@@ -89,14 +93,30 @@ def instrument(robot, what, seeds, suggested):
         found = ik.calibrate(robot, Q, measured, what)
         took = time.perf_counter() - began
         error, covered = judged(found, truth, H)
-        row = {"seed": seed, "error": error, "covered": covered, "seconds": took, "rank": found.rank, "outliers": len(found.outliers)}
-        row |= {"before_mm": 1e3 * found.rms[0], "after_mm": 1e3 * found.rms[1], "drawn": found.rank_drawn, "fixed": [one.fixed for one in found.fixed]}
+        row = {
+            "seed": seed,
+            "error": error,
+            "covered": covered,
+            "seconds": took,
+            "rank": found.rank,
+            "outliers": len(found.outliers),
+        }
+        row |= {
+            "before_mm": 1e3 * found.rms[0],
+            "after_mm": 1e3 * found.rms[1],
+            "drawn": found.rank_drawn,
+            "fixed": [one.fixed for one in found.fixed],
+        }
         bad = sorted(rng.choice(30, 3, replace=False).tolist())
         for k in bad:
             away = rng.normal(size=3)
             data[k, :3, 3] += 0.02 * away / np.linalg.norm(away)
         spoilt = ik.calibrate(robot, Q, data if what == "pose" else data[:, :3, 3], what)
-        row |= {"named": set(bad) <= set(spoilt.outliers), "exactly": bad == sorted(spoilt.outliers), "spoilt": judged(spoilt, truth, H)[0]}
+        row |= {
+            "named": set(bad) <= set(spoilt.outliers),
+            "exactly": bad == sorted(spoilt.outliers),
+            "spoilt": judged(spoilt, truth, H)[0],
+        }
         rows.append(row)
     return rows
 
@@ -123,7 +143,12 @@ def coverage(robot, what, cases):
             continue
         true = dict(zip((one.name for one in arm.unknowns), x.tolist(), strict=True))
         inside.append(float(np.mean([abs(value - true[name]) < half for name, (value, half) in found.errors.items()])))
-    return {"cases": cases, "parameters": float(np.mean(inside)), "predictions": float(np.mean(predicted)), "other_convention": other}
+    return {
+        "cases": cases,
+        "parameters": float(np.mean(inside)),
+        "predictions": float(np.mean(predicted)),
+        "other_convention": other,
+    }
 
 
 # ------------------------------------------------------------------------------------------------------------- sockets
@@ -136,11 +161,15 @@ def touches(robot, truth, rng, sockets, each):
     places = np.vstack([C[0], C[(near > 0.3) & (near < 0.8)][: sockets - 1]])
     Q, labels = [], []
     for k, place in enumerate(places):
-        drawn = ik.solve_batch(robot, np.tile(place, (40 * each, 1)), restarts=0, q0=drawn_q(robot, rng, 40 * each), tolerance=1e-3)
+        drawn = ik.solve_batch(
+            robot, np.tile(place, (40 * each, 1)), restarts=0, q0=drawn_q(robot, rng, 40 * each), tolerance=1e-3
+        )
         good = []
         for q in drawn.q[drawn.success]:
             for _ in range(8):  # Newton on the true arm
-                J = np.array([(truth([q + 1e-6 * e])[0, :3, 3] - truth([q])[0, :3, 3]) / 1e-6 for e in np.eye(robot.n)]).T
+                J = np.array(
+                    [(truth([q + 1e-6 * e])[0, :3, 3] - truth([q])[0, :3, 3]) / 1e-6 for e in np.eye(robot.n)]
+                ).T
                 q = q + np.linalg.pinv(J, rcond=1e-3) @ (place - truth([q])[0, :3, 3])
             if np.linalg.norm(truth([q])[0, :3, 3] - place) < 1e-8 and (np.abs(q) < 2 * np.pi).all():
                 good.append(q)
@@ -174,14 +203,32 @@ def socket_rows(robot, seeds):
             # A probe that sits off by a little: the joint values are those of a place beside the socket.
             J = [robot.jacobian(q)[:3] for q in Q]
             Q = Q + np.array([np.linalg.pinv(one, rcond=1e-2) @ rng.normal(0.0, TOUCH, 3) for one in J])
-            pairs = {(a, b): float(np.linalg.norm(places[a] - places[b])) for a in range(count) for b in range(a + 1, count)}
-            more = {"distances": pairs} if known.startswith("distance") else {"places": places} if known == "places" else {}
+            pairs = {
+                (a, b): float(np.linalg.norm(places[a] - places[b])) for a in range(count) for b in range(a + 1, count)
+            }
+            more = (
+                {"distances": pairs}
+                if known.startswith("distance")
+                else {"places": places}
+                if known == "places"
+                else {}
+            )
             found = ik.calibrate(robot, Q, labels, "socket", **more)
             p, t = found.predict(H)[0], truth(H)[:, :3, 3]
             rms = [1e3 * float(np.sqrt(((one - t) ** 2).sum(1).mean())) for one in (p, aligned(p, t))]
             drawn = np.array([robot.fk(q).translation for q in H])
             before = [1e3 * float(np.sqrt(((one - t) ** 2).sum(1).mean())) for one in (drawn, aligned(drawn, t))]
-            rows.append({"seed": seed, "sockets": count, "known": known, "absolute": rms[0], "aligned": rms[1], "before": before, "rank": found.rank})
+            rows.append(
+                {
+                    "seed": seed,
+                    "sockets": count,
+                    "known": known,
+                    "absolute": rms[0],
+                    "aligned": rms[1],
+                    "before": before,
+                    "rank": found.rank,
+                }
+            )
     return rows
 
 
@@ -194,41 +241,72 @@ def main():
     asked = made.parse_args()
     data = {"machine": machine()}
     robots = arms()
+    tables = []
     if asked.part in (None, "instrument"):
-        print("| robot | measured | rank (drawn) | mm before | error / noise: mean, worst | intervals cover | with outliers, ratio | all named (exactly) | s |")
-        print("|---|---|---|---|---|---|---|---|---|")
-        for name, robot in robots.items():
-            for what, suggested in (("pose", False), ("position", False), ("position", True)):
-                rows = data[f"{name}: {what}{', suggested' if suggested else ''}"] = instrument(robot, what, asked.seeds, suggested)
-                of = {key: np.array([row[key] for row in rows], dtype=float) for key in rows[0] if key not in ("fixed",)}
-                print(
-                    f"| {name} | 30 {what}s{', suggested' if suggested else ''} | {of['rank'].min():.0f}-{of['rank'].max():.0f} ({of['drawn'].min():.0f}) | "
-                    f"{of['before_mm'].mean():.0f} | {of['error'].mean():.2f}, {of['error'].max():.2f} | {100 * of['covered'].mean():.1f} % | "
-                    f"{of['spoilt'].mean() / of['error'].mean():.2f} | {of['named'].sum():.0f} ({of['exactly'].sum():.0f}) of {len(rows)} | {np.median(of['seconds']):.2f} |",
-                    flush=True,
-                )
+        tables.append(instruments(robots, asked.seeds, data))
     if asked.part in (None, "coverage"):
-        print("\n| robot | measured | errors inside | predictions inside | other convention |\n|---|---|---|---|---|")
-        for name, robot in robots.items():
-            for what in ("pose", "position"):
-                one = data[f"{name}: {what}, coverage"] = coverage(robot, what, asked.cases // 6)
-                print(
-                    f"| {name} | {what} | {100 * one['parameters']:.1f} % | {100 * one['predictions']:.1f} % | {one['other_convention']} of {one['cases']} |",
-                    flush=True,
-                )
+        tables.append(intervals(robots, asked.cases // 6, data))
     if asked.part in (None, "sockets"):
-        print("\n| robot | sockets, known | mm before (aligned) | absolute: mean, worst | aligned: mean, worst | n |\n|---|---|---|---|---|---|")
-        for name, robot in robots.items():
-            rows = data[f"{name}: sockets"] = socket_rows(robot, asked.seeds)
-            for kind in dict.fromkeys((row["sockets"], row["known"]) for row in rows):
-                some = [row for row in rows if (row["sockets"], row["known"]) == kind]
-                a, b = (np.array([row[key] for row in some]) for key in ("absolute", "aligned"))
-                before = np.mean([row["before"] for row in some], axis=0)
-                print(
-                    f"| {name} | {kind[0]} x 20, {kind[1]} | {before[0]:.1f} ({before[1]:.1f}) | {a.mean():.2f}, {a.max():.2f} | {b.mean():.2f}, {b.max():.2f} | {len(some)} |",
-                    flush=True,
-                )
-    write(asked.output, data)
+        tables.append(probes(robots, asked.seeds, data))
+    write(asked.output, data, *tables)
+
+
+def instruments(robots, seeds, data):
+    """Table of accuracy and outliers; its rows go into the data."""
+    rows = []
+    for name, robot in robots.items():
+        for what, suggested in (("pose", False), ("position", False), ("position", True)):
+            title = f"30 {what}s{', suggested' if suggested else ''}"
+            some = data[f"{name}: {title}"] = instrument(robot, what, seeds, suggested)
+            of = {key: np.array([row[key] for row in some], dtype=float) for key in some[0] if key != "fixed"}
+            ratio = of["spoilt"].mean() / of["error"].mean()
+            rank = f"{of['rank'].min():.0f}-{of['rank'].max():.0f} ({of['drawn'].min():.0f})"
+            named = f"{of['named'].sum():.0f} ({of['exactly'].sum():.0f}) of {len(some)}"
+            error = f"{of['error'].mean():.2f}, {of['error'].max():.2f}"
+            cells = (
+                f"{of['before_mm'].mean():.0f}",
+                error,
+                f"{100 * of['covered'].mean():.1f} %",
+                f"{ratio:.2f}",
+                named,
+            )
+            rows.append([name, title, rank, *cells, f"{np.median(of['seconds']):.2f}"])
+            print(rows[-1], flush=True)
+    head = ["robot", "measured", "rank (as drawn)", "mm before", "error / noise: mean, worst", "intervals cover"]
+    return table([*head, "with outliers, times", "all named (and no other)", "s"], rows)
+
+
+def intervals(robots, cases, data):
+    """Table of the coverage of intervals."""
+    rows = []
+    for name, robot in robots.items():
+        for what in ("pose", "position"):
+            one = data[f"{name}: {what}, coverage"] = coverage(robot, what, cases)
+            other = f"{one['other_convention']} of {one['cases']}"
+            rows.append([name, what, f"{100 * one['parameters']:.1f} %", f"{100 * one['predictions']:.1f} %", other])
+            print(rows[-1], flush=True)
+    return table(["robot", "measured", "errors inside", "predictions inside", "other convention"], rows)
+
+
+def probes(robots, seeds, data):
+    """Table of the sockets."""
+    rows = []
+    for name, robot in robots.items():
+        found = data[f"{name}: sockets"] = socket_rows(robot, seeds)
+        for count, known in dict.fromkeys((row["sockets"], row["known"]) for row in found):
+            some = [row for row in found if (row["sockets"], row["known"]) == (count, known)]
+            a, b = (np.array([row[key] for row in some]) for key in ("absolute", "aligned"))
+            before = np.mean([row["before"] for row in some], axis=0)
+            cells = (
+                f"{before[0]:.1f} ({before[1]:.1f})",
+                f"{a.mean():.2f}, {a.max():.2f}",
+                f"{b.mean():.2f}, {b.max():.2f}",
+            )
+            rows.append([name, f"{count} x 20, {known}", *cells, len(some)])
+            print(rows[-1], flush=True)
+    return table(
+        ["robot", "sockets, known", "mm before (aligned)", "absolute: mean, worst", "aligned: mean, worst", "n"], rows
+    )
 
 
 if __name__ == "__main__":

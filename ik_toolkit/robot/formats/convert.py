@@ -1,4 +1,6 @@
-"""Writes any description that `Robot.load` reads as a plain URDF, also a corrected one: macros are expanded, meshes get their paths."""
+"""Writes any description that `Robot.load` reads as a plain URDF, also a corrected one: macros are expanded, meshes get their
+paths.
+"""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
@@ -49,8 +51,8 @@ def convert(
 def write(robot: Any, path: str | Path) -> Path:
     """Write the robot's description as one plain URDF, as `ik convert` does; return the path.
 
-    Base, tip, limits and joints held that were set since loading are not part of it. Raises ModelError if the robot was made without
-    a URDF, InvalidOption, OSError.
+    Base, tip, limits and joints held that were set since loading are not part of it. Raises ModelError if the robot was made
+    without a URDF, InvalidOption, OSError.
     """
     file = as_path(path, "path")
     made = _plain(robot.name, _text_of(robot), robot.path, robot.package_dirs, file.parent)
@@ -61,9 +63,9 @@ def write(robot: Any, path: str | Path) -> Path:
 def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Iterable[str], tool: np.ndarray) -> Any:
     """Return a robot whose URDF has corrections written into it.
 
-    joints: C (4, 4) [m] by joint, which is put behind its <origin>; against: joints whose <axis> is reversed; tool: a motion (4, 4) of
-    the tip, put behind the fixed joint of the tip's link, or, where there is none or the robot has a tool, at a link that is added.
-    Raises ModelError if the robot has no URDF.
+    joints: C (4, 4) [m] by joint, which is put behind its <origin>; against: joints whose <axis> is reversed; tool: a motion (4, 4)
+    of the tip, put behind the fixed joint of the tip's link, or, where there is none or the robot has a tool, at a link that is
+    added. Raises ModelError if the robot has no URDF.
     """
     root = ET.fromstring(_text_of(robot), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
@@ -125,10 +127,10 @@ def _plain(
     """Make the plain URDF of a description that lies at `path`, for a file in `folder`."""
     home = None if folder is None else Path(folder).expanduser().resolve()
     root = ET.fromstring(urdf, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
-    for origin in root.iter("origin"):
-        given = dict(origin.attrib)
-        origin.attrib.clear()
-        origin.attrib.update(plain_origin(given))
+    for place in root.iter("origin"):
+        given = dict(place.attrib)
+        place.attrib.clear()
+        place.attrib.update(plain_origin(given))
     elements = [mesh for mesh in root.iter("mesh") if mesh.get("filename")]
     names = [mesh.get("filename", "") for mesh in elements]
     package_dirs = tuple(package_dirs)
