@@ -13,8 +13,6 @@ from .command import PLOTS, command, option, options
 from .options import FileOptions, JsonOutput, OneTip
 from .output import facts, heading, notice, show, table, turns, write_json
 
-KINDS = ("socket", "plane", "distance")  # kinds of measurement with a column of their own
-
 
 @options()
 class CalibrateOptions:
@@ -133,10 +131,11 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, np.ndarra
         return what, Q * (unit if Q.ndim == 2 and Q.shape[1] == arm.n else 1.0), measured
     if path.suffix.lower() != ".csv" or not path.is_file():
         raise InvalidTarget(f"--data takes an existing .csv or .npz file, not '{path}'")
+    kinds = ("socket", "plane", "distance")  # kinds of measurement with a column of their own
     header, Q = read_columns(path, arm.joint_names)
     Q = Q * unit
-    what = asked.what or next((kind for kind in KINDS if kind in header), None)
-    if what in KINDS:
+    what = asked.what or next((kind for kind in kinds if kind in header), None)
+    if what in kinds:
         columns = read_columns(path, ("end", what) if what == "distance" and "end" in header else (what,))[1]
         if what == "distance":
             columns[:, -1] *= scale

@@ -19,7 +19,7 @@ from ..kernel.records import POINTS
 from .base import on_own_base
 from .configuration import values_by_joint
 from .constraints import Constraint
-from .formats.convert import write
+from .formats.convert import write_urdf
 from .formats.mimic import followers, mimic_limits, mimic_speeds
 from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf, srdf_of
 from .formats.urdf_model import build_model
@@ -367,7 +367,7 @@ class Robot(Joints):
         other._build(self.home)
         return other
 
-    write = write  # the description as a plain URDF
+    write = write_urdf  # the description as a plain URDF
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""

@@ -7,9 +7,10 @@ import numpy as np
 
 from ..errors import FEW_TURNS, InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..robot.robot import Robot
-from .calibration import Calibration, Convention
-from .calibration_fit import UNTOLD, Fit, joint_signs, registered, reversible, told
-from .drawn_arm import DEFAULT, DrawnArm, read_groups, require_one_tip
+from ..robot.tree import require_one_tip
+from .calibration import Calibration, FixedUnknown
+from .calibration_fit import UNTOLD, ArmFit, first_guess, joint_signs, reversible, told_directions
+from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
 ELSEWHERE = 0.2  # measurements that lie this share of the reach away from the drawn arm are in a frame of their own
@@ -22,7 +23,7 @@ def calibrate(
     q: Any,
     measured: Any,
     what: str = "position",
-    parameters: Sequence[str] = DEFAULT,
+    parameters: Sequence[str] = GROUPS[:3],
     *,
     places: Any = None,
     distances: Any = None,
@@ -58,7 +59,7 @@ def calibrate(
         InvalidConfiguration, InvalidTarget: q or measured has the wrong shape, too few rows, or is in other units.
         MissingExtra: SciPy is not installed.
     """
-    require_one_tip(robot)
+    require_one_tip(robot, "a calibration")
     groups = read_groups(parameters)
     data = Measurements(what, measured, places, distances)
     Q = _configurations(robot, q, len(data))
@@ -74,10 +75,10 @@ def calibrate(
     arm.sign[:] = sign
     if what in ("pose", "position"):
         _require_same_frame(arm, data, Q)
-    fit = Fit(arm, data, Q, arm.scales(*spread), sigma)
+    fit = ArmFit(arm, data, Q, arm.scales(*spread), sigma)
     fit.settle()
     fit, better = _with_last_sign(fit, sigma)
-    before = fit.errors(registered(fit.arm, data, Q), data.start(fit.arm.poses(registered(fit.arm, data, Q), Q)))
+    before = fit.errors(first_guess(fit.arm, data, Q), data.start(fit.arm.poses(first_guess(fit.arm, data, Q), Q)))
     fixed, ranks = _settle_convention(fit)
     names = [joint for joint, one in zip(robot.joint_names, fit.arm.sign, strict=True) if one < 0.0]
     return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, share * better))
@@ -117,8 +118,8 @@ def _require_enough(arm: DrawnArm, data: Measurements) -> None:
     if len(data) * data.per < unknowns:
         need = -(-unknowns // data.per)
         raise InvalidTarget(
-            f"{len(data)} measurements of kind '{data.what}' are {len(data) * data.per} numbers for some {unknowns} unknowns: measure "
-            f"at least {need}, better {2 * need} (ik.suggest_poses says where), or look for less, such as parameters=('joints',)"
+            f"{len(data)} measurements of kind '{data.what}' are {len(data) * data.per} numbers for some {unknowns} unknowns: "
+            f"measure at least {need}, better {2 * need} (ik.suggest_poses says where), or look for less, such as parameters=('joints',)"
         )
 
 
@@ -129,7 +130,7 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
     off = np.median(np.linalg.norm(arm.poses(np.zeros(len(arm.unknowns)), Q)[:, :3, 3] - data.positions, axis=1))
     moved = DrawnArm(arm.robot, ("base",))
     moved.sign = arm.sign
-    left = np.median(np.linalg.norm(moved.poses(registered(moved, data, Q), Q)[:, :3, 3] - data.positions, axis=1))
+    left = np.median(np.linalg.norm(moved.poses(first_guess(moved, data, Q), Q)[:, :3, 3] - data.positions, axis=1))
     if off > ELSEWHERE * arm.robot.reach and left < 0.2 * off:
         raise InvalidTarget(
             f"the measurements are {off:.3g} m from where the arm is drawn, and {left:.3g} m once its base is moved: they are in "
@@ -137,7 +138,7 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
         )
 
 
-def _with_last_sign(fit: Fit, sigma: Any) -> tuple[Fit, float]:
+def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
     """Return the fit, or where it is poor that with one more joint reversed, and to which share the errors fall by it.
 
     It finds what offsets alone do not show: a reversed roll of a tip that is drawn on the axis.
@@ -148,7 +149,7 @@ def _with_last_sign(fit: Fit, sigma: Any) -> tuple[Fit, float]:
         arm = DrawnArm(fit.arm.robot, fit.arm.groups)
         arm.sign[:] = fit.arm.sign
         arm.sign[i] *= -1.0
-        other = Fit(arm, fit.measured, fit.Q, fit.scales, sigma)
+        other = ArmFit(arm, fit.measured, fit.Q, fit.scales, sigma)
         other.settle()
         if other.typical() < least * left:
             found, least = other, other.typical() / left
@@ -156,13 +157,13 @@ def _with_last_sign(fit: Fit, sigma: Any) -> tuple[Fit, float]:
     return (found, least) if least < 0.5 else (fit, 1.0)
 
 
-def _settle_convention(fit: Fit) -> tuple[list[Convention], tuple[int, int, int]]:
+def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int, int]]:
     """Fix what the data do not tell, and fit again; return what was fixed, and the rank here, as drawn, and of poses all over."""
     names = [one.name for one in fit.arm.unknowns]
     _, N = fit.untold(fit.x, fit.z, fit.kept)
     drawn = could = len(names) - N.shape[1]
     if fit.measured.what in ("pose", "position"):
-        drawn = len(names) - fit.untold(registered(fit.arm, fit.measured, fit.Q), fit.z, fit.kept)[1].shape[1]
+        drawn = len(names) - fit.untold(first_guess(fit.arm, fit.measured, fit.Q), fit.z, fit.kept)[1].shape[1]
         could = _could_tell(fit)
     seen = np.linalg.norm(fit.weighted(fit.x, fit.z, fit.kept)[1], axis=0) > UNTOLD
     fixed = fit.fix(N) if N.shape[1] else {}
@@ -170,18 +171,18 @@ def _settle_convention(fit: Fit) -> tuple[list[Convention], tuple[int, int, int]
         fit.x, fit.z = fit.run(fit.kept)
     touched = (f"the {TOUCHED[fit.measured.what]}",) if fit.measured.count else ()
     told_by = {p: tuple(names[k] for k in others) or (touched if seen[p] else ()) for p, others in fixed.items()}
-    return [Convention(names[p], shared) for p, shared in told_by.items()], (
+    return [FixedUnknown(names[p], shared) for p, shared in told_by.items()], (
         len(names) - len(fixed),
         int(drawn),
         max(could, len(names) - len(fixed)),
     )
 
 
-def _could_tell(fit: Fit) -> int:
+def _could_tell(fit: ArmFit) -> int:
     """Return how many directions as many measurements all over the arm's range would tell."""
     Q = fit.arm.robot.random_q(np.random.default_rng(0), SAMPLES)
     T, J = fit.arm.evaluate(fit.x, Q)
     taken = fit.measured.taken(np.zeros(SAMPLES, dtype=int))
     A = taken.errors(T, fit.z)[1] @ J * fit.scales / taken.sigma(fit.noise)[:, None]
     share = np.sqrt(fit.kept.sum() / SAMPLES)
-    return A.shape[2] - told(A.reshape(-1, A.shape[2]) * share)[1].shape[1]
+    return A.shape[2] - told_directions(A.reshape(-1, A.shape[2]) * share)[1].shape[1]

@@ -13,15 +13,15 @@ from ..files import as_path, write_whole
 from ..robot.formats.convert import corrected_robot
 from ..robot.robot import Robot
 from ..text import TextTable, length
-from .calibration_fit import Fit
-from .calibration_report import findings, page
+from .calibration_fit import ArmFit
+from .calibration_report import open_points, page
 from .drawn_arm import DrawnArm, Unknown
 from .suggest_poses import chosen_poses
 
 UNSURE = 0.7  # of the prior's spread: an error known no better is mostly assumed
 
 
-class Convention(NamedTuple):
+class FixedUnknown(NamedTuple):
     """An unknown that was fixed as drawn, because the data do not tell it from the others named, if any."""
 
     fixed: str
@@ -41,7 +41,7 @@ class Calibration:
     unknowns: tuple[Unknown, ...]  # names, groups and kinds of all P unknowns
     x: np.ndarray  # (P,) the errors; 0 for those fixed
     spread: np.ndarray  # (P, P) their covariance, zero for those fixed
-    fixed: tuple[Convention, ...]  # unknowns fixed as drawn, and what they cannot be told from
+    fixed: tuple[FixedUnknown, ...]  # unknowns fixed as drawn, and what they cannot be told from
     rank: int  # number of unknowns that the data tell
     rank_drawn: int  # the same, evaluated at the drawn arm
     rank_anywhere: int  # the same, of as many poses all over the arm's range
@@ -73,9 +73,9 @@ class Calibration:
     @classmethod
     def of(
         cls,
-        fit: Fit,
+        fit: ArmFit,
         before: np.ndarray,
-        fixed: Sequence[Convention],
+        fixed: Sequence[FixedUnknown],
         ranks: Sequence[int],
         prior: Any,
         against: Mapping[str, Any],
@@ -119,7 +119,7 @@ class Calibration:
             _sign=arm.sign.copy(),
             _q=fit.Q.copy(),
         )
-        made.notes = tuple(findings(made, data.places is not None, len(data.pairs), fit.given))
+        made.notes = tuple(open_points(made, data.places is not None, len(data.pairs), fit.given))
         return made
 
     # ---------------------------------------------------------------------------------------------------- what it says

@@ -22,11 +22,10 @@ LEAST = 1e-6  # [m, rad] least noise that is assumed, that of no instrument
 OUTLIER = (4.0, 3.0)  # an outlier is off by more than so many standard deviations, and so many medians of all errors
 LOOSE = (0.05, 0.1)  # [m, rad] errors that links may add while only offsets, base and tool are fitted
 # Squared errors over LOOSE below which no sign is tried, and above which all signs of so many joints are.
-GOOD, POOR, MANY = 0.01, 4.0, 7
-ROUNDS = 6  # of naming outliers and fitting again
+SIGNS = (0.01, 4.0, 7)
 
 
-class Fit:
+class ArmFit:
     """A calibration while it is computed.
 
     Attributes:
@@ -52,7 +51,7 @@ class Fit:
         self.noise = tuple(NOISE if noise is None else noise)
         self.kept = np.ones(len(Q), dtype=bool)
         self.free = np.ones(len(scales), dtype=bool)
-        self.x = registered(arm, measured, Q)
+        self.x = first_guess(arm, measured, Q)
         self.z = measured.start(arm.poses(self.x, Q))
         self.converged = True
 
@@ -71,7 +70,7 @@ class Fit:
         return np.append(E / sigma, known / self.noise[0]), np.vstack([A.reshape(-1, A.shape[2]), part])
 
     def run(self, rows: np.ndarray, robust: bool = False, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
-        """Fit x and z to some measurements, from where the fit stands, in at most so many evaluations."""
+        """ArmFit x and z to some measurements, from where the fit stands, in at most so many evaluations."""
         P, free = len(self.x), self.free
         used = np.append(free, np.ones(len(self.z), dtype=bool))
         start = np.append(self.x, self.z)
@@ -120,13 +119,13 @@ class Fit:
 
     # ------------------------------------------------------------------------------------------------- noise, outliers
     def settle(self) -> None:
-        """Fit robustly, estimate the noise, name outliers and fit again without them, until nothing changes."""
+        """ArmFit robustly, estimate the noise, name outliers and fit again without them, until nothing changes."""
         every = np.ones(len(self.Q), dtype=bool)
         for _ in range(1 if self.given else 3):
             self.x, self.z = self.run(every, robust=True)
             if not self.given:
                 self.noise = self._scatter(every, robust=True)
-        for _ in range(ROUNDS):
+        for _ in range(6):
             far = self._far()
             before, self.kept = self.kept, ~far
             self.x, self.z = self.run(self.kept)
@@ -193,7 +192,7 @@ class Fit:
             U, s, _ = np.linalg.svd(Z, full_matrices=False)
             U = U[:, s > 1e-9 * s[0]]
             A = A - U @ (U.T @ A)
-        return told(A)
+        return told_directions(A)
 
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
         """Choose an unknown for each direction of a basis N (P, k) to stay as drawn; return those that share its motion.
@@ -264,7 +263,7 @@ class Fit:
         return found
 
 
-def told(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def told_directions(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the singular values (P,) of derivatives A (m, P) in units of prior and noise, and a basis (P, k) of what they do not
     tell.
     """
@@ -273,7 +272,7 @@ def told(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return S, V[:, ::-1][:, S < UNTOLD]
 
 
-def registered(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:
+def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:
     """Return x (P,) with the base, and the direction of the tool, where measured poses or positions show them; all else as drawn.
 
     The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool of measured poses is turned by the
@@ -305,20 +304,20 @@ def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) 
     def left(sign: np.ndarray) -> float:
         arm = DrawnArm(robot, loose)
         arm.sign = sign
-        fit = Fit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
+        fit = ArmFit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
         x, z = fit.run(fit.kept, robust=True, most=12)
         return float(np.median((fit.errors(x, z) ** 2 / measured.sigma(LOOSE) ** 2).sum(1)))
 
     asked = reversible(robot, Q)
     sign = np.ones(robot.n)
     first = best = left(sign)
-    for _ in asked if best > GOOD else ():
+    for _ in asked if best > SIGNS[0] else ():
         tried = [(left(np.where(np.arange(robot.n) == i, -sign, sign)), i) for i in asked]
         value, i = min(tried)
         if value > 0.6 * best:
             break
         sign[i], best = -sign[i], value
-    if best > POOR and len(asked) <= MANY:  # one by one leads nowhere: all together
+    if best > SIGNS[1] and len(asked) <= SIGNS[2]:  # one by one leads nowhere: all together
         for flips in product((1.0, -1.0), repeat=len(asked)):
             other = np.ones(robot.n)
             other[asked] = flips

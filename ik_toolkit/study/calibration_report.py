@@ -20,7 +20,7 @@ TOUCH = {
 }
 
 
-def findings(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
+def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
     """Return sentences on what the data leave open and on what is unusual.
 
     placed: whether places are known; pairs: number of known distances; given: whether the noise was given.
@@ -86,8 +86,8 @@ def page(found: Any) -> str:
         "held out": length(found.held_out) if found.held_out is not None else "too few measurements",
         "noise of a measurement": length(found.noise[0])
         + (f", {np.degrees(found.noise[1]):.2g} deg" if found.what == "pose" else ""),
-        "told": f"{found.rank} of {len(found.x)} unknowns ({found.rank_drawn} at the arm as drawn, {found.rank_anywhere} from poses "
-        "all over)",
+        "told": f"{found.rank} of {len(found.x)} unknowns ({found.rank_drawn} at the arm as drawn, {found.rank_anywhere} from poses"
+        " all over)",
         "observability O1, condition": f"{figure(found.observability)}, {figure(found.condition)}",
     }
     parts = [

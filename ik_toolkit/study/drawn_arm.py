@@ -16,11 +16,8 @@ import pinocchio as pin
 from ..errors import InvalidOption, near_match
 from ..robot.robot import Robot
 from ..robot.rotation import turn_onto
-from ..robot.tree import Tree
 
-PARTS = ("x", "y", "z", "rx", "ry", "rz")
 GROUPS = ("joints", "frames", "tool", "base")
-DEFAULT = ("joints", "frames", "tool")
 WIDE = {
     "tool": 10.0,
     "base": 200.0,
@@ -72,14 +69,15 @@ class DrawnArm:
         self._drawn = [placement.copy() for placement in self.model.jointPlacements]
         self._data = self.model.createData()
         unknowns: list[Unknown] = []
+        parts = ("x", "y", "z", "rx", "ry", "rz")
         self._places: list[_Place] = []
         for joint in movable(robot):
             shift, turn, along = _axes(robot.model, joint)
-            names = [f"{robot.model.names[joint]}.{'offset' if k == along else PARTS[k]}" for k in range(6)]
+            names = [f"{robot.model.names[joint]}.{'offset' if k == along else part}" for k, part in enumerate(parts)]
             of = ["joints" if k == along else "frames" for k in range(6)]
             self._add(unknowns, names, of, joint, shift, turn)
         for name, joint in (("tool", 0), ("base", -1)):
-            self._add(unknowns, [f"{name}.{part}" for part in PARTS], [name] * 6, joint, np.eye(3), np.eye(3))
+            self._add(unknowns, [f"{name}.{part}" for part in parts], [name] * 6, joint, np.eye(3), np.eye(3))
         self.unknowns = tuple(unknowns)
 
     def _add(
@@ -154,17 +152,6 @@ def _inverse(T: np.ndarray) -> np.ndarray:
     made[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
     made[:, :3, 3] = -np.einsum("nij,nj->ni", made[:, :3, :3], T[:, :3, 3])
     return made
-
-
-def require_one_tip(robot: Any) -> None:
-    """Raise InvalidOption unless robot is a Robot."""
-    if isinstance(robot, Tree):
-        tips = ", ".join(robot.tips)
-        raise InvalidOption(
-            f"an arm is calibrated with one tip, '{robot.name}' has {tips}: load it with tip=, one after another"
-        )
-    if not isinstance(robot, Robot):
-        raise InvalidOption(f"a Robot is needed (see Robot.load), not {type(robot).__name__}")
 
 
 def read_groups(parameters: Any) -> tuple[str, ...]:

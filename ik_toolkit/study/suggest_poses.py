@@ -8,7 +8,8 @@ import numpy as np
 from ..errors import InvalidOption, ModelError, whole
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
-from .drawn_arm import DEFAULT, DrawnArm, read_groups, require_one_tip
+from ..robot.tree import require_one_tip
+from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import NOISE, PRIOR, WHAT, read_noise
 
 CANDIDATES = 400  # random configurations among which poses to measure are chosen
@@ -19,7 +20,7 @@ def suggest_poses(
     count: int,
     *,
     what: str = "position",
-    parameters: Sequence[str] = DEFAULT,
+    parameters: Sequence[str] = GROUPS[:3],
     noise: Any = None,
     avoid_collisions: Any = True,
     seed: int = 0,
@@ -44,7 +45,7 @@ def suggest_poses(
     Raises:
         InvalidOption: An argument is wrong, or too few configurations are free of collisions.
     """
-    require_one_tip(robot)
+    require_one_tip(robot, "suggest_poses")
     arm = DrawnArm(robot, read_groups(parameters))
     sigma = read_noise(noise) or NOISE
     known = np.diag(1.0 / arm.scales(*PRIOR) ** 2)

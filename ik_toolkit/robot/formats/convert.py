@@ -48,7 +48,7 @@ def convert(
     return _plain(made["name"], made["urdf"], made["path"], made["package_dirs"], folder)
 
 
-def write(robot: Any, path: str | Path) -> Path:
+def write_urdf(robot: Any, path: str | Path) -> Path:
     """Write the robot's description as one plain URDF, as `ik convert` does; return the path.
 
     Base, tip, limits and joints held that were set since loading are not part of it. Raises ModelError if the robot was made
