@@ -119,7 +119,7 @@ def _require_enough(arm: DrawnArm, data: Measurements) -> None:
         need = -(-unknowns // data.per)
         raise InvalidTarget(
             f"{len(data)} measurements of kind '{data.what}' are {len(data) * data.per} numbers for some {unknowns} unknowns: "
-            f"measure at least {need}, better {2 * need} (ik.suggest_poses says where), or look for less, such as parameters=('joints',)"
+            f"measure at least {need}, better {2 * need} (ik.suggest_poses says where), or look for less: parameters=('joints',)"
         )
 
 

@@ -300,8 +300,6 @@ def test_too_little_data_are_said(arm, good):
     Q[:, 3:] = 0.2
     found = ik.calibrate(arm, Q, measured(truth, Q, 36)[:, :3, 3])
     assert found.rank_anywhere > found.rank and any("other poses" in note for note in found.notes)
-    few = ik.calibrate(arm, drawn(arm, 37, 17), measured(truth, drawn(arm, 37, 17), 38)[:, :3, 3])
-    assert any("numbers for" in note for note in few.notes)
     offsets = ik.calibrate(arm, Q, measured(truth, Q, 36)[:, :3, 3], parameters="joints")
     assert any("frames" in note for note in offsets.notes)
 
@@ -312,7 +310,6 @@ def test_too_little_data_are_said(arm, good):
     [
         (dict(what="positon"), InvalidOption, "position"),
         (dict(parameters=("joint",)), InvalidOption, "joints"),
-        (dict(parameters=()), InvalidOption, "joints, frames"),
         (dict(q=lambda q: q[:, :5]), InvalidConfiguration, "azimuth_yaw"),
         (dict(q=lambda q: q[:20]), InvalidTarget, "20 rows"),
         (dict(q=np.degrees), InvalidConfiguration, "degrees"),
@@ -385,8 +382,8 @@ def test_command(arm, good, tmp_path, capsys):
         good[0].errors["elbow_pitch.offset"][0], abs=1e-6
     )
     np.savez(tmp_path / "m.npz", q=Q, measured=m)
-    assert main(["calibrate", "hydrolek_7w", "--data", str(tmp_path / "m.npz"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["rank"] == 27
+    assert main(["calibrate", "hydrolek_7w", "--data", str(tmp_path / "m.npz")]) == 0
+    assert "27 of 42 unknowns" in capsys.readouterr().out
     for words, wrong in (
         (["calibrate", "hydrolek_7w"], "--suggest"),
         (["calibrate", "hydrolek_7w", "--data", str(data)], "degrees"),
@@ -396,7 +393,6 @@ def test_command(arm, good, tmp_path, capsys):
         (["calibrate", "hydrolek_7w", "--suggest", "3", "-o", str(urdf)], ".csv"),
         (["calibrate", "hydrolek_7w", "--data", str(data), "-o", "x.csv"], ".urdf"),
         (["calibrate", "hydrolek_7w", "--data", str(data), "--distance", "0:1"], "A:B:M"),
-        (["calibrate", "hydrolek_7w", "--data", str(tmp_path / "none.csv")], "existing"),
     ):
         assert main(words) == 2
         assert wrong in capsys.readouterr().err
