@@ -150,11 +150,14 @@ def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
         arm.sign[:] = fit.arm.sign
         arm.sign[i] *= -1.0
         other = ArmFit(arm, fit.measured, fit.Q, fit.scales, sigma)
-        other.settle()
+        other.x, other.z = other.run(other.kept, robust=True, most=30)
         if other.typical() < least * left:
             found, least = other, other.typical() / left
+    found = found if least < 0.5 else fit
     fit.measured.start(found.arm.poses(found.x, found.Q))  # planes have their normals from the last start
-    return (found, least) if least < 0.5 else (fit, 1.0)
+    if found is not fit:
+        found.settle()
+    return found, least if found is not fit else 1.0
 
 
 def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int, int]]:

@@ -45,7 +45,7 @@ class ArmFit:
             from scipy.optimize import least_squares
         except ImportError:
             raise MissingExtra("scipy", "tune") from None
-        self._solve = least_squares
+        self._solve: Any = least_squares
         self.arm, self.measured, self.Q, self.scales = arm, measured, Q, scales
         self.given = noise is not None
         self.noise = tuple(NOISE if noise is None else noise)
