@@ -48,16 +48,14 @@ class Calibration:
     noise: tuple[float, float]  # standard deviation of the measurements [m, rad], as given or estimated
     before: (
         np.ndarray
-    )  # (N,) distance of each measurement from the drawn arm [m], its base (if unknown) put where it fits best
+    )  # (N,) distance of each measurement from the drawn arm [m], an unknown base put where it fits best
     after: np.ndarray  # (N,) the same from the corrected arm
     turned: np.ndarray  # (2, N) angles [rad] before and after, of measured poses; else empty
-    held_out: (
-        float | None
-    )  # root mean square distance [m] of measurements that took no part in the fit, each fifth in turn
+    held_out: float | None  # root mean square distance [m] of measurements left out of the fit, each fifth in turn
     outliers: tuple[int, ...]  # rows of measurements that were left out
     reversed: dict[
-        str, tuple[float, float]
-    ]  # joints that count against the drawing; errors [m] without and with their reversal
+        str, float
+    ]  # joints that count against the drawing; to which share errors fall with all of them reversed
     width: float  # standard deviations that the half of a 95 % interval takes
     observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
     condition: float  # ratio of the largest to the least singular value of the free unknowns
@@ -66,9 +64,9 @@ class Calibration:
     T_world_base: np.ndarray  # (4, 4) the base in the frame of the measurements
     notes: tuple[str, ...]  # sentences on what the data leave open
     converged: bool  # whether the last fit ended by its tolerances
-    _every: np.ndarray  # (P, P) covariance of all unknowns, as if none were fixed
-    _sign: np.ndarray  # (n,) factors 1 or -1 of the joint values
-    _q: np.ndarray  # (N, n) where was measured
+    spread_all: np.ndarray  # (P, P) covariance of all unknowns, as if none were fixed
+    signs: np.ndarray  # (n,) factors 1 or -1 of the joint values
+    q: np.ndarray  # (N, n) where was measured
 
     @classmethod
     def of(
@@ -115,9 +113,9 @@ class Calibration:
             T_world_base=corrections.get(-1, pin.SE3.Identity()).homogeneous,
             notes=(),
             converged=converged,
-            _every=fit.spread(every=True),
-            _sign=arm.sign.copy(),
-            _q=fit.Q.copy(),
+            spread_all=fit.spread(every=True),
+            signs=arm.sign.copy(),
+            q=fit.Q.copy(),
         )
         made.notes = tuple(open_points(made, data.places is not None, len(data.pairs), fit.given))
         return made
@@ -150,7 +148,7 @@ class Calibration:
 
     def _arm(self) -> DrawnArm:
         arm = DrawnArm(self.drawn, self.parameters)
-        arm.sign = self._sign
+        arm.sign = self.signs
         return arm
 
     def fk(self, q: Any) -> pin.SE3:
@@ -168,7 +166,7 @@ class Calibration:
         T, J = self._arm().evaluate(self.x, Q)
         moved = T[:, :3, :3] @ J[:, :3]
         return T[:, :3, 3], self.width * np.sqrt(
-            np.maximum(np.einsum("nij,jk,nik->ni", moved, self._every, moved), 0.0)
+            np.maximum(np.einsum("nij,jk,nik->ni", moved, self.spread_all, moved), 0.0)
         )
 
     # ------------------------------------------------------------------------------------------------ corrected robot
@@ -183,7 +181,7 @@ class Calibration:
         model = self.drawn.model
         joints = {model.names[j]: T.homogeneous for j, T in C.items() if j > 0}
         tool = C.get(0, pin.SE3.Identity()).homogeneous
-        against = [model.names[j] for j, i in self.drawn._path.owner.items() if self._sign[i] < 0.0]
+        against = [model.names[j] for j, i in self.drawn._path.owner.items() if self.signs[i] < 0.0]
         return corrected_robot(self.drawn, joints, against, tool)
 
     def write(self, path: str | Path) -> Robot:
@@ -194,7 +192,7 @@ class Calibration:
 
     def suggest(self, count: int, *, avoid_collisions: Any = True, seed: int = 0) -> np.ndarray:
         """Choose configurations (count, n) [rad or m] whose measurement would tell most in addition, as `suggest_poses` does."""
-        known = np.linalg.inv(self._every + np.diag(1e-18 * np.ones(len(self.x))))
+        known = np.linalg.inv(self.spread_all + np.diag(1e-18 * np.ones(len(self.x))))
         return chosen_poses(
             self._arm(), self.x, known, count, self.what, self.noise, self.prior, avoid_collisions, seed
         )
