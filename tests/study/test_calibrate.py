@@ -283,9 +283,7 @@ def test_suggested_poses_tell_more(arm):
     assert chosen.observability > 1.2 * random.observability
     H = drawn(arm, 34, 200)
     more = random.suggest(5)
-    narrow = ik.calibrate(
-        arm, np.vstack([random.q, more]), measured(truth, np.vstack([random.q, more]), 32)[:, :3, 3]
-    )
+    narrow = ik.calibrate(arm, np.vstack([random.q, more]), measured(truth, np.vstack([random.q, more]), 32)[:, :3, 3])
     assert narrow.predict(H)[1].mean() < 0.9 * random.predict(H)[1].mean()
     with pytest.raises(InvalidOption, match="touches"):
         ik.suggest_poses(arm, 3, what="socket")
