@@ -51,9 +51,12 @@ from .solvers.solve import solve_all as solve_all
 from .solvers.status import Status as Status
 from .study.analyse import analyse as analyse
 from .study.benchmark import benchmark as benchmark
+from .study.calibrate import calibrate as calibrate
+from .study.calibration import Calibration as Calibration
 from .study.place import place as place
 from .study.reachability import reachability as reachability
 from .study.reachability_map import ReachabilityMap as ReachabilityMap
+from .study.suggest_poses import suggest_poses as suggest_poses
 from .study.tune import tune as tune
 from .study.workspace import workspace as workspace
 

@@ -27,8 +27,8 @@ def program() -> str:
 def in_shell(text: str) -> str:
     """Return a text in which commands, such as `ik solve`, are named as a shell finds them here."""
     commands = (
-        "robots|info|fk|solve|path|track|gains|reproduce|solvers|bench|tune|workspace|reach|place|dh|check|convert|view"
-        "|panel|doctor"
+        "robots|info|fk|solve|path|track|gains|reproduce|solvers|bench|tune|workspace|reach|place|calibrate|dh|check|convert"
+        "|view|panel|doctor"
     )
     called = rf"\bik (?=--|(?:{commands}|COMMAND)\b)"
     return text if program() == "ik" else re.sub(called, lambda _: f"{program()} ", text)

@@ -32,6 +32,7 @@ MODULES = (
     "workspace",
     "reach",
     "place",
+    "calibrate",
     "files",
     "view",
     "doctor",

@@ -142,6 +142,20 @@ def read_arrays(path: Path, times: bool, base: str) -> tuple[np.ndarray | None, 
     return t, xyz if quat is None else quaternion_poses(xyz, quat, range(len(xyz)), path.name, "row")
 
 
+def read_named(path: Path, names: Sequence[str]) -> list[np.ndarray]:
+    """Read arrays of numbers by their names from an NPZ file. Raises InvalidTarget."""
+    try:
+        with _arrays(path, names, "") as file:
+            missing = [name for name in names if name not in file]
+            if missing:
+                raise InvalidTarget(f"'{path.name}' has no array '{missing[0]}'.{near_match(missing[0], list(file))}")
+            return [np.array(file[name], dtype=float) for name in names]
+    except InvalidTarget:
+        raise
+    except Exception as error:  # damaged files raise many types of errors
+        raise InvalidTarget(f"cannot read '{path.name}': {' '.join(str(error).split())[:200]}") from None
+
+
 def require_increasing(t: np.ndarray, numbers: Sequence[int], name: str, word: str) -> None:
     """Raise InvalidTarget, which names the row by its number, unless times t (N,) [s] increase."""
     back = np.flatnonzero(~(np.diff(t) > 0.0))

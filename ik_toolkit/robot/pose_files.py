@@ -76,12 +76,13 @@ def read_poses(
     given: Convention = Convention(),
     tips: Sequence[str] = (),
     base: str = "",
+    besides: Sequence[str] = (),
 ) -> tuple[int, Iterator[PoseRows]]:
     """Read a file of poses: return its number of rows and its blocks of rows, one for NPZ and JSON, many for CSV.
 
     what: name of the contents, for messages. times: whether the file must have times t. given: units and angles of the
     file. tips: names of the tips whose poses the file holds; without names it holds poses of one tip. base: frame in which
-    ROS messages in it must be given, "" for any. Raises
+    ROS messages in it must be given, "" for any. besides: other columns, such as joints. Raises
     InvalidTarget, which names the line (for a CSV also while blocks are read), and InvalidOption.
     """
     scale = LENGTHS[given.check().length_unit]
@@ -104,6 +105,7 @@ def read_poses(
             *(f"{tip}.{name}" if tip else name for tip in tips or ("",) for name in POSITION),
         ]
         top = _read_top(path, ",".join(first))
+        top = top._replace(header=["" if cell in besides else cell for cell in top.header])
         columns = (
             _tip_columns(path.name, top.header, tips, given)
             if tips
@@ -119,6 +121,27 @@ def read_poses(
     # Damaged files raise many types of errors, such as those of zip, zlib, lzma, npy and csv.
     except Exception as error:
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
+
+
+def read_columns(path: Path, names: Sequence[str]) -> tuple[list[str], np.ndarray]:
+    """Return the names of all columns of a CSV file, and the numbers (N, len(names)) in some. Raises InvalidTarget."""
+    top = _read_top(path, ",".join(names) or "x,y,z")
+    for name in names:
+        if top.header.count(name) != 1:
+            many = "no column" if name not in top.header else "more than one column"
+            raise InvalidTarget(
+                f"'{path.name}' has {many} '{name}'; it needs {', '.join(names)}.{near_match(name, top.header)}"
+            )
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            lines, texts = zip(*_rows(stream, path.name, top.line), strict=True)
+            return top.header, _numbers(
+                list(texts), [top.header.index(name) for name in names], top, list(lines), path.name
+            )
+    except InvalidTarget:
+        raise
+    except (OSError, UnicodeDecodeError, ValueError) as error:  # ValueError: there are no rows
+        raise InvalidTarget(f"'{path.name}' has no rows of numbers below its header ({_said(error)})") from None
 
 
 def _scaled(poses: np.ndarray, scale: float) -> np.ndarray:

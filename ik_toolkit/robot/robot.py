@@ -19,6 +19,7 @@ from ..kernel.records import POINTS
 from .base import on_own_base
 from .configuration import values_by_joint
 from .constraints import Constraint
+from .formats.convert import write_urdf
 from .formats.mimic import followers, mimic_limits, mimic_speeds
 from .formats.srdf import Srdf, group_chain, passive_joints, read_srdf, srdf_of
 from .formats.urdf_model import build_model
@@ -365,6 +366,8 @@ class Robot(Joints):
             other.tool_shapes = (*self.tool_shapes, (is_shape(shape), place))
         other._build(self.home)
         return other
+
+    write = write_urdf  # the description as a plain URDF
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""

@@ -17,6 +17,7 @@ from ..solvers.result import Result
 from ..solvers.solutions import Solutions
 from ..solvers.solve import require_robot
 from ..study.benchmark import Benchmark
+from ..study.calibration import Calibration
 from ..study.place import Placements
 from ..study.reachability_map import ReachabilityMap
 from ..study.tune import TuneResult
@@ -34,9 +35,9 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     Args:
         what: A Result with history, or a dict label -> Result, for the error after every iteration; a TrackResult, or a
             dict label -> TrackResult for their errors; a PathResult or Trajectory for joints, speeds and bounds; a
-            Benchmark, TuneResult, ReachabilityMap, Placements or Workspace; a BatchResult for the share solved within so many
-            iterations;
-            Solutions, the first eight as lines; a configuration q (n,) [rad or m] or a dict label -> q for the arm as
+            Benchmark, TuneResult, ReachabilityMap, Placements or Workspace; a Calibration for its residuals and errors; a
+            BatchResult for the share solved within so many iterations; Solutions, the first eight as lines; a
+            configuration q (n,) [rad or m] or a dict label -> q for the arm as
             lines from the side and from above.
         robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
         target: Pose or position [m] in the base frame, drawn as a cross beside configurations.
@@ -72,6 +73,8 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
         figure = plot_workspace(what, _needed(robot, "a workspace"))
     elif isinstance(what, BatchResult):
         figure = plot_batch(what)
+    elif isinstance(what, Calibration):
+        figure = plot_calibration(what)
     elif isinstance(what, Solutions):
         figure = postures({f"solution {k}": q for k, q in enumerate(what.q[: len(COLOURS)])}, what.robot, target)
     elif isinstance(what, TrackResult):
@@ -170,6 +173,34 @@ def plot_batch(batch: BatchResult) -> Any:
             literal_text(f"{batch.solver} on {batch.plan.robot.name}: {good.sum()} of {len(batch)} solved{left}")
         )
     return figure
+
+
+def plot_calibration(found: Calibration) -> Any:
+    """Draw the distance of every measurement from the arm as drawn and as corrected, and the errors with their 95 % intervals."""
+    turns = {one.name: one.turns for one in found.unknowns}
+    with drawing() as plt:
+        height = 1.0 + 0.17 * max(12, *(sum(turns[name] == kind for name in found.errors) for kind in (False, True)))
+        figure, axes = plt.subplots(1, 3, figsize=(11.0, height), layout="constrained", width_ratios=(3, 2, 2))
+        rows, out = np.arange(len(found.after)), list(found.outliers)
+        axes[0].semilogy(rows, 1e3 * found.before, "o", color=GREY, ms=3.5, label="as drawn")
+        axes[0].semilogy(rows, 1e3 * found.after, "o", color=COLOURS[0], ms=3.5, label="corrected")
+        if out:
+            axes[0].semilogy(out, 1e3 * found.after[out], "o", color=COLOURS[1], ms=5, label="outlier, left out")
+        axes[0].set(xlabel="measurement (row)", ylabel="off by [mm]")
+        axes[0].set_title(
+            literal_text(f"{found.drawn.name}: {length(found.rms[0])} as drawn, {length(found.rms[1])} corrected (RMS)")
+        )
+        axes[0].legend(fontsize=8)
+        for axis, kind, scale, unit in ((axes[1], False, 1e3, "mm"), (axes[2], True, 180.0 / np.pi, "deg")):
+            some = [(name, scale * x, scale * half) for name, (x, half) in found.errors.items() if turns[name] == kind]
+            y = -np.arange(len(some))
+            axis.errorbar(
+                [x for _, x, _ in some], y, xerr=[half for *_, half in some], fmt="o", color=COLOURS[0], ms=3.5, lw=1.2
+            )
+            axis.set_yticks(y, [literal_text(name) for name, *_ in some], fontsize=7)
+            axis.axvline(0.0, color="black", lw=0.8)
+            axis.set(xlabel=f"error [{unit}]", title=f"{'angles' if kind else 'lengths'}, 95 % interval")
+        return figure
 
 
 LEAST_RATE = 1.0  # [%] least upper end of the colour scale of a map of failure rates

@@ -51,6 +51,12 @@ def run():
     return ik.track(arm, ik.line((1.2, 0.3, 0.0), (1.3, 0.4, 0.0), duration=0.2))
 
 
+def calibrated():
+    arm = robots.load("planar_2r")
+    Q = arm.random_q(np.random.default_rng(0), 12)
+    return ik.calibrate(arm, Q, [arm.fk(q).translation for q in Q], parameters="joints", noise=1e-4)
+
+
 def facts_of(result):
     return result.status, result.q, result.message
 
@@ -122,6 +128,7 @@ HELD = {
         lambda: ik.benchmark("planar_2r", "planar-2r", targets=4),
         lambda made: [(row.solver, row.solved, row.median) for row in made.rows],
     ),
+    "Calibration": (calibrated, lambda made: (made.to_dict(), made.predict([[0.2, 0.3]]), made.robot.fk((0.2, 0.3)).homogeneous)),
     "Workspace": (lambda: ik.workspace(robots.load("planar_2r"), "planar-2r", targets=20), lambda made: made.to_dict()),
     "ReachabilityMap": (
         lambda: ik.reachability(robots.load("planar_2r"), resolution=0.5),

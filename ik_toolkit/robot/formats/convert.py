@@ -1,14 +1,22 @@
-"""Writes any description that `Robot.load` reads as a plain URDF: macros are expanded, meshes get their actual paths."""
+"""Writes any description that `Robot.load` reads as a plain URDF, also a corrected one: macros are expanded, meshes get their
+paths.
+"""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ...errors import ModelError
+from ...files import as_path, write_whole
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
 from ..load import read_source
+from ..rotation import rpy_matrix
 from .urdf import plain_origin
+from .urdf_model import build_model
+from .urdf_write import add_joint, add_link, numbers_text, origin, to_text
 
 
 class Converted(NamedTuple):
@@ -37,16 +45,97 @@ def convert(
     A mesh that is not found keeps its name. Raises what `Robot.load` raises.
     """
     made = read_source(source, package_dirs, xacro_args)[1]
+    return _plain(made["name"], made["urdf"], made["path"], made["package_dirs"], folder)
+
+
+def write_urdf(robot: Any, path: str | Path) -> Path:
+    """Write the robot's description as one plain URDF, as `ik convert` does; return the path.
+
+    Base, tip, limits and joints held that were set since loading are not part of it. Raises ModelError if the robot was made
+    without a URDF, InvalidOption, OSError.
+    """
+    file = as_path(path, "path")
+    made = _plain(robot.name, _text_of(robot), robot.path, robot.package_dirs, file.parent)
+    write_whole(file, made.text)
+    return file
+
+
+def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Iterable[str], tool: np.ndarray) -> Any:
+    """Return a robot whose URDF has corrections written into it.
+
+    joints: C (4, 4) [m] by joint, which is put behind its <origin>; against: joints whose <axis> is reversed; tool: a motion (4, 4)
+    of the tip, put behind the fixed joint of the tip's link, or, where there is none or the robot has a tool, at a link that is
+    added. Raises ModelError if the robot has no URDF.
+    """
+    root = ET.fromstring(_text_of(robot), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
+    elements = {joint.get("name"): joint for joint in root.findall("joint")}
+    for name, C in joints.items():
+        _move(elements[name], C)
+    for name in against:
+        axis = elements[name].find("axis")
+        axis = ET.SubElement(elements[name], "axis", xyz="1 0 0") if axis is None else axis
+        axis.set("xyz", numbers_text([-float(x) for x in axis.get("xyz", "1 0 0").split()]))
+    tip, T = robot.tip, robot.tool.homogeneous @ tool
+    link = next((_child(joint) for joint in root.findall("joint") if joint.get("name") == tip), tip)
+    holder = next(
+        (joint for joint in root.findall("joint") if _child(joint) == link and joint.get("type") == "fixed"), None
+    )
+    if holder is not None and np.array_equal(robot.tool.homogeneous, np.eye(4)):
+        _move(holder, T)
+    elif not np.array_equal(T, np.eye(4)):
+        taken = {part.get("name") for part in root}
+        tip = next(name for k in range(len(taken) + 1) if (name := f"{link}_calibrated{k or ''}") not in taken)
+        add_link(root, tip)
+        add_joint(root, f"{tip}_fixed", "fixed", link, tip, T)
+    text = to_text(root)
+    other = robot._variant()
+    other.urdf, other.tip, other.tool = text, tip, type(robot.tool).Identity()
+    back = type(robot.tool)(T).inverse() if tip != robot.tip else other.tool
+    other.tool_shapes = tuple((shape, back * place) for shape, place in robot.tool_shapes)
+    other._settle(build_model(text))
+    other._build(robot.home)
+    return other
+
+
+def _text_of(robot: Any) -> str:
+    if robot.urdf is None:
+        raise ModelError(
+            f"robot '{robot.name}' was made without a URDF, so none can be written; give urdf= to ik.Robot"
+        )
+    return robot.urdf
+
+
+def _child(joint: ET.Element) -> str:
+    child = joint.find("child")
+    return "" if child is None else child.get("link", "")
+
+
+def _move(joint: ET.Element, C: np.ndarray) -> None:
+    """Put a motion C (4, 4) behind the <origin> of a joint."""
+    T = np.eye(4)
+    for given in joint.findall("origin"):
+        numbers = plain_origin(given.attrib)
+        T[:3, 3] = [float(x) for x in numbers.get("xyz", "0 0 0").split()]
+        T[:3, :3] = rpy_matrix([float(x) for x in numbers.get("rpy", "0 0 0").split()])
+        joint.remove(given)
+    origin(joint, T @ C)
+
+
+def _plain(
+    name: str, urdf: str, path: Path | None, package_dirs: Iterable[str | Path], folder: str | Path | None
+) -> Converted:
+    """Make the plain URDF of a description that lies at `path`, for a file in `folder`."""
     home = None if folder is None else Path(folder).expanduser().resolve()
-    root = ET.fromstring(made["urdf"], ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
-    for origin in root.iter("origin"):
-        given = dict(origin.attrib)
-        origin.attrib.clear()
-        origin.attrib.update(plain_origin(given))
+    root = ET.fromstring(urdf, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
+    for place in root.iter("origin"):
+        given = dict(place.attrib)
+        place.attrib.clear()
+        place.attrib.update(plain_origin(given))
     elements = [mesh for mesh in root.iter("mesh") if mesh.get("filename")]
     names = [mesh.get("filename", "") for mesh in elements]
-    packages = mesh_packages(names, made["path"], made["package_dirs"])
-    folders = [*mesh_folders(made["path"], made["package_dirs"]), *packages.values()]
+    package_dirs = tuple(package_dirs)
+    packages = mesh_packages(names, path, package_dirs)
+    folders = [*mesh_folders(path, package_dirs), *packages.values()]
     meshes: dict[str, str] = {}
     lost: dict[str, str] = {}
     for name in dict.fromkeys(names):
@@ -60,4 +149,4 @@ def convert(
     for mesh, name in zip(elements, names, strict=True):
         mesh.set("filename", meshes.get(name, name))
     text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, "unicode") + "\n"
-    return Converted(made["name"], text, meshes, lost)
+    return Converted(name, text, meshes, lost)

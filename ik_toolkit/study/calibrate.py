@@ -1,0 +1,191 @@
+"""`ik.calibrate`: where the arm really goes, from measured poses, positions, distances or touches."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import FEW_TURNS, InvalidConfiguration, InvalidOption, InvalidTarget, floats
+from ..robot.robot import Robot
+from ..robot.tree import require_one_tip
+from .calibration import Calibration, FixedUnknown
+from .calibration_fit import UNTOLD, ArmFit, first_guess, joint_signs, reversible, told_directions
+from .drawn_arm import GROUPS, DrawnArm, read_groups
+from .measurements import TOUCHED, Measurements, prior_spread, read_noise
+
+ELSEWHERE = 0.2  # measurements that lie this share of the reach away from the drawn arm are in a frame of their own
+DOUBTFUL = 4.0  # typical errors of so many times NOISE let the signs of the joints be tried again
+SAMPLES = 200  # random configurations that show what poses measured elsewhere could tell
+
+
+def calibrate(
+    robot: Robot,
+    q: Any,
+    measured: Any,
+    what: str = "position",
+    parameters: Sequence[str] = GROUPS[:3],
+    *,
+    places: Any = None,
+    distances: Any = None,
+    noise: Any = None,
+    prior: Any = None,
+) -> Calibration:
+    """Find the errors of an arm's joints, links, tool and base from measurements of where its tip goes.
+
+    A wrong sign of a joint is found first. Then all errors are fitted by least squares with a robust loss, outliers are named and
+    left out, and what the measurements cannot tell is fixed as drawn and named. A numerical outcome (untold errors, no convergence)
+    is said in `notes`.
+
+    Args:
+        robot: The robot as drawn, with one tip; with_tool says where on the tip is measured.
+        q: Joint values (N, n) [rad or m] at which was measured.
+        measured: For 'pose' (N, 4, 4), for 'position' (N, 3) [m], in the base frame unless parameters has base. For 'distance'
+            lengths (N,) [m] from a fixed end, or (N, 2) with the number of the end first. For 'socket' and 'plane' the number (N,),
+            from 0, of the socket or plane that the tip touches.
+        what: What was measured.
+        parameters: What may be wrong: 'joints' (their offsets), 'frames' (where each moving link's joint stands on the link
+            before), 'tool' (where the measured point is), 'base' (the measurements are in a frame of their own, such as a laser
+            tracker's).
+        places: Known places (K, 3) [m] of the sockets, or of the fixed ends, in the base frame.
+        distances: Known distances between sockets: one number [m] for two sockets, or {(0, 1): metres}.
+        noise: Standard deviation of the measurements (length [m], angle [rad]), or a length; by default estimated.
+        prior: How far links and joints may be off, (length [m], angle [rad]); default (0.01, 0.035), ten times that for the tool.
+
+    Returns:
+        The errors with 95 % intervals, the corrected robot, residuals, outliers, and what the data left open.
+
+    Raises:
+        InvalidOption: An argument is unknown or does not fit, or robot has several tips.
+        InvalidConfiguration, InvalidTarget: q or measured has the wrong shape, too few rows, or is in other units.
+        MissingExtra: SciPy is not installed.
+    """
+    require_one_tip(robot, "a calibration")
+    groups = read_groups(parameters)
+    data = Measurements(what, measured, places, distances)
+    Q = _configurations(robot, q, len(data))
+    data.require_metres(robot.reach)
+    if "base" in groups and what not in ("pose", "position"):
+        raise InvalidOption(
+            f"parameters has base, which needs measured poses or positions; what is '{what}': leave base out"
+        )
+    spread, sigma = prior_spread(prior), read_noise(noise)
+    arm = DrawnArm(robot, groups)
+    _require_enough(arm, data)
+    sign, share = joint_signs(robot, groups, data, Q)
+    arm.sign[:] = sign
+    if what in ("pose", "position"):
+        _require_same_frame(arm, data, Q)
+    fit = ArmFit(arm, data, Q, arm.scales(*spread), sigma)
+    fit.settle()
+    fit, better = _with_last_sign(fit, sigma)
+    before = fit.errors(first_guess(fit.arm, data, Q), data.start(fit.arm.poses(first_guess(fit.arm, data, Q), Q)))
+    fixed, ranks = _settle_convention(fit)
+    names = [joint for joint, one in zip(robot.joint_names, fit.arm.sign, strict=True) if one < 0.0]
+    return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, share * better))
+
+
+def _configurations(robot: Robot, q: Any, count: int) -> np.ndarray:
+    Q = floats(q, f"q must be (N, {robot.n}) numbers", InvalidConfiguration)
+    if Q.ndim != 2 or Q.shape[1] != robot.n:
+        raise InvalidConfiguration(
+            f"q must have the shape (N, {robot.n}), a column for each of {', '.join(robot.joint_names)}; not {Q.shape}"
+        )
+    if len(Q) != count:
+        raise InvalidTarget(f"q has {len(Q)} rows and measured {count}; each measurement needs its joint values")
+    for k, row in enumerate(Q):
+        if not np.isfinite(row).all():
+            raise InvalidConfiguration(f"row {k} of q (counted from 0) is not finite: leave it out, in measured too")
+    turning = Q[:, ~robot.slides]
+    if np.abs(turning).max(initial=0.0) > 2.0 * FEW_TURNS:
+        raise InvalidConfiguration(
+            f"q has angles of {np.abs(turning).max():.4g} rad; were degrees meant? Use numpy.radians(q) (--deg)"
+        )
+    if count < 2 or not (np.ptp(Q, axis=0) > 0.0).any():
+        raise InvalidConfiguration(
+            "all rows of q are the same: measure in different configurations (ik.suggest_poses gives some)"
+        )
+    return Q
+
+
+def _require_enough(arm: DrawnArm, data: Measurements) -> None:
+    """Raise InvalidTarget unless the numbers measured outnumber what they have to tell: about two thirds of the arm's unknowns."""
+    unknowns = (
+        (2 * len(arm.unknowns) + 2) // 3
+        + data.size
+        - 3 * len(data.places if data.places is not None else ())
+        - len(data.pairs)
+    )
+    if len(data) * data.per < unknowns:
+        need = -(-unknowns // data.per)
+        raise InvalidTarget(
+            f"{len(data)} measurements of kind '{data.what}' are {len(data) * data.per} numbers for some {unknowns} unknowns: "
+            f"measure at least {need}, better {2 * need} (ik.suggest_poses says where), or look for less: parameters=('joints',)"
+        )
+
+
+def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> None:
+    """Raise InvalidTarget if the measurements fit the drawn arm only after a motion of its base, which is no parameter."""
+    if "base" in arm.groups:
+        return
+    off = np.median(np.linalg.norm(arm.poses(np.zeros(len(arm.unknowns)), Q)[:, :3, 3] - data.positions, axis=1))
+    moved = DrawnArm(arm.robot, ("base",))
+    moved.sign = arm.sign
+    left = np.median(np.linalg.norm(moved.poses(first_guess(moved, data, Q), Q)[:, :3, 3] - data.positions, axis=1))
+    if off > ELSEWHERE * arm.robot.reach and left < 0.2 * off:
+        raise InvalidTarget(
+            f"the measurements are {off:.3g} m from where the arm is drawn, and {left:.3g} m once its base is moved: they are in "
+            "a frame of their own; add 'base' to parameters (--parameters joints,frames,tool,base)"
+        )
+
+
+def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
+    """Return the fit, or where it is poor that with one more joint reversed, and to which share the errors fall by it.
+
+    It finds what offsets alone do not show: a reversed roll of a tip that is drawn on the axis.
+    """
+    left = fit.typical()
+    found, least = fit, 1.0
+    for i in reversible(fit.arm.robot, fit.Q) if left > DOUBTFUL else []:
+        arm = DrawnArm(fit.arm.robot, fit.arm.groups)
+        arm.sign[:] = fit.arm.sign
+        arm.sign[i] *= -1.0
+        other = ArmFit(arm, fit.measured, fit.Q, fit.scales, sigma)
+        other.x, other.z = other.run(other.kept, robust=True, most=30)
+        if other.typical() < least * left:
+            found, least = other, other.typical() / left
+    found = found if least < 0.5 else fit
+    fit.measured.start(found.arm.poses(found.x, found.Q))  # planes have their normals from the last start
+    if found is not fit:
+        found.settle()
+    return found, least if found is not fit else 1.0
+
+
+def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int, int]]:
+    """Fix what the data do not tell, and fit again; return what was fixed, and the rank here, as drawn, and of poses all over."""
+    names = [one.name for one in fit.arm.unknowns]
+    _, N = fit.untold(fit.x, fit.z, fit.kept)
+    drawn = could = len(names) - N.shape[1]
+    if fit.measured.what in ("pose", "position"):
+        drawn = len(names) - fit.untold(first_guess(fit.arm, fit.measured, fit.Q), fit.z, fit.kept)[1].shape[1]
+        could = _could_tell(fit)
+    seen = np.linalg.norm(fit.weighted(fit.x, fit.z, fit.kept)[1], axis=0) > UNTOLD
+    fixed = fit.fix(N) if N.shape[1] else {}
+    if fixed:
+        fit.x, fit.z = fit.run(fit.kept)
+    touched = (f"the {TOUCHED[fit.measured.what]}",) if fit.measured.count else ()
+    told_by = {p: tuple(names[k] for k in others) or (touched if seen[p] else ()) for p, others in fixed.items()}
+    return [FixedUnknown(names[p], shared) for p, shared in told_by.items()], (
+        len(names) - len(fixed),
+        int(drawn),
+        max(could, len(names) - len(fixed)),
+    )
+
+
+def _could_tell(fit: ArmFit) -> int:
+    """Return how many directions as many measurements all over the arm's range would tell."""
+    Q = fit.arm.robot.random_q(np.random.default_rng(0), SAMPLES)
+    T, J = fit.arm.evaluate(fit.x, Q)
+    taken = fit.measured.taken(np.zeros(SAMPLES, dtype=int))
+    A = taken.errors(T, fit.z)[1] @ J * fit.scales / taken.sigma(fit.noise)[:, None]
+    share = np.sqrt(fit.kept.sum() / SAMPLES)
+    return A.shape[2] - told_directions(A.reshape(-1, A.shape[2]) * share)[1].shape[1]

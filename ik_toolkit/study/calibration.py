@@ -1,0 +1,266 @@
+"""What a calibration found: errors with intervals, the corrected robot, residuals, and which poses to measure next."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidConfiguration, floats
+from ..files import as_path, write_whole
+from ..robot.formats.convert import corrected_robot
+from ..robot.robot import Robot
+from ..text import TextTable, length
+from .calibration_fit import ArmFit
+from .calibration_report import open_points, page
+from .drawn_arm import DrawnArm, Unknown
+from .suggest_poses import chosen_poses
+
+UNSURE = 0.7  # of the prior's spread: an error known no better is mostly assumed
+
+
+class FixedUnknown(NamedTuple):
+    """An unknown that was fixed as drawn, because the data do not tell it from the others named, if any."""
+
+    fixed: str
+    shared: tuple[str, ...]
+
+
+@dataclass(repr=False, eq=False)
+class Calibration:
+    """How an arm differs from its drawing.
+
+    Lengths in metres, angles in radians; each error is in the axes of its joint's own frame (of the URDF), before the joint moves.
+    """
+
+    drawn: Robot  # the robot as it was given
+    what: str  # what was measured
+    parameters: tuple[str, ...]  # groups of unknowns: joints, frames, tool, base
+    unknowns: tuple[Unknown, ...]  # names, groups and kinds of all P unknowns
+    x: np.ndarray  # (P,) the errors; 0 for those fixed
+    spread: np.ndarray  # (P, P) their covariance, zero for those fixed
+    fixed: tuple[FixedUnknown, ...]  # unknowns fixed as drawn, and what they cannot be told from
+    rank: int  # number of unknowns that the data tell
+    rank_drawn: int  # the same, evaluated at the drawn arm
+    rank_anywhere: int  # the same, of as many poses all over the arm's range
+    noise: tuple[float, float]  # standard deviation of the measurements [m, rad], as given or estimated
+    before: (
+        np.ndarray
+    )  # (N,) distance of each measurement from the drawn arm [m], an unknown base put where it fits best
+    after: np.ndarray  # (N,) the same from the corrected arm
+    turned: np.ndarray  # (2, N) angles [rad] before and after, of measured poses; else empty
+    held_out: float | None  # root mean square distance [m] of measurements left out of the fit, each fifth in turn
+    outliers: tuple[int, ...]  # rows of measurements that were left out
+    reversed: dict[
+        str, float
+    ]  # joints that count against the drawing; to which share errors fall with all of them reversed
+    width: float  # standard deviations that the half of a 95 % interval takes
+    observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
+    condition: float  # ratio of the largest to the least singular value of the free unknowns
+    touched: np.ndarray  # (K, 3) places found of sockets or fixed ends [m], base frame
+    prior: tuple[float, float]  # prior spread [m, rad]
+    T_world_base: np.ndarray  # (4, 4) the base in the frame of the measurements
+    notes: tuple[str, ...]  # sentences on what the data leave open
+    converged: bool  # whether the last fit ended by its tolerances
+    spread_all: np.ndarray  # (P, P) covariance of all unknowns, as if none were fixed
+    signs: np.ndarray  # (n,) factors 1 or -1 of the joint values
+    q: np.ndarray  # (N, n) where was measured
+
+    @classmethod
+    def of(
+        cls,
+        fit: ArmFit,
+        before: np.ndarray,
+        fixed: Sequence[FixedUnknown],
+        ranks: Sequence[int],
+        prior: Any,
+        against: Mapping[str, Any],
+    ) -> "Calibration":
+        """Make the result of a finished fit; before: errors (N, per) as drawn."""
+        arm, data = fit.arm, fit.measured
+        after, converged = fit.errors(fit.x, fit.z), fit.converged
+        A = fit.weighted(fit.x, fit.z, fit.kept)[1][:, : len(fit.x)][:, fit.free]
+        S = np.linalg.svd(A, compute_uv=False)
+        O1 = float(np.exp(np.log(np.maximum(S, 1e-300)).mean()) / np.sqrt(fit.kept.sum())) if len(S) else 0.0
+        out = fit.held_out()
+        turned = [np.linalg.norm(E[:, 3:], axis=1) for E in (before, after)]
+        corrections = arm.corrections(fit.x)
+        made = cls(
+            drawn=arm.robot,
+            what=data.what,
+            parameters=arm.groups,
+            unknowns=arm.unknowns,
+            x=fit.x,
+            spread=fit.spread(),
+            fixed=tuple(fixed),
+            rank=ranks[0],
+            rank_drawn=ranks[1],
+            rank_anywhere=ranks[2],
+            noise=(float(fit.noise[0]), float(fit.noise[1])),
+            before=np.linalg.norm(before[:, :3], axis=1),
+            after=np.linalg.norm(after[:, :3], axis=1),
+            turned=np.array(turned) if data.what == "pose" else np.empty((2, 0)),
+            held_out=None if out is None else float(np.sqrt(np.nanmean(out**2))),
+            outliers=tuple(np.flatnonzero(~fit.kept).tolist()),
+            reversed=dict(against),
+            width=fit.width(),
+            observability=O1,
+            condition=float(S[0] / S[-1]) if len(S) and S[-1] > 0.0 else np.inf,
+            touched=fit.z.reshape(-1, 3) if data.what in ("socket", "distance") else np.empty((0, 3)),
+            prior=tuple(prior),
+            T_world_base=corrections.get(-1, pin.SE3.Identity()).homogeneous,
+            notes=(),
+            converged=converged,
+            spread_all=fit.spread(every=True),
+            signs=arm.sign.copy(),
+            q=fit.Q.copy(),
+        )
+        made.notes = tuple(open_points(made, data.places is not None, len(data.pairs), fit.given))
+        return made
+
+    # ---------------------------------------------------------------------------------------------------- what it says
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the errors that the data tell."""
+        fixed = {one.fixed for one in self.fixed}
+        return tuple(one.name for one in self.unknowns if one.name not in fixed)
+
+    @property
+    def unsure(self) -> tuple[str, ...]:
+        """Names of errors whose interval is about as wide as was assumed before."""
+        loose = np.sqrt(np.diag(self.spread)) > UNSURE * self._arm().scales(*self.prior)
+        return tuple(one.name for one, is_loose in zip(self.unknowns, loose, strict=True) if is_loose)
+
+    @property
+    def errors(self) -> dict[str, tuple[float, float]]:
+        """Each error [m or rad] by name, with the half width of its 95 % interval, but for those fixed."""
+        half = self.width * np.sqrt(np.diag(self.spread))
+        every = {one.name: (float(x), float(h)) for one, x, h in zip(self.unknowns, self.x, half, strict=True)}
+        return {name: every[name] for name in self.names}
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Root mean square distance [m] of the measurements, outliers left out, from the arm as drawn and as corrected."""
+        kept = np.setdiff1d(np.arange(len(self.after)), self.outliers)
+        return float(np.sqrt((self.before[kept] ** 2).mean())), float(np.sqrt((self.after[kept] ** 2).mean()))
+
+    def _arm(self) -> DrawnArm:
+        arm = DrawnArm(self.drawn, self.parameters)
+        arm.sign = self.signs
+        return arm
+
+    def fk(self, q: Any) -> pin.SE3:
+        """Compute the pose of the tip [m] at q (n,) [rad or m] (as it was measured) in the frame of the measurements."""
+        return pin.SE3(self._arm().poses(self.x, self.drawn.check_q(q)[None])[0])
+
+    def predict(self, q: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Compute positions (N, 3) [m] of the tip at q (N, n) [rad or m], and the half widths (N, 3) of their 95 % intervals.
+
+        The intervals are those of the arm's errors, without the noise of a measurement.
+        """
+        Q = np.atleast_2d(floats(q, "q must be numbers", InvalidConfiguration))
+        if Q.ndim != 2 or Q.shape[1] != self.drawn.n or not np.isfinite(Q).all():
+            raise InvalidConfiguration(f"q must be (N, {self.drawn.n}) finite numbers, not of shape {Q.shape}")
+        T, J = self._arm().evaluate(self.x, Q)
+        moved = T[:, :3, :3] @ J[:, :3]
+        return T[:, :3, 3], self.width * np.sqrt(
+            np.maximum(np.einsum("nij,jk,nik->ni", moved, self.spread_all, moved), 0.0)
+        )
+
+    # ------------------------------------------------------------------------------------------------ corrected robot
+    @property
+    def robot(self) -> Robot:
+        """The corrected robot: as drawn, with the errors written into its description. Its base is its own (see T_world_base).
+
+        Raises ModelError if the robot has no URDF.
+        """
+        arm = self._arm()
+        C = arm.corrections(self.x)
+        model = self.drawn.model
+        joints = {model.names[j]: T.homogeneous for j, T in C.items() if j > 0}
+        tool = C.get(0, pin.SE3.Identity()).homogeneous
+        against = [model.names[j] for j, i in self.drawn._path.owner.items() if self.signs[i] < 0.0]
+        return corrected_robot(self.drawn, joints, against, tool)
+
+    def write(self, path: str | Path) -> Robot:
+        """Write the corrected robot as one plain URDF; return it, whose tip is the tip to load the file with."""
+        made = self.robot
+        made.write(path)
+        return made
+
+    def suggest(self, count: int, *, avoid_collisions: Any = True, seed: int = 0) -> np.ndarray:
+        """Choose configurations (count, n) [rad or m] whose measurement would tell most in addition, as `suggest_poses` does."""
+        known = np.linalg.inv(self.spread_all + np.diag(1e-18 * np.ones(len(self.x))))
+        return chosen_poses(
+            self._arm(), self.x, known, count, self.what, self.noise, self.prior, avoid_collisions, seed
+        )
+
+    # ----------------------------------------------------------------------------------------------------------- text
+    def table(self) -> TextTable:
+        """Return the errors as a table, those that the data tell."""
+        kinds = {one.name: one.turns for one in self.unknowns}
+        rows = [
+            (
+                name,
+                f"{shown(x, kinds[name])} +- {shown(half, kinds[name]).lstrip('+')} {'deg' if kinds[name] else 'mm'}",
+            )
+            for name, (x, half) in self.errors.items()
+        ]
+        before, after = self.rms
+        out = f", held out {length(self.held_out)}" if self.held_out is not None else ""
+        words = f"{len(self.after)} measurements ({self.what}): {length(before)} as drawn, {length(after)} corrected{out} (RMS)"
+        return TextTable(
+            self.drawn.name, words, ("error", "95 % interval"), rows, self._fixed_words(), *self.notes, most=100
+        )
+
+    def _fixed_words(self) -> str:
+        if not self.fixed:
+            return ""
+        return f"fixed as drawn, because it cannot be told from others: {', '.join(one.fixed for one in self.fixed)}"
+
+    def __repr__(self) -> str:
+        """Return the table for terminals."""
+        return str(self.table())
+
+    def _repr_html_(self) -> str:
+        """Return the table for notebooks."""
+        return self.table().html()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, strings and lists."""
+        before, after = self.rms
+        return {
+            "robot": self.drawn.name,
+            "what": self.what,
+            "errors": {name: {"value": x, "half_width_95": half} for name, (x, half) in self.errors.items()},
+            "fixed": {one.fixed: list(one.shared) for one in self.fixed},
+            "rank": self.rank,
+            "rank_drawn": self.rank_drawn,
+            "rank_anywhere": self.rank_anywhere,
+            "unsure": list(self.unsure),
+            "rms_before": before,
+            "rms_after": after,
+            "held_out": self.held_out,
+            "noise": list(self.noise),
+            "outliers": list(self.outliers),
+            "reversed": sorted(self.reversed),
+            "observability": self.observability,
+            "condition": self.condition,
+            "T_world_base": self.T_world_base.tolist(),
+            "touched": self.touched.tolist(),
+            "converged": self.converged,
+            "notes": list(self.notes),
+        }
+
+    def save(self, path: str | Path) -> Path:
+        """Write all of it as one HTML page that needs no network: residuals before and after, errors, what the data leave open."""
+        file = as_path(path, "path")
+        write_whole(file, page(self))
+        return file
+
+
+def shown(value: float, turns: bool) -> str:
+    """Write an error [m or rad] in mm or degrees, with its sign."""
+    return f"{np.degrees(value) if turns else 1e3 * value:+.3f}"

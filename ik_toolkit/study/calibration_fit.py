@@ -1,0 +1,334 @@
+"""The least-squares fit of an arm's errors to measurements, by SciPy's `least_squares` with derivatives from `DrawnArm`.
+
+Every unknown has a weak prior: zero, within the spread that `DrawnArm.scales` gives. What the data tell is far stronger; what they
+do not tell stays as drawn. Which combinations they do not tell is read from the singular values of the derivatives, in units of the
+prior and of the noise (Hollerbach, Wampler 1996): a direction is untold if moving along it by one spread changes all errors
+together by less than UNTOLD standard deviations.
+"""
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import MissingExtra
+from ..robot.rotation import nearest_rotation
+from .drawn_arm import WIDE, DrawnArm
+from .measurements import NOISE, Measurements
+
+UNTOLD = 0.5  # such data narrow a prior by a tenth
+LEAST = 1e-6  # [m, rad] least noise that is assumed, that of no instrument
+OUTLIER = (4.0, 3.0)  # an outlier is off by more than so many standard deviations, and so many medians of all errors
+LOOSE = (0.05, 0.1)  # [m, rad] errors that links may add while only offsets, base and tool are fitted
+# Squared errors over LOOSE below which no sign is tried, and above which all signs of so many joints are.
+SIGNS = (0.01, 4.0, 7)
+
+
+class ArmFit:
+    """A calibration while it is computed.
+
+    Attributes:
+        arm, measured, Q: The arm, the measurements and the joint values (N, n).
+        scales: Prior spread (P,) of the unknowns x [m or rad].
+        noise: Standard deviations [m, rad] of the measurements.
+        kept: Which measurements (N,) count; the others are outliers.
+        free: Which unknowns (P,) are fitted; the others are fixed as drawn.
+        x, z: The unknowns of the arm and of what is touched.
+    """
+
+    def __init__(
+        self, arm: DrawnArm, measured: Measurements, Q: np.ndarray, scales: np.ndarray, noise: Any = None
+    ) -> None:
+        """Begin as drawn, with all measurements; noise None is estimated."""
+        try:
+            from scipy.optimize import least_squares
+        except ImportError:
+            raise MissingExtra("scipy", "tune") from None
+        self._solve: Any = least_squares
+        self.arm, self.measured, self.Q, self.scales = arm, measured, Q, scales
+        self.given = noise is not None
+        self.noise = tuple(NOISE if noise is None else noise)
+        self.kept = np.ones(len(Q), dtype=bool)
+        self.free = np.ones(len(scales), dtype=bool)
+        self.x = first_guess(arm, measured, Q)
+        self.z = measured.start(arm.poses(self.x, Q))
+        self.converged = True
+
+    # -------------------------------------------------------------------------------------------------------- one fit
+    def weighted(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the errors of some measurements and of known places over their noise (m,), and their derivatives (m, P + Z) by the
+        unknowns: those of the arm in units of the prior, z in metres.
+        """
+        taken = self.measured.taken(rows)
+        T, J = self.arm.evaluate(x, self.Q[rows])
+        E, D, Z = taken.errors(T, z)
+        sigma = taken.sigma(self.noise)
+        A = np.concatenate([D @ J * self.scales, Z], axis=2) / sigma[:, None]
+        known, slope = taken.known(z)
+        part = np.hstack([np.zeros((len(known), len(x))), slope]) / self.noise[0]
+        return np.append(E / sigma, known / self.noise[0]), np.vstack([A.reshape(-1, A.shape[2]), part])
+
+    def run(self, rows: np.ndarray, robust: bool = False, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
+        """ArmFit x and z to some measurements, from where the fit stands, in at most so many evaluations."""
+        P, free = len(self.x), self.free
+        used = np.append(free, np.ones(len(self.z), dtype=bool))
+        start = np.append(self.x, self.z)
+        prior = np.eye(int(free.sum()), int(used.sum()))
+        last: dict[bytes, Any] = {}
+
+        def at(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            if v.tobytes() not in last:
+                every = start.copy()
+                every[used] = v
+                every[:P] *= np.where(free, self.scales, 1.0)
+                e, A = self.weighted(every[:P], every[P:], rows)
+                last.clear()
+                last[v.tobytes()] = np.append(e, v[: len(prior)]), np.vstack([A[:, used], prior])
+            return last[v.tobytes()]
+
+        def soft(squares: np.ndarray) -> np.ndarray:  # soft_l1 of SciPy, but for the prior
+            grown = np.sqrt(1.0 + squares)
+            rho = np.array([2.0 * (grown - 1.0), 1.0 / grown, -0.5 / grown**3])
+            rho[:, -len(prior) :] = squares[-len(prior) :], np.ones(len(prior)), np.zeros(len(prior))
+            return rho
+
+        first = start.copy()
+        first[:P][free] /= self.scales[free]
+        made = self._solve(
+            lambda v: at(v)[0],
+            first[used],
+            lambda v: at(v)[1],
+            loss=soft if robust else "linear",
+            x_scale="jac",
+            max_nfev=most,
+        )
+        self.converged = bool(made.status > 0)
+        every = start.copy()
+        every[used] = made.x
+        every[:P] *= np.where(free, self.scales, 1.0)
+        return every[:P], every[P:]
+
+    def errors(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the errors (N, per) [m, rad] of all measurements."""
+        return self.measured.errors(self.arm.poses(x, self.Q), z)[0]
+
+    def typical(self) -> float:
+        """Return the median error of a measurement, in units of NOISE."""
+        return float(np.sqrt(np.median(((self.errors(self.x, self.z) / self.measured.sigma(NOISE)) ** 2).sum(1))))
+
+    # ------------------------------------------------------------------------------------------------- noise, outliers
+    def settle(self) -> None:
+        """ArmFit robustly, estimate the noise, name outliers and fit again without them, until nothing changes."""
+        every = np.ones(len(self.Q), dtype=bool)
+        for _ in range(1 if self.given else 3):
+            self.x, self.z = self.run(every, robust=True)
+            if not self.given:
+                self.noise = self._scatter(every, robust=True)
+        for _ in range(6):
+            far = self._far()
+            before, self.kept = self.kept, ~far
+            self.x, self.z = self.run(self.kept)
+            if not self.given:
+                self.noise = self._scatter(self.kept)
+            if (before == self.kept).all():
+                break
+
+    def _far(self) -> np.ndarray:
+        """Return which measurements (N,) are outliers of the fit: off by more standard deviations than OUTLIER has, lengths or
+        angles.
+
+        What took no part in the fit may be off by the uncertainty of the fit as well.
+        """
+        every = np.ones(len(self.Q), dtype=bool)
+        e, A = self.weighted(self.x, self.z, every)
+        per, used = self.measured.per, np.append(self.free, np.ones(len(self.z), dtype=bool))
+        E, A = e[: len(every) * per].reshape(-1, per), A[: len(every) * per, used]
+        kept = A[np.repeat(self.kept, per)]
+        known = np.append(np.ones(int(self.free.sum())), np.full(len(self.z), 1e-6))
+        doubt = np.einsum("ij,jk,ik->i", A, np.linalg.inv(kept.T @ kept + np.diag(known)), A).reshape(-1, per)
+        E = E / np.sqrt(1.0 + doubt * ~self.kept[:, None])
+        far = np.zeros(len(E), dtype=bool)
+        for part in (E[:, :3], E[:, 3:]) if per > 3 else (E,):
+            size = np.linalg.norm(part, axis=1)
+            far |= size > max(OUTLIER[0], OUTLIER[1] * float(np.median(size)))
+        return far
+
+    def _scatter(self, rows: np.ndarray, robust: bool = False) -> tuple[float, float]:
+        """Estimate the noise [m, rad] from the errors that are left, and from how many numbers the unknowns take up."""
+        E = self.errors(self.x, self.z)[rows]
+        share = 1.0 - min(0.9, self.taken_up(rows) / E.size)
+        found = []
+        for part in (E[:, :3], E[:, 3:]):
+            if not part.size:
+                found.append(self.noise[1])
+                continue
+            if robust:
+                size = 1.4826 * float(np.median(np.abs(part)))
+            else:
+                size = float(np.sqrt((part**2).mean()))
+            found.append(max(size / np.sqrt(share), LEAST))
+        return found[0], found[1]
+
+    def taken_up(self, rows: np.ndarray) -> float:
+        """Return how many of the numbers measured the unknowns take up: the trace of the fit's projection."""
+        A = self.weighted(self.x, self.z, rows)[1]
+        Z = len(self.z)
+        A = A[:, np.append(self.free, np.ones(Z, dtype=bool))]
+        H = A.T @ A
+        prior = np.diag(np.append(np.ones(len(H) - Z), np.zeros(Z)))
+        return float(np.trace(np.linalg.pinv(H + prior, hermitian=True) @ H))
+
+    # ------------------------------------------------------------------------------------------------------ what is told
+    def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the singular values of the derivatives by all unknowns of the arm, those of what is touched eliminated, and a
+        basis
+        (P, k) of the directions that the data do not tell.
+        """
+        A = self.weighted(x, z, rows)[1]
+        P = len(x)
+        A, Z = A[:, :P], A[:, P:]
+        if Z.shape[1]:
+            U, s, _ = np.linalg.svd(Z, full_matrices=False)
+            U = U[:, s > 1e-9 * s[0]]
+            A = A - U @ (U.T @ A)
+        return told_directions(A)
+
+    def fix(self, N: np.ndarray) -> dict[int, list[int]]:
+        """Choose an unknown for each direction of a basis N (P, k) to stay as drawn; return those that share its motion.
+
+        Offsets of joints, tool and base are kept free where a link's frame can be fixed instead.
+        """
+        groups = [one.group for one in self.arm.unknowns]
+        order = [p for group in ("frames", "tool", "joints", "base") for p in range(len(groups)) if groups[p] == group]
+        left, fixed = N.copy(), []
+        for least in (
+            0.5,
+            0.25,
+            0.1,
+            1e-3,
+        ):  # far from dependent ones first, so that the choice depends little on the data
+            for p in order:
+                size = float(np.linalg.norm(left[p]))
+                if size > least and len(fixed) < N.shape[1]:
+                    along = left[p] / size
+                    left -= np.outer(left @ along, along)
+                    fixed.append(p)
+        equal = N * np.array(
+            [[WIDE.get(group, 1.0)] for group in groups]
+        )  # so that a millimetre counts alike everywhere
+        B = np.abs(equal @ np.linalg.pinv(equal[fixed]))
+        self.free[fixed], self.x[fixed] = False, 0.0
+        return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}
+
+    def width(self) -> float:
+        """Return how many standard deviations the half of a 95 % interval takes: Student's t where the noise is estimated."""
+        from scipy.special import stdtrit
+
+        if self.given:
+            return 1.96
+        return float(stdtrit(max(1.0, self.kept.sum() * self.measured.per - self.taken_up(self.kept) + 0.0), 0.975))
+
+    def spread(self, every: bool = False) -> np.ndarray:
+        """Return the covariance (P, P) of the unknowns [m, rad], of all as if none were fixed, or with zeros for those that are."""
+        A = self.weighted(self.x, self.z, self.kept)[1]
+        P = len(self.x)
+        used = np.append(np.ones(P, dtype=bool) if every else self.free, np.ones(len(self.z), dtype=bool))
+        A = A[:, used]
+        known = np.append(np.ones(int(used[:P].sum())), np.full(len(self.z), 1e-6))
+        C = np.zeros((P, P))
+        at = np.flatnonzero(used[:P])
+        C[np.ix_(at, at)] = np.linalg.inv(A.T @ A + np.diag(known))[: len(at), : len(at)]
+        return C * np.outer(self.scales, self.scales)
+
+    def held_out(self, parts: int = 5, seed: int = 0) -> np.ndarray | None:
+        """Return the errors (N,) [m] of measurements that took no part in the fit, each of `parts` left out in turn, or None.
+
+        None stands where too few would be left.
+        """
+        rows = np.random.default_rng(seed).permutation(np.flatnonzero(self.kept))
+        found = np.full(len(self.Q), np.nan)
+        if (len(rows) - len(rows) // parts - 1) * self.measured.per < self.taken_up(self.kept):
+            return None
+        for k in range(parts):
+            out = np.zeros(len(self.Q), dtype=bool)
+            out[rows[k::parts]] = True
+            if self.measured.count and not set(self.measured.labels[out]) <= set(
+                self.measured.labels[self.kept & ~out]
+            ):
+                return None
+            x, z = self.run(self.kept & ~out)
+            E = self.errors(x, z)[out][:, :3]
+            found[out] = np.linalg.norm(E, axis=1)
+        return found
+
+
+def told_directions(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the singular values (P,) of derivatives A (m, P) in units of prior and noise, and a basis (P, k) of what they do not
+    tell.
+    """
+    squares, V = np.linalg.eigh(A.T @ A)
+    S = np.sqrt(np.maximum(squares, 0.0))[::-1]
+    return S, V[:, ::-1][:, S < UNTOLD]
+
+
+def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:
+    """Return x (P,) with the base, and the direction of the tool, where measured poses or positions show them; all else as drawn.
+
+    The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool of measured poses is turned by the
+    mean of what is left.
+    """
+    x = np.zeros(len(arm.unknowns))
+    at = {group: [k for k, one in enumerate(arm.unknowns) if one.group == group] for group in ("base", "tool")}
+    if measured.what not in ("pose", "position"):
+        return x
+    drawn = arm.poses(x, Q)
+    p, m = drawn[:, :3, 3], measured.positions
+    R = np.eye(3)
+    if at["base"]:
+        R = nearest_rotation((m - m.mean(0)).T @ (p - p.mean(0)))[0]
+        x[at["base"]] = [*(m.mean(0) - R @ p.mean(0)), *pin.log3(R)]
+    if at["tool"] and measured.what == "pose":
+        turned = np.swapaxes(R @ drawn[:, :3, :3], 1, 2) @ measured.rotations
+        x[at["tool"][3:]] = pin.log3(nearest_rotation(turned.sum(0))[0])
+    return x
+
+
+def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[np.ndarray, float]:
+    """Find joints that count against the drawing: those whose reversal, offsets (and base and tool) fitted, lowers the errors most.
+
+    Returns the signs (n,), 1 or -1, and to which share the typical error falls; all 1 unless it is less than half.
+    """
+    loose = ("joints", *(group for group in groups if group in ("base", "tool")))
+
+    def left(sign: np.ndarray) -> float:
+        arm = DrawnArm(robot, loose)
+        arm.sign = sign
+        fit = ArmFit(arm, measured, Q, arm.scales(*LOOSE), LOOSE)
+        x, z = fit.run(fit.kept, robust=True, most=12)
+        return float(np.median((fit.errors(x, z) ** 2 / measured.sigma(LOOSE) ** 2).sum(1)))
+
+    asked = reversible(robot, Q)
+    sign = np.ones(robot.n)
+    first = best = left(sign)
+    for _ in asked if best > SIGNS[0] else ():
+        tried = [(left(np.where(np.arange(robot.n) == i, -sign, sign)), i) for i in asked]
+        value, i = min(tried)
+        if value > 0.6 * best:
+            break
+        sign[i], best = -sign[i], value
+    if best > SIGNS[1] and len(asked) <= SIGNS[2]:  # one by one leads nowhere: all together
+        for flips in product((1.0, -1.0), repeat=len(asked)):
+            other = np.ones(robot.n)
+            other[asked] = flips
+            value = left(other)
+            if value < 0.6 * best:
+                sign, best = other, value
+    share = float(np.sqrt(best / max(first, 1e-300)))
+    return (sign, share) if share < 0.5 else (np.ones(robot.n), 1.0)
+
+
+def reversible(robot: Any, Q: np.ndarray) -> list[int]:
+    """Return the joints whose sign is tried: those that move, and that no other joint follows."""
+    lead = {robot.joint_names.index(tie.leader) for tie in robot.mimic_joints.values()}
+    return [i for i in range(robot.n) if i not in lead and np.ptp(Q[:, i]) > 1e-3]

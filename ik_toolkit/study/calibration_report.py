@@ -1,0 +1,162 @@
+"""What a calibration says of itself: sentences on what the data leave open, and one page of HTML."""
+
+import html
+from typing import Any
+
+import numpy as np
+
+from ..style import COLOURS, GREY, PALE
+from ..text import TextTable, figure, length
+from .measurements import WHAT
+
+ROUGH = 0.005  # [m] errors left that no instrument makes
+FEW = 2.2  # numbers measured for each error, below which outliers cannot be told well
+TOUCH = {
+    "pose": "",
+    "position": "the direction in which the tool points is not measured",
+    "distance": "the base frame is free: distances from places that are not known fix no directions",
+    "socket": "the base frame and the scale are free: all lengths may be longer by one factor; measure a distance of two sockets",
+    "plane": "the base frame and the scale are free, because the planes are not known",
+}
+
+
+def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
+    """Return sentences on what the data leave open and on what is unusual.
+
+    placed: whether places are known; pairs: number of known distances; given: whether the noise was given.
+    """
+    said, kept = [], len(found.after) - len(found.outliers)
+    for joint, share in found.reversed.items():
+        said.append(
+            f"joint {joint} counts against the drawing: reversed, errors fall to {100 * share:.2g} %; the corrected robot has its "
+            "axis reversed"
+        )
+    if found.outliers:
+        rows = ", ".join(map(str, found.outliers[:12])) + (
+            f" and {len(found.outliers) - 12} more" if len(found.outliers) > 12 else ""
+        )
+        far = length(float(found.after[list(found.outliers)].max()))
+        said.append(f"left out as outliers (rows from 0): {rows}; off by up to {far}")
+    if not placed:
+        words = TOUCH[found.what]
+        if found.what == "socket" and pairs:
+            words = "the base frame is free: compare with other places only after aligning it"
+        said += [words] if words else []
+    elif found.what == "socket" and len(found.touched) < 3:
+        said.append("two known places leave the turn about their line free: a third fixes it")
+    if found.rank_anywhere > found.rank:
+        said.append(f"other poses could tell {found.rank_anywhere - found.rank} more of the errors: see suggest()")
+    unsure = found.unsure
+    if unsure:
+        some = ", ".join(unsure[:6]) + (f" and {len(unsure) - 6} more" if len(unsure) > 6 else "")
+        said.append(f"hardly told by these data, so mostly assumed as drawn: {some}")
+    scales = found._arm().scales(*found.prior)
+    far = [
+        one.name
+        for one, x, s in zip(found.unknowns, found.x, scales, strict=True)
+        if abs(x) > 3.0 * s and one.group != "base"
+    ]
+    if far:
+        said.append(f"larger than assumed, so give prior= larger and look at the data: {', '.join(far[:6])}")
+    count = kept * WHAT[found.what]
+    if count < FEW * found.rank:
+        said.append(f"only {count} numbers for {found.rank} errors: outliers and intervals are uncertain; measure more")
+    rough = found.rms[1] > (5.0 * found.noise[0] if given else ROUGH)
+    if rough:
+        more = (
+            "add 'frames' to parameters"
+            if "frames" not in found.parameters
+            else "look for wrong units, rows or tips, or play in joints"
+        )
+        said.append(f"what is left, {length(found.rms[1])}, is more than noise: {more}")
+    return (
+        said
+        if found.converged
+        else [*said, "the fit stopped before it had converged; take the errors as a rough answer"]
+    )
+
+
+def page(found: Any) -> str:
+    """Write a calibration as an HTML page."""
+    before, after = found.rms
+    kept = len(found.after) - len(found.outliers)
+    figures = {
+        "measurements": f"{len(found.after)} ({found.what}), {kept} used",
+        "as drawn, corrected": f"{length(before)}, {length(after)} (root mean square)",
+        "held out": length(found.held_out) if found.held_out is not None else "too few measurements",
+        "noise of a measurement": length(found.noise[0])
+        + (f", {np.degrees(found.noise[1]):.2g} deg" if found.what == "pose" else ""),
+        "told": f"{found.rank} of {len(found.x)} unknowns ({found.rank_drawn} at the arm as drawn, {found.rank_anywhere} from poses"
+        " all over)",
+        "observability O1, condition": f"{figure(found.observability)}, {figure(found.condition)}",
+    }
+    parts = [
+        TextTable(f"Is {found.drawn.name} as drawn?", "", ("", ""), figures.items()),
+        TextTable(
+            "Errors",
+            "in the axes of each joint's own frame",
+            ("error", "with 95 % interval"),
+            found.table().rows,
+            most=1000,
+        ),
+    ]
+    if found.fixed:
+        rows = [(one.fixed, ", ".join(one.shared) or "no error: nothing measured depends on it") for one in found.fixed]
+        parts.append(
+            TextTable(
+                "Fixed as drawn",
+                "the measurements cannot tell it from",
+                ("fixed", "shares its motion with"),
+                rows,
+                most=1000,
+            )
+        )
+    if len(found.touched):
+        rows = [(k, *(f"{1e3 * x:.2f} mm" for x in place)) for k, place in enumerate(found.touched.tolist())]
+        parts.append(TextTable("Places touched", "as found, base frame", ("", "x", "y", "z"), rows, most=1000))
+    said = "".join(f"<li>{html.escape(note)}</li>" for note in found.notes)
+    body = "".join(f"<section>{part.html()}</section>" for part in parts)
+    title = html.escape(f"Calibration of {found.drawn.name}")
+    return (
+        f"<!DOCTYPE html><html lang='en'><head><meta charset='utf-8'><title>{title}</title><style>"
+        "body{font:15px/1.45 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
+        "section{margin:1.5rem 0;overflow-x:auto}"
+        "td,th{padding:.1rem .8rem .1rem 0;text-align:left;vertical-align:top}svg{max-width:100%;height:auto}</style></head><body>"
+        f"{_picture(found)}<ul>{said}</ul>{body}</body></html>\n"
+    )
+
+
+def _picture(found: Any) -> str:
+    """Draw the residual of every measurement before and after, on a logarithmic scale, as SVG."""
+    wide, high, left = 800.0, 260.0, 70.0
+    values = np.maximum(np.array([found.before, found.after]), 1e-9)
+    low, top = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()) + 1e-9)
+    y = high - 30.0 - (np.log10(values) - low) / (top - low) * (high - 50.0)
+    x = left + 10.0 + (wide - left - 20.0) * (np.arange(len(found.after)) + 0.5) / len(found.after)
+    rows = [f"<svg viewBox='0 0 {wide:.0f} {high:.0f}' role='img' font-family='system-ui' font-size='13'>"]
+    for power in range(int(low), int(top) + 1):
+        at = high - 30.0 - (power - low) / (top - low) * (high - 50.0)
+        rows.append(
+            f"<path d='M{left} {at:.1f}H{wide}' stroke='{PALE}'/>"
+            f"<text x='{left - 6}' y='{at + 4:.1f}' text-anchor='end'>{length(10.0**power)}</text>"
+        )
+    for k in range(len(x)):
+        colour = COLOURS[1] if k in found.outliers else COLOURS[0]
+        rows.append(
+            f"<path d='M{x[k]:.1f} {y[0, k]:.1f}V{y[1, k]:.1f}' stroke='{PALE}'/>"
+            f"<circle cx='{x[k]:.1f}' cy='{y[0, k]:.1f}' r='3' fill='{GREY}'/>"
+        )
+        rows.append(
+            f"<circle cx='{x[k]:.1f}' cy='{y[1, k]:.1f}' r='3.5' fill='{colour}'>"
+            f"<title>row {k}: {length(float(found.after[k]))}</title></circle>"
+        )
+    words = [
+        (GREY, "as drawn"),
+        (COLOURS[0], "corrected"),
+        *([(COLOURS[1], "outlier, left out")] if found.outliers else []),
+    ]
+    rows += [
+        f"<text x='{left + 10 + 130 * k}' y='{high - 6}' fill='{colour}'>&#9679; {word}</text>"
+        for k, (colour, word) in enumerate(words)
+    ]
+    return "".join([*rows, "</svg>"])

@@ -1,0 +1,213 @@
+"""The kinematics of an arm that is not quite as drawn: poses and their derivatives by the errors of its joints, links, base and
+tool.
+
+The frame of joint j stands in that of its parent at P_j exp(q_j S_j). An error puts P_j C_j in place of P_j, with C_j = (exp(w), t)
+in the joint's own frame, so it can be written into the <origin> of a URDF. The derivatives are the blocks of Pinocchio's kinematic
+regressor (computeFrameKinematicRegressor), which are formed here, from Pinocchio's placements, because Pinocchio 4.1 refuses it to
+models with mimic joints. A joint's offset is the part of the error along its own axis: the two motions are one.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidOption, near_match
+from ..robot.robot import Robot
+from ..robot.rotation import turn_onto
+
+GROUPS = ("joints", "frames", "tool", "base")
+WIDE = {
+    "tool": 10.0,
+    "base": 200.0,
+}  # how many times farther than a link tool and base may be from where they are drawn
+
+
+class Unknown(NamedTuple):
+    """One number that a calibration looks for: its name, the group it belongs to, and whether it is an angle [rad], else a length
+    [m].
+    """
+
+    name: str
+    group: str
+    turns: bool
+
+
+class _Place(NamedTuple):
+    """One frame with an error: columns of its unknowns, the joint (0 for the tip, -1 for the base), and the axes of translation and
+    rotation.
+    """
+
+    columns: np.ndarray
+    joint: int
+    shift: np.ndarray
+    turn: np.ndarray
+
+
+class DrawnArm:
+    """An arm whose frames have errors, which it adds to the model of a robot.
+
+    Attributes:
+        robot: The robot as drawn.
+        unknowns: What can be wrong, in the order of x. Groups are joints (offsets), frames, tool and base.
+        sign: Factor (n,) of 1 or -1 of the joint values.
+    """
+
+    def __init__(self, robot: Robot, groups: Sequence[str]) -> None:
+        """Copy the model."""
+        self.robot, self.groups, self.sign = robot, tuple(groups), np.ones(robot.n)
+        self.model = pin.Model(robot.model)
+        base_id, tip_id = robot._ids
+        tip = self.model.frames[tip_id]
+        self._tip_place = tip.placement * robot.tool
+        self._tip = self.model.addFrame(
+            pin.Frame("measured tip", tip.parentJoint, tip.placement, pin.FrameType.OP_FRAME)
+        )
+        self._base = base_id
+        self._up = set(robot._path.joints[: robot._path.up])  # joints of the branch that carries the base
+        self._drawn = [placement.copy() for placement in self.model.jointPlacements]
+        self._data = self.model.createData()
+        unknowns: list[Unknown] = []
+        parts = ("x", "y", "z", "rx", "ry", "rz")
+        self._places: list[_Place] = []
+        for joint in movable(robot):
+            shift, turn, along = _axes(robot.model, joint)
+            names = [f"{robot.model.names[joint]}.{'offset' if k == along else part}" for k, part in enumerate(parts)]
+            of = ["joints" if k == along else "frames" for k in range(6)]
+            self._add(unknowns, names, of, joint, shift, turn)
+        for name, joint in (("tool", 0), ("base", -1)):
+            self._add(unknowns, [f"{name}.{part}" for part in parts], [name] * 6, joint, np.eye(3), np.eye(3))
+        self.unknowns = tuple(unknowns)
+
+    def _add(
+        self, unknowns: list[Unknown], names: list[str], of: list[str], joint: int, shift: np.ndarray, turn: np.ndarray
+    ) -> None:
+        kept = [k for k in range(6) if of[k] in self.groups]
+        columns = np.full(6, -1)
+        columns[kept] = len(unknowns) + np.arange(len(kept))
+        unknowns += [Unknown(names[k], of[k], k > 2) for k in kept]
+        if kept:
+            self._places.append(_Place(columns, joint, shift, turn))
+
+    def scales(self, length: float, angle: float) -> np.ndarray:
+        """Return how far each unknown (P,) may be off: the length [m] or angle [rad] given, and more for tool and base, see
+        WIDE.
+        """
+        return np.array([(angle if one.turns else length) * WIDE.get(one.group, 1.0) for one in self.unknowns])
+
+    def corrections(self, x: np.ndarray) -> dict[int, pin.SE3]:
+        """Return the error of each frame at x by joint, 0 for the tip and -1 for the base."""
+        return {place.joint: _motion(place, x)[0] for place in self._places}
+
+    def poses(self, x: np.ndarray, Q: np.ndarray) -> np.ndarray:
+        """Return the poses (N, 4, 4) [m] of the tip, in the frame of the measurements, at Q (N, n) [rad or m]."""
+        return self.evaluate(x, Q)[0]
+
+    def evaluate(self, x: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the poses (N, 4, 4) and their derivatives J (N, 6, P) by x: velocities in the tip's own axes, linear rows
+        first.
+        """
+        model, data, robot = self.model, self._data, self.robot
+        base, tool = pin.SE3.Identity(), pin.SE3.Identity()
+        joints, blocks = [place for place in self._places if place.joint > 0], {}
+        for place in self._places:
+            C, blocks[place.joint] = _motion(place, x)
+            if place.joint > 0:
+                model.jointPlacements[place.joint] = self._drawn[place.joint] * C
+            elif place.joint == 0:
+                tool = C
+            else:
+                base = C
+        model.frames[self._tip].placement = self._tip_place * tool
+        T, before = np.empty((len(Q), 4, 4)), np.empty((len(joints), len(Q), 4, 4))
+        ends = np.empty((2, len(Q), 4, 4))
+        full = robot.rest.copy()
+        for k, q in enumerate(Q * self.sign):
+            pin.forwardKinematics(model, data, robot._fill(full, q))
+            ends[0, k] = pin.updateFramePlacement(model, data, self._tip).homogeneous
+            ends[1, k] = pin.updateFramePlacement(model, data, self._base).homogeneous
+            for i, place in enumerate(joints):
+                before[i, k] = data.oMi[model.parents[place.joint]].homogeneous
+        back = _inverse(ends[0])
+        T = base.homogeneous @ _inverse(ends[1]) @ ends[0]
+        J = np.zeros((len(Q), 6, len(self.unknowns)))
+        seen = {
+            place.joint: back @ before[i] @ model.jointPlacements[place.joint].homogeneous
+            for i, place in enumerate(joints)
+        }
+        seen |= {0: np.tile(np.eye(4), (len(Q), 1, 1)), -1: back @ ends[1]}
+        for place in self._places:
+            G, D, kept = seen[place.joint], blocks[place.joint], place.columns >= 0
+            turned = G[:, :3, :3] @ D[3:, kept]
+            moved = G[:, :3, :3] @ D[:3, kept] + np.cross(G[:, :3, 3][:, :, None], turned, axis=1)
+            sign = -1.0 if place.joint in self._up else 1.0
+            J[:, :3, place.columns[kept]], J[:, 3:, place.columns[kept]] = sign * moved, sign * turned
+        return T, J
+
+
+def _inverse(T: np.ndarray) -> np.ndarray:
+    """Return the inverses of poses (N, 4, 4)."""
+    made = np.tile(np.eye(4), (len(T), 1, 1))
+    made[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
+    made[:, :3, 3] = -np.einsum("nij,nj->ni", made[:, :3, :3], T[:, :3, 3])
+    return made
+
+
+def read_groups(parameters: Any) -> tuple[str, ...]:
+    """Return the groups of unknowns asked for, in our order. Raises InvalidOption."""
+    given = (
+        (parameters,)
+        if isinstance(parameters, str)
+        else tuple(parameters)
+        if isinstance(parameters, list | tuple | set)
+        else ()
+    )
+    for one in given:
+        if one not in GROUPS:
+            raise InvalidOption(f"parameters are any of {', '.join(GROUPS)}, not {one!r:.60}.{near_match(one, GROUPS)}")
+    if not given:
+        raise InvalidOption(f"parameters are a list of any of {', '.join(GROUPS)}, not {parameters!r:.60}")
+    return tuple(group for group in GROUPS if group in given)
+
+
+def movable(robot: Robot) -> list[int]:
+    """Return the joints between base and tip that move and stand in the description, those of a moving base left out."""
+    own = [j for j in robot._path.joints if j in robot._path.owner]
+    given = (
+        None
+        if robot._given is None
+        else {robot.model.getJointId(name) for block in robot._given.blocks for name in block.names}
+    )
+    return [j for j in own if robot.model.names[j] not in robot._of_base and j not in (given or ())]
+
+
+def _axes(model: pin.Model, joint: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return axes (3, 3) of the translations and rotations of a joint's error, and the index of its offset among the six.
+
+    They are those of the joint's frame; where its axis is none of them, the third is turned onto it. An offset has the joint's
+    sign.
+    """
+    S = np.asarray(model.joints[joint].createData().S).reshape(6)
+    turns = bool(np.abs(S[3:]).max() > np.abs(S[:3]).max())
+    axis = S[3:] if turns else S[:3]
+    axis = axis / np.linalg.norm(axis)
+    k = int(np.abs(axis).argmax())
+    shift, turn = np.eye(3), np.eye(3)
+    if abs(axis[k]) < 1.0 - 1e-12:
+        k, shift = 2, turn_onto(np.eye(3)[2], axis)
+        turn = shift.copy()
+    along = (turn if turns else shift)[:, k]
+    along *= np.sign(along @ axis)
+    return shift, turn, k + 3 * turns
+
+
+def _motion(place: _Place, x: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
+    """Return the error C of a frame at x, and the velocity (6, 6) in the axes of the frame it leads to, by its six unknowns."""
+    u = np.where(place.columns >= 0, x[place.columns] if len(x) else 0.0, 0.0)
+    w = place.turn @ u[3:]
+    C = pin.SE3(pin.exp3(w), place.shift @ u[:3])
+    D = np.zeros((6, 6))
+    D[:3, :3] = C.rotation.T @ place.shift
+    D[3:, 3:] = pin.Jexp3(w) @ place.turn
+    return C, D

@@ -1,0 +1,277 @@
+"""What a calibration measures: how poses, positions, distances and touches follow from the poses of the tip, with derivatives.
+
+Lengths are metres and angles radians, in the frame of the measurements. What is touched has unknowns of its own, z: the places of
+sockets and of the fixed end of a distance (3 each), and planes (two tilts of the normal and the distance, 3 each).
+"""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidOption, InvalidTarget, floats, near_match, whole
+from ..robot.pose import as_matrix
+
+WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}  # numbers that each kind of measurement gives
+TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
+NOISE = (5e-4, 1e-3)  # [m, rad] noise of a measurement where nothing is known of it
+PRIOR = (0.01, 0.035)  # [m, rad] how far links and joints of an arm are off, as a standard deviation
+FAR = 10.0  # measured positions spread over more than so many reaches of the arm are not in metres
+
+
+class Measurements:
+    """Measurements of one kind.
+
+    Attributes:
+        what: The kind, a key of WHAT.
+        per: Numbers that each measurement gives.
+        labels: For each measurement (N,) the number of the socket, plane or fixed end, from 0; else 0.
+        count: Number of sockets, planes or fixed ends.
+        places: Known places (count, 3) [m], or None.
+        pairs: Known distances [m] between two sockets, by their numbers.
+    """
+
+    def __init__(self, what: str, measured: Any, places: Any = None, distances: Any = None) -> None:
+        """Read the arguments of `calibrate`. Raises InvalidTarget, InvalidOption."""
+        if not isinstance(what, str) or what not in WHAT:
+            raise InvalidOption(f"what must be one of {', '.join(WHAT)}, not {what!r:.60}.{near_match(what, WHAT)}")
+        self.what, self.per = what, WHAT[what]
+        self.positions = self.rotations = self.lengths = np.empty(0)
+        self.labels = np.zeros(len(measured) if hasattr(measured, "__len__") else 0, dtype=int)
+        if what == "pose":
+            T = _poses(measured)
+            self.positions, self.rotations = T[:, :3, 3], T[:, :3, :3]
+        elif what == "position":
+            poses = "; for poses (N, 4, 4) give what='pose'" if np.shape(measured)[1:] == (4, 4) else ""
+            self.positions = _rows(measured, 3, f"measured positions must have the shape (N, 3){poses}")
+        elif what == "distance":
+            rows = floats(measured, "measured distances must be numbers", InvalidTarget)
+            rows = _rows(
+                rows if rows.ndim == 2 else rows[:, None],
+                None,
+                "measured distances must be (N,), or (N, 2) with the end first",
+            )
+            self.lengths = rows[:, -1]
+            if not (self.lengths > 0.0).all():
+                raise InvalidTarget(
+                    f"a measured distance must be above 0 m; row {int((self.lengths <= 0.0).argmax())} is not"
+                )
+            self.labels = _labels(rows[:, 0] if rows.shape[1] == 2 else np.zeros(len(rows)), what)
+        else:
+            self.labels = _labels(measured, what)
+        self.count = int(self.labels.max(initial=-1)) + 1 if what in TOUCHED else 0
+        self.size = 3 * self.count
+        self._read_known(places, distances)
+        self._normals = np.empty((0, 3, 3))
+
+    def _read_known(self, places: Any, distances: Any) -> None:
+        self.places, self.pairs = None, {}
+        if places is not None:
+            if self.what not in ("socket", "distance"):
+                raise InvalidOption(
+                    f"places are those of sockets or of the fixed ends of distances; what is '{self.what}'"
+                )
+            self.places = _rows(places, 3, "places must have the shape (K, 3)")
+            if len(self.places) != self.count:
+                raise InvalidTarget(
+                    f"places has {len(self.places)} rows; the measurements name {self.count} {TOUCHED[self.what]}, from 0"
+                )
+        if distances is None:
+            return
+        if self.what != "socket":
+            raise InvalidOption(f"distances are those between sockets; what is '{self.what}'")
+        if not isinstance(distances, dict):
+            given = floats(distances, "distances must be one number, or a dict {(0, 1): metres}", InvalidOption)
+            if given.shape != () or self.count != 2:
+                raise InvalidOption(
+                    f"one distance is for two sockets, here are {self.count}: give a dict {{(0, 1): metres}}"
+                )
+            distances = {(0, 1): float(given)}
+        for pair, value in distances.items():
+            length = floats(value, f"the distance {pair} must be a number", InvalidOption)
+            known = (
+                isinstance(pair, tuple) and len(pair) == 2 and tuple(sorted(pair)) in combinations(range(self.count), 2)
+            )
+            if not known or length.shape != () or not 0.0 < length < np.inf:
+                raise InvalidOption(
+                    f"distances take two different sockets of 0 to {self.count - 1} and metres, not {pair!r:.40}: {value!r:.40}"
+                )
+            self.pairs[pair] = float(length)
+
+    def __len__(self) -> int:
+        """Return the number of measurements."""
+        return len(self.lengths if self.what == "distance" else self.labels)
+
+    def taken(self, rows: np.ndarray) -> "Measurements":
+        """Return some of the measurements; the places touched stay."""
+        other = Measurements.__new__(Measurements)
+        other.__dict__.update(vars(self))
+        for name in ("positions", "rotations", "lengths", "labels"):
+            array = getattr(self, name)
+            setattr(other, name, array[rows] if len(array) else array)
+        return other
+
+    def require_metres(self, reach: float) -> None:
+        """Raise InvalidTarget if positions or distances spread so far that they cannot be metres."""
+        spread = (
+            float(np.ptp(self.positions, axis=0).max())
+            if len(self.positions)
+            else float(np.ptp(self.lengths))
+            if len(self.lengths)
+            else 0.0
+        )
+        if spread > FAR * reach:
+            raise InvalidTarget(
+                f"the measurements spread over {spread:.4g} m, {spread / reach:.0f} times the robot's reach of {reach:.3g} m; were "
+                "millimetres meant? Multiply by 0.001 (--length-unit mm)"
+            )
+
+    def names(self) -> list[str]:
+        """Return the names of the unknowns z."""
+        if self.what == "plane":
+            return [f"plane {k}.{part}" for k in range(self.count) for part in ("tilt 1", "tilt 2", "distance")]
+        word = "socket" if self.what == "socket" else "fixed end"
+        return [f"{word} {k}.{part}" for k in range(self.count) for part in "xyz"]
+
+    def sigma(self, noise: Sequence[float]) -> np.ndarray:
+        """Return the standard deviation of each number of a measurement, for a noise of (length [m], angle [rad])."""
+        return np.array([noise[0]] * 3 + [noise[1]] * 3)[: self.per]
+
+    # --------------------------------------------------------------------------------------------------------- errors
+    def start(self, T: np.ndarray) -> np.ndarray:
+        """Return a first guess of z, at poses T (N, 4, 4) of the tip."""
+        p = T[:, :3, 3]
+        if self.places is not None:
+            return self.places.ravel().copy()
+        each = [p[self.labels == k] for k in range(self.count)]
+        if self.what == "socket":
+            return np.concatenate([points.mean(0) for points in each])
+        if self.what == "distance":
+            ends = []
+            for k, points in enumerate(each):  # |p|^2 - L^2 = 2 p a - |a|^2 is linear in a and |a|^2
+                L = self.lengths[self.labels == k]
+                A = np.column_stack([2.0 * points, -np.ones(len(points))])
+                ends.append(np.linalg.lstsq(A, (points**2).sum(1) - L**2, rcond=1e-6)[0][:3])
+            return np.concatenate(ends)
+        if self.what == "plane":
+            self._normals = np.array([np.linalg.svd(points - points.mean(0))[2] for points in each])
+            far = [N[2] @ points.mean(0) for N, points in zip(self._normals, each, strict=True)]
+            return np.ravel([(0.0, 0.0, d) for d in far])
+        return np.empty(0)
+
+    def errors(self, T: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the errors of measurements (N, per) [m, rad] at poses T (N, 4, 4), and their derivatives (N, per, 6) by the
+        velocity of
+        the tip in its own axes and (N, per, Z) by z.
+        """
+        p, R = T[:, :3, 3], T[:, :3, :3]
+        N, here = len(T), z.reshape(-1, 3)[self.labels] if self.count else p
+        E, D, Z = np.zeros((N, self.per)), np.zeros((N, self.per, 6)), np.zeros((N, self.per, len(z)))
+        rows = np.arange(N)
+        at = 3 * self.labels
+        if self.what in ("pose", "position"):
+            E[:, :3], D[:, :3, :3] = p - self.positions, R
+        if self.what == "pose":
+            for k, apart in enumerate(np.swapaxes(self.rotations, 1, 2) @ R):
+                E[k, 3:] = pin.log3(apart)
+                D[k, 3:, 3:] = pin.Jlog3(apart)
+        elif self.what == "socket":
+            E, D[:, :, :3] = p - here, R
+            for i in range(3):
+                Z[rows, i, at + i] = -1.0
+        elif self.what == "distance":
+            away = p - here
+            length = np.linalg.norm(away, axis=1)
+            unit = away / np.maximum(length, 1e-12)[:, None]
+            E[:, 0], D[:, 0, :3] = length - self.lengths, np.einsum("ni,nij->nj", unit, R)
+            for i in range(3):
+                Z[rows, 0, at + i] = -unit[:, i]
+        elif self.what == "plane":
+            V = self._normals[self.labels]
+            raw = V[:, 2] + here[:, :1] * V[:, 0] + here[:, 1:2] * V[:, 1]
+            size = np.linalg.norm(raw, axis=1)[:, None]
+            unit = raw / size
+            height = np.einsum("ni,ni->n", unit, p)
+            E[:, 0], D[:, 0, :3] = height - here[:, 2], np.einsum("ni,nij->nj", unit, R)
+            for i in range(2):
+                Z[rows, 0, at + i] = (
+                    np.einsum("ni,ni->n", V[:, i], p) - height * np.einsum("ni,ni->n", V[:, i], unit)
+                ) / size[:, 0]
+            Z[rows, 0, at + 2] = -1.0
+        return E, D, Z
+
+    def known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the errors (m,) [m] of known places and distances at z, and their derivatives (m, Z)."""
+        E, D = [], []
+        if self.places is not None:
+            E, D = [*(z - self.places.ravel())], [*np.eye(len(z))]
+        places = z.reshape(-1, 3)
+        for (a, b), length in self.pairs.items():
+            apart = places[a] - places[b]
+            row = np.zeros((self.count, 3))
+            row[a] = apart / max(np.linalg.norm(apart), 1e-12)
+            row[b] = -row[a]
+            E.append(np.linalg.norm(apart) - length)
+            D.append(row.ravel())
+        return np.array(E), np.array(D).reshape(len(E), len(z))
+
+
+def _rows(value: Any, width: int | None, what: str) -> np.ndarray:
+    array = floats(value, what, InvalidTarget)
+    if array.ndim != 2 or not len(array) or (width is not None and array.shape[1] != width) or array.shape[1] > 3:
+        raise InvalidTarget(f"{what}, not {array.shape}")
+    bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+    if len(bad):
+        raise InvalidTarget(f"row {bad[0]} of the measurements is not finite (counted from 0): leave it out, in q too")
+    return array
+
+
+def _poses(measured: Any) -> np.ndarray:
+    try:
+        each = list(measured)
+    except TypeError:
+        raise InvalidTarget(f"measured poses must have the shape (N, 4, 4), not {measured!r:.60}") from None
+    T = []
+    for k, one in enumerate(each):
+        if np.shape(one) == (3,):
+            raise InvalidTarget("measured has positions (N, 3), not poses (N, 4, 4): give what='position'")
+        try:
+            T.append(as_matrix(one))
+        except InvalidTarget as error:
+            raise InvalidTarget(f"measured pose {k} (counted from 0): {error}") from None
+    return np.array(T).reshape(-1, 4, 4)
+
+
+def _labels(value: Any, what: str) -> np.ndarray:
+    array = floats(value, f"measured must be (N,) numbers of the {TOUCHED[what]}, from 0", InvalidTarget)
+    if array.ndim != 1 or not len(array):
+        raise InvalidTarget(
+            f"measured must be (N,), the number of the {what} each row touches, not the shape {array.shape}"
+        )
+    labels = np.array([whole(x, f"the number of a {what}", 0) for x in array.tolist()])
+    missing = next((k for k in range(int(labels.max())) if k not in labels), None)
+    if missing is not None:
+        raise InvalidTarget(f"no measurement names {what} {missing}; number the {TOUCHED[what]} from 0 without gaps")
+    return labels
+
+
+def read_noise(noise: Any) -> tuple[float, float] | None:
+    """Return the noise (length [m], angle [rad]) asked for, None if it is to be estimated. Raises InvalidOption."""
+    if noise is None:
+        return None
+    pair = floats(noise, "noise must be a length [m], or (length [m], angle [rad])", InvalidOption).ravel().tolist()
+    if len(pair) not in (1, 2) or not all(0.0 < one < np.inf for one in pair):
+        raise InvalidOption(f"noise must be a length [m], or (length [m], angle [rad]), above 0; not {noise!r:.60}")
+    return pair[0], pair[-1] if len(pair) == 2 else 1e-3
+
+
+def prior_spread(prior: Any) -> tuple[float, float]:
+    """Return the prior spread (length [m], angle [rad]) asked for. Raises InvalidOption."""
+    if prior is None:
+        return PRIOR
+    pair = floats(prior, "prior must be (length [m], angle [rad])", InvalidOption)
+    if pair.shape != (2,) or not ((pair > 0.0) & (pair < np.inf)).all():
+        raise InvalidOption(f"prior must be (length [m], angle [rad]), both above 0; not {prior!r:.60}")
+    return float(pair[0]), float(pair[1])

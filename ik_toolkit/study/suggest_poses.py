@@ -1,0 +1,131 @@
+"""`ik.suggest_poses`: in which configurations a measurement tells most about an arm's errors."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, ModelError, whole
+from ..robot.geometry.collision import CollisionModel
+from ..robot.robot import Robot
+from ..robot.tree import require_one_tip
+from .drawn_arm import GROUPS, DrawnArm, read_groups
+from .measurements import NOISE, PRIOR, WHAT, read_noise
+
+CANDIDATES = 400  # random configurations among which poses to measure are chosen
+
+
+def suggest_poses(
+    robot: Robot,
+    count: int,
+    *,
+    what: str = "position",
+    parameters: Sequence[str] = GROUPS[:3],
+    noise: Any = None,
+    avoid_collisions: Any = True,
+    seed: int = 0,
+) -> np.ndarray:
+    """Choose the configurations in which measuring tells most about an arm's errors.
+
+    They are D-optimal among random ones inside the limits and free of collisions: each in turn enlarges the determinant of the
+    information most (Fedorov 1972), then each is exchanged once; they are in an order of short motions.
+
+    Args:
+        robot: The robot as drawn.
+        count: Number of configurations.
+        what: 'pose' or 'position', which will be measured.
+        parameters: As for `calibrate`.
+        noise: Standard deviation of a measurement (length [m], angle [rad]), or a length; default (0.0005, 0.001).
+        avoid_collisions: Whether to leave out self-collisions (where the robot has collision shapes), or a CollisionModel.
+        seed: Seed of the random configurations.
+
+    Returns:
+        q (count, n) [rad or m].
+
+    Raises:
+        InvalidOption: An argument is wrong, or too few configurations are free of collisions.
+    """
+    require_one_tip(robot, "suggest_poses")
+    arm = DrawnArm(robot, read_groups(parameters))
+    sigma = read_noise(noise) or NOISE
+    known = np.diag(1.0 / arm.scales(*PRIOR) ** 2)
+    x = (
+        np.random.default_rng(seed).normal(size=len(arm.unknowns))
+        * arm.scales(*PRIOR)
+        * 0.3
+        * np.array([one.group != "base" for one in arm.unknowns])
+    )
+    return chosen_poses(arm, x, known, count, what, sigma, PRIOR, avoid_collisions, seed)
+
+
+def chosen_poses(
+    arm: DrawnArm,
+    x: np.ndarray,
+    known: np.ndarray,
+    count: int,
+    what: str,
+    noise: Sequence[float],
+    prior: Sequence[float],
+    avoid: Any,
+    seed: int,
+) -> np.ndarray:
+    """Choose configurations (count, n) beside what is known, the inverse covariance (P, P) of the unknowns."""
+    count = whole(count, "count")
+    if what not in ("pose", "position"):
+        raise InvalidOption(
+            f"configurations are suggested for what='pose' or 'position', not {what!r:.40}; touches are where the {what}s are"
+        )
+    Q = _candidates(arm.robot, max(CANDIDATES, 4 * count), avoid, seed)
+    if len(Q) < count:
+        raise InvalidOption(
+            f"only {len(Q)} of the random configurations are free of collisions; ask for fewer than {count}, or allow them"
+        )
+    Q = Q * arm.sign
+    T, J = arm.evaluate(x, Q)
+    rows = [T[:, :3, :3] @ J[:, :3] / noise[0], J[:, 3:] / noise[1]][: WHAT[what] // 3]
+    s = arm.scales(*prior)
+    J = np.concatenate(rows, axis=1) * s
+    M = known * np.outer(s, s)
+    picked: list[int] = []
+
+    def best(M: np.ndarray) -> int:
+        L = np.linalg.solve(M + 1e-9 * np.eye(len(M)), np.swapaxes(J, 1, 2))
+        gain = np.linalg.slogdet(np.eye(J.shape[1]) + J @ L)[1]
+        gain[picked] = -np.inf
+        return int(gain.argmax())
+
+    for _ in range(count):
+        picked.append(best(M))
+        M = M + J[picked[-1]].T @ J[picked[-1]]
+    for _ in range(count):
+        first = picked.pop(0)
+        M = M - J[first].T @ J[first]
+        picked.append(best(M))
+        M = M + J[picked[-1]].T @ J[picked[-1]]
+    return _in_short_moves(Q[picked], arm.robot.home)
+
+
+def _candidates(robot: Robot, count: int, avoid: Any, seed: int) -> np.ndarray:
+    """Random configurations (m, n), at most `count`, free of collisions where they are tested."""
+    Q = robot.random_q(np.random.default_rng(seed), count)
+    if avoid is True:
+        try:
+            avoid = CollisionModel(robot)
+        except ModelError:  # no collision shapes
+            avoid = False
+    if isinstance(avoid, CollisionModel):
+        return Q[[not avoid.collides(q) for q in Q]]
+    if avoid is not False:
+        raise InvalidOption(f"avoid_collisions must be True, False or a CollisionModel, not {avoid!r:.60}")
+    return Q
+
+
+def _in_short_moves(Q: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Order configurations so that each is the nearest one left."""
+    left, at, order = list(range(len(Q))), start, []
+    while left:
+        k = min(left, key=lambda one: float(np.abs(Q[one] - at).max()))
+        left.remove(k)
+        order.append(k)
+        at = Q[k]
+    return Q[order]
