@@ -12,7 +12,7 @@ from ..validate import positive
 from .workspace import envelope
 
 
-class Effort(NamedTuple):
+class GridEffort(NamedTuple):
     """How much is computed. `scripts/benchmarks/reach.py` measures what these attempts miss on a Panda."""
 
     few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours
@@ -24,7 +24,7 @@ class Effort(NamedTuple):
     cells: int = 40  # cells along the longest side of a region, unless the resolution is given
 
 
-EFFORT = Effort()
+EFFORT = GridEffort()
 
 
 @dataclass(frozen=True, eq=False)
