@@ -13,7 +13,7 @@ from ..kernel.records import WEIGHTS
 from ..robot.rotation import rpy_matrix
 from .closed_form.elimination import into_limits, solutions_of
 from .closed_form.geometry import SNAP, Family
-from .closed_form.polish import list_branches
+from .closed_form.polish import BORDER, list_branches
 from .collision_free import collision_model
 from .decide import elimination_plan
 from .enumerate import distinct_rows, search_solutions, spread_rows
@@ -24,6 +24,7 @@ from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
+SINGULAR = 1e-3  # least singular value of the Jacobian [lengths in m] below which a curve's end is called singular
 APART = 1e-6  # solutions of the real joints are the same if no joint differs by more [rad]; each occurs twice for a free position
 
 
@@ -236,7 +237,10 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
     limits = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
     q, excess = np.empty_like(Q), np.empty_like(Q)
     into_limits(Q, np.array([*limits, start[0]]), q, excess)
-    legal = q[excess.max(axis=1, initial=0.0) == 0.0]
+    worst = excess.max(axis=1, initial=0.0)
+    if ((worst > 0.0) & (worst < BORDER)).any():
+        return None  # Whether that one keeps its limits cannot be told.
+    legal = q[worst == 0.0]
     found = search_solutions(plan, T, kinds, start, 0, count, legal)
     if len(found) != len(legal) or found.families:
         return None
@@ -253,7 +257,10 @@ def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) ->
     robot, cuts = plan.robot, slicings_of(plan)
     where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
     where = where and f"{FOLLOWING.slices} slices of {where}"
-    curves = self_motions(plan, T[0]) if cuts else []
+    # A curve of no length, as where joints are at their limits, is an isolated solution.
+    curves = [
+        one for one in (self_motions(plan, T[0]) if cuts else []) if (one.upper - one.lower).max() > FOLLOWING.same
+    ]
     if not curves:
         return None, where
     free, rows = np.full(robot.n, np.inf), []
@@ -285,7 +292,9 @@ def family_of(robot: Any, curve: SelfMotion) -> Family:
         said = []
         for (kind, joint), q in zip(curve.ends, (curve.points[0], curve.points[-1]), strict=True):
             side = "lower" if joint >= 0 and q[joint] - robot.lower[joint] < robot.upper[joint] - q[joint] else "upper"
-            at = {END.limit: f"at the {side} limit of {names[joint]}", END.singular: "where the arm is singular"}
+            at = {END.limit: f"at the {side} limit of {names[joint]}"}
+            if np.linalg.svd(robot.jacobian(q) * robot.chain.unit, compute_uv=False)[-1] < SINGULAR:
+                at[END.singular] = "where the arm is singular"
             said.append(at.get(kind, "where it was not followed further"))
         ends = f"a curve that ends {' and '.join(said)}"
     return Family(tuple(names[i] for i in order), low, high, f"{ends}; {names[lead]} from {low:.4g} to {high:.4g} rad")

@@ -9,6 +9,7 @@ limits cut it, at places found by bisection. A curve that lies between two slice
 # Pyright must ignore what numba's type hints lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -280,6 +281,12 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
 
+    rows = [points[0]]
+    for a, b in pairwise(points):  # A joint may pass all that lies beyond its limits within a step: that gets a point.
+        passed = np.flatnonzero((half < np.pi) & (np.abs(off(b) - off(a)) > np.pi))
+        beyond = [crossing(a, b, int(i), a[i] - off(a)[i] + np.copysign(np.pi, off(a)[i])) for i in passed]
+        rows += [*(y for _, y in sorted(beyond, key=lambda one: one[0])), b]
+    points = np.array(rows)
     if stops[0] == END.closed:
         wrong = np.flatnonzero((np.abs(off(points)) > half).any(axis=1))
         if not len(wrong):

@@ -14,6 +14,9 @@ from ...kernel.serial import make_serial
 
 DAMPING = 1e-9  # damping of the first step, so small that it is a Newton step
 SOFTEST, STIFFEST = 1e-12, 1e3  # least and largest damping
+# [rad] A solution that exceeds a limit by less may be one on the limit: where two merge, their distance is a root of the rounding.
+BORDER = 1e-4
+DISTINCT = 1e-3  # [rad] such a solution is left out if another one in the list is this near
 
 
 @build
@@ -90,14 +93,26 @@ def newton(p, old, opt, T, q, fixed, steps, most):
     return position, rotation, count
 
 
+@inner
+def listed(table, count, q):
+    """Return whether one of the first rows of the table of `list_branches` is nearer to q (n,) than DISTINCT in every joint."""
+    for row in range(count):
+        apart = 0.0
+        for i in range(q.shape[0]):
+            apart = max(apart, abs(table[row, 3 + i] - q[i]))
+        if apart < DISTINCT:
+            return True
+    return False
+
+
 @cached
 def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
     """Fill table (K, 3 + n) and signs (K, 3) with the branches of Q (K, n) that count, nearest to `start` (n,) first.
 
-    A branch counts if it exceeds no limit (its number in broken (K,) is 0) and after `polish` meets the tolerances of
-    T (4, 4). The columns of table are position error [m], rotation error [rad], distance from `start` (angles [rad],
-    lengths over the scale) and q. signs gets the signs marks (K, 3) of the counted branches. Returns the number of
-    branches that count, and the number inside the limits.
+    A branch counts if it exceeds no limit (its number in broken (K,) is 0) and after `polish` meets the tolerances of T (4, 4).
+    One that exceeds limits by less than BORDER is put on them, and counts if it then meets the tolerances. The columns of table
+    are position error [m], rotation error [rad], distance from `start` (angles [rad], lengths over the scale) and q. signs gets
+    the signs marks (K, 3) of the counted branches. Returns the number of branches that count, and the number inside the limits.
     """
     n = Q.shape[1]
     box = Ends(ends, n)
@@ -105,14 +120,21 @@ def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, tab
     kept = legal = 0
     q, old = np.empty(n), np.empty(n)
     p = make_serial(rows, ends, opt[HEAD:], n, o)
-    for k in range(Q.shape[0]):
-        if broken[k] > 0.0:
+    for turn in range(2 * Q.shape[0]):
+        k, border = turn % Q.shape[0], turn >= Q.shape[0]
+        if (broken[k] > 0.0) != border or broken[k] > BORDER:
             continue
-        legal += 1
-        copy(Q[k], q)
+        legal += not border
+        for i in range(n):
+            x = Q[k, i] / box.unit(i)
+            q[i] = (min(max(x, box.lower(i)), box.upper(i)) if border else x) * box.unit(i)
         position, rotation, _ = newton(p, old, opt, T, q, fixed, steps, np.inf)
         if not (position < o.tol_p and rotation < o.tol_r):
             continue
+        if border:
+            if listed(table, kept, q):
+                continue
+            legal += 1
         distance = 0.0
         for i in range(n):
             distance += ((q[i] - start[i]) / box.unit(i)) ** 2
