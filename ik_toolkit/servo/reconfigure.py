@@ -38,32 +38,32 @@ from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOC
 
 TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
 TINY = 1e-300  # least divisor of joint speeds, in case all of them are 0
-REACHED = 1e-3  # [m] error below which a target counts as reached; angles count at the lever arm LEVER
+REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as LEVER
 
 
 class Taken(NamedTuple):
-    """A step that a tracker has taken, in kernel units except E, T and times; the arrays are the tracker's own."""
+    """A step that a tracker has taken, joints in rad or arm reaches; the arrays are shared with the tracker."""
 
-    code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
+    code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
     singular: bool  # whether the pose was singular
     E: np.ndarray  # (2, m) errors before and after the step [m, rad], base axes
-    left: float  # [m] error after the step as one number, see `Postures.size`
+    left: float  # [m] error after the step as one number, in which 1 rad counts as LEVER
     T: np.ndarray  # (2, F, 4, 4) targets before and after the step
-    stand: np.ndarray  # whether the target stands still, in the layout of `target_stream.Stand`
+    stand: np.ndarray  # whether and for how long the target has stood still; STAND holds the indices
     dt: float  # [s] length of the update
     since: float  # [s] time since the last step that was examined
     q: np.ndarray  # (n,) joint values after the step
     rate: np.ndarray  # (n,) joint rates after the step
     limits: np.ndarray  # (4, n) lower, upper, speed, acceleration
-    law: np.ndarray  # the method and its gains, in the layout of `laws.Law`
+    law: np.ndarray  # the method and its gains, in the order of the fields of `Law`
     error_at: Callable[[np.ndarray], np.ndarray]  # function that returns the errors (m,) at other joint values (n,)
 
 
 class Postures:
-    """Finds joint values [kernel units] that reach targets; `ready` must be told the kinds of the targets first."""
+    """Finds joint values [rad or arm reaches] that reach targets, by single solver attempts. Call `ready` first."""
 
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
-        """Prepare the solver; options: say which errors count; speed (n,): joint speed limits [kernel units per s]."""
+        """Prepare the solver; options: which errors count; speed (n,): speed limits [rad/s or arm reaches/s]."""
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to", "priority")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
@@ -95,12 +95,12 @@ class Postures:
         Args:
             T: Targets (N, F, 4, 4) [m].
             starts: Starts (N, n).
-            q: Joint values (n,) to which the results are brought as near as full turns allow.
+            q: Joint values (n,); results are shifted by multiples of 2 pi to be as near to them as possible.
             limits: Limits (4, n).
             quick: Whether to prefer solutions in which slow joints move less.
 
         Returns:
-            The joint values in the order of the starts, and whether a target is proven out of reach of any posture.
+            The joint values in the order of the starts, and whether a target is proven out of reach for all joint values.
         """
         plan, unit, n = self.quick if quick else self.plan, self.robot.chain.unit, self.robot.n
         rows = np.zeros((len(starts), plan.width))
@@ -116,7 +116,7 @@ class Postures:
         return np.clip(found[inside], limits[0], limits[1]), bool((status == UNREACHABLE).any())
 
     def size(self, E: np.ndarray) -> float:
-        """Return errors (m,) of all tips [m, rad] as one number [m], with angles at the lever arm LEVER."""
+        """Return errors (m,) of all tips [m, rad] as one number [m], in which 1 rad counts as LEVER."""
         return math.hypot(*(self._lever * E).tolist())
 
 
@@ -155,7 +155,7 @@ ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is ev
 class Reconfiguration:
     """Decides whether and when a tracker moves to another posture, and takes the steps of the move.
 
-    goal (n,): joint values to which the move under way leads [kernel units], or None; held: indices of the joints whose limits
+    goal (n,): joint values [rad or arm reaches] to which the present move leads, or None; held: indices of the joints whose limits
     caused the move.
     """
 
@@ -330,8 +330,8 @@ class Reconfiguration:
     ) -> bool:  # fmt: skip
         """Step q and rate (n,) in place by h [s] towards the goal; return False, with nothing moved, if there is no goal any more.
 
-        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma, late:
-        as in `travel`. code (n,) receives the bits of the limits that held joints back.
+        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma: weight
+        of the new rate; late [s]: longest later step. code (n,) receives the bits of the limits that held joints back.
         """
         goal, near = self.goal, ARRIVED
         if goal is None or locked(limits):

@@ -113,7 +113,7 @@ def begin_mode(s, r, free, way, away):
 
 @inline
 def probe_mode(s, r, part, rate, h):
-    """Write to s.x1 and s.x2 the joint motions whose product (dJ/dt along s.x1) s.x2 `bend` is to compute.
+    """Write to s.x1 and s.x2 the joint motions of which the product (dJ/dt along s.x1) s.x2 is needed.
 
     part: ALONG, BESIDE or BOTH of `mode_probe`; or, for the gradient of the singular value, part = i - n < 0 for joint i alone in
     s.x2, while s.x1 stays. Returns the joints' present rate along V_r (column r of V), or 0 for the gradient.
@@ -130,7 +130,7 @@ def probe_mode(s, r, part, rate, h):
 
 @inline
 def note_curve(s, r, part):
-    """Store the component of s.bias along u_r: in s.t for a motion of `mode_probe` (part >= 0), in s.null for a single joint."""
+    """Store the curvature (component of s.bias along u_r): in s.t[part] for part >= 0, or in s.null for a single joint."""
     curved = mode_part(s.U, r, s.bias)
     i = part + s.null.shape[0]
     if part >= 0:

@@ -1,8 +1,8 @@
-"""Memory of a tracker's loop: four blocks of numbers that Python and the kernel share, and scratch for a step.
+"""Memory of a tracker's loop: four arrays ("blocks") that Python and compiled code share, and scratch for a step.
 
-Passing an array from Python to compiled code takes 0.1 microseconds, so all arrays of one record are parts of one block. Python
-and the kernel divide a block in the same way: Python once, into arrays, and the kernel at every call, into views. The first
-number of a block says for `cut` how much of it is used; the next numbers are sizes, from which all lengths follow. To copy a
+Passing an array from Python to compiled code takes 0.1 microseconds, so all arrays of one record are views of one flat array, its
+block. Python and compiled code divide a block in the same way: Python once, compiled code at every call. The first number of a
+block says how much of it is already divided (used by `cut`); the next ones are sizes, from which all lengths follow. To copy a
 record, copy its block and divide the copy. The scratch of a step is in a block of its own.
 """
 
@@ -25,8 +25,8 @@ class Settings(NamedTuple):
     """Inputs of a tracker that stay the same during a call, for n coordinates and m errors."""
 
     block: Array
-    law: Array  # the method and its gains, in the layout of `laws.Law`
-    counts: Array  # (3, m) weights of the errors, slack in kernel units, slack in m and rad
+    law: Array  # the method and its gains, in the order of the fields of `Law`
+    counts: Array  # (3, m) weights of the errors, slack (dead band) in arm reaches or rad, slack in m or rad
     limits: Array  # (4, n) rows lower, upper, speed, acceleration
     wish: Array  # (3, n) null-space motion: posture, gain towards it [1/s], additional joint velocity
     lines: Array  # (rows, n) collision inequalities lines x <= level on joint rates; the first law.rows apply
@@ -43,11 +43,11 @@ class Carried(NamedTuple):
 
     block: Array
     motion: Array  # (2, n) joint values and rates
-    memory: Array  # memory of the tracking method or of the solver's rule
-    swings: Array  # (3, n) detection of oscillating joints, see `viability.watch`
+    memory: Array  # internal state of the tracking method or of the solver's iteration
+    swings: Array  # (3, n) reversals of each joint, to detect oscillation (see `viability.watch`)
     away: Array  # (n,) direction in which joints leave a singular (straight) pose
     basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros until there is one
-    state: Array  # numbers kept between steps, in the layout of `laws.State`
+    state: Array  # numbers kept between steps; STATE holds the indices
     active: Array  # (n,) int8: joints in the active set of `constrain`
     kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
 
@@ -70,7 +70,7 @@ class Samples(NamedTuple):
 
 @compiled
 class Record(NamedTuple):
-    """Arrays that N - 1 steps fill with the state at N samples; with N = 1 no step is taken and the present state is stored."""
+    """Results of N - 1 steps: the state at N samples. With N = 1 no step is taken and the present state is stored."""
 
     block: Array
     Q: Array  # (N, n) joint values
@@ -110,7 +110,7 @@ def record_shapes(N, n, m):
 
 @shared
 def head(block):
-    """Return the three sizes at the head of a block, and mark the block as unused for `cut`."""
+    """Return the three sizes at the head of a block, and mark the block as not yet divided."""
     block[0] = 0.0
     return int(block[1]), int(block[2]), int(block[3])
 
@@ -163,7 +163,7 @@ def new_settings(n: int, m: int, rows: int) -> Settings:
 
 
 def new_carried(n: int, memory: int, rows: int, m: int) -> Carried:
-    """Make a state for n coordinates, m errors, `memory` numbers of the method, and `rows` inequalities."""
+    """Allocate a Carried state for n coordinates, m errors, `memory` numbers of the method, and `rows` inequalities."""
     return _made(carried_of, carried_shapes(n, memory, rows, m), n, memory, rows, m)
 
 
@@ -173,7 +173,7 @@ def new_samples(N: int, F: int) -> Samples:
 
 
 def new_record(N: int, n: int, m: int) -> Record:
-    """Make a Record (arrays to fill) for N - 1 steps of n joints and m errors."""
+    """Allocate a Record for N - 1 steps of n joints and m errors."""
     return _made(record_of, record_shapes(N, n, m), N, n, m)
 
 
@@ -202,7 +202,7 @@ class Bench(NamedTuple):
     lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task
     pull: Array  # (m,) rates per unit of slope for `down_slopes`
-    flip: Array  # (F, 3) normals of the mirrors for free turns, see `reflect`
+    flip: Array  # (F, 3) normals of the mirror planes for free rotations, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
     x1: Array  # (n,) joint rates along which dJ/dt is taken
