@@ -77,7 +77,7 @@ class Mobility:
         return found
 
     def _never_along(self, R: np.ndarray, free: np.ndarray, tolerance: float) -> list[str]:
-        """Return a sentence if the tip's axis `free` can never point in the direction that a target's rotation R (3, 3) requires."""
+        """Return a sentence if the tip's axis `free` can never point where a target's rotation R (3, 3) requires."""
         fixed = self.axis if self.rotation is None else self.rotation @ free
         own = free if self.rotation is not None else self.tip_axis
         if fixed is None or own is None:

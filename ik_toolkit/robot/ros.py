@@ -26,7 +26,7 @@ def has_fields(message: Any, names: Sequence[str]) -> bool:
 
 
 def is_by_name(value: Any) -> bool:
-    """Return whether a dict maps names (of tips) to targets, in contrast to a single target given as the fields of a ROS message."""
+    """Return whether a value is a dict from names (of tips) to targets, and not a single target as the fields of a ROS message."""
     fields = ("header", "position", "orientation", "translation", "rotation")
     return isinstance(value, Mapping) and not has_fields(value, POINT) and not any(name in value for name in fields)
 

@@ -1,4 +1,4 @@
-"""Table II of Burrell et al. (2016): the time for a goal, compiled and interpreted, and the counts that explain it."""
+"""Table II of Burrell et al. (2016): time per goal, in compiled and interpreted code, and the operation counts that explain it."""
 
 import math
 from functools import partial

@@ -12,12 +12,12 @@ from ...text import angle, length
 STEP = 0.02  # length of a step [s]
 STEPS = 50  # number of steps before the page is drawn anew: one second of motion
 FAR = 1000.0  # a target farther away [arm reaches] is a mistake
-# The arm has settled after 25 successive steps at rest: within half a second a tracker would find another way.
+# The arm has settled after this many successive steps at rest (half a second, in which a tracker would find another posture).
 REST = 25
 
 
 class Followed(NamedTuple):
-    """State of a following arm: q (n,), at target or not, at rest or not, errors by tip [m, rad or None], sentence."""
+    """State of an arm that follows a target: q (n,), whether it is at the target, whether at rest, errors by tip, a sentence."""
 
     q: np.ndarray
     success: bool
