@@ -59,7 +59,7 @@ class RobotNotFound(IKError, KeyError):
 
 
 class ModelError(IKError, ValueError):
-    """A robot description cannot be used: it is broken, hostile, or has something that the toolkit does not handle."""
+    """A robot description cannot be used: it is broken, malicious, or has a feature that the toolkit does not support."""
 
 
 class FrameNotFound(IKError, KeyError):

@@ -288,7 +288,7 @@ def _bounded(case: Case) -> bool:
 
 
 def records_every_evaluation(case: Case) -> None:
-    """With history=True q and errors of every iteration are recorded, and the result is one of them (up to full turns)."""
+    """With history=True q and errors of every iteration are recorded, and the result is one of them (modulo 2 pi)."""
     target = case.target(np.clip(case.robot.home + 0.1, case.robot.lower, case.robot.upper))
     result = case.bind(history=True, restarts=0, max_iterations=20)(target)
     history = result.history

@@ -1,4 +1,4 @@
-"""`ik bench`: our own solvers side by side on a robot."""
+"""`ik bench`: comparison of the solvers of this package on a robot."""
 
 from pathlib import Path
 from typing import Any

@@ -22,7 +22,7 @@ WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable: this is the second or third run
 BUDGET = 2000  # largest number of evaluations in uncompiled code, about 1 s
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
-LOCK, LOG = "compiling.lock", "compiling.log"  # files in the folder of compiled kernels
+LOCK, LOG = "compiling.lock", "compiling.log"  # files in the folder of compiled code
 BEGUN = "compiling.begun"  # This file exists while a background process compiles, and remains if it dies.
 _here = {"allowed": False, "past": False}
 

@@ -1,4 +1,4 @@
-"""`ik reproduce`: the papers behind the toolkit, published numbers beside ours."""
+"""`ik reproduce`: reproduces the papers behind the toolkit, and compares published numbers with computed ones."""
 
 import importlib
 import importlib.util

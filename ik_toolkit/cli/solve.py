@@ -74,7 +74,7 @@ class SolverOptions:
         return from_preset(row, self.preset, values)
 
     def read(self) -> dict[str, Any]:
-        """Return the options given, by name, for a call of the library."""
+        """Return the given options by name, as keyword arguments of the library's functions."""
         return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
 
 

@@ -255,7 +255,7 @@ class Footing(NamedTuple):
 
 
 def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
-    """Unfold a model, put it on a base and set the base limits. Raises InvalidOption, InvalidTarget, ModelError."""
+    """Give a model single-coordinate joints, a base and base limits. Raises InvalidOption, InvalidTarget, ModelError."""
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
     if isinstance(on_base, str) and root_joint(model):

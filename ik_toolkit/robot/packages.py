@@ -74,7 +74,7 @@ def _places(
 
 
 def _below(folder: Path, depth: int) -> Iterator[Path]:
-    """Yield a folder and those below it, the upper ones first, down to a depth and below no package; hidden ones are left out."""
+    """Yield a folder and its subfolders to a depth, upper ones first; hidden folders and those inside a package are left out."""
     level = [folder]
     for k in range(depth + 1):
         yield from level

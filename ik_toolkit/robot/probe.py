@@ -24,7 +24,7 @@ SAMPLES = 24  # number of configurations at which the arrays are compared with P
 FAR = 1e-5
 # A chain may differ from Pinocchio by this [rad, or share of the robot's size], a thousandth of the default tolerance.
 AGREE = 1e-9
-# Relative rounding error of a large angle: half an ulp (last digit), and as much again when full turns are removed.
+# Relative rounding error of a large angle: half an ulp (last digit), and as much again for its reduction modulo 2 pi.
 HELD = 2.5e-16
 # A limit of at least this [m, rad or per s] counts as none, because files write 1e16 or 1e308 for "no limit".
 NO_LIMIT = 1e15

@@ -152,7 +152,7 @@ class Tree(Joints):
     ) -> "Tree":
         """Load several tips of a robot, by name, from a file or from text.
 
-        A known home is used joint by joint.
+        If the library has a home configuration of the robot, each joint gets its value from it.
 
         Args:
             source: As in `Robot.load`.

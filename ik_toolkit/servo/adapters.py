@@ -60,7 +60,7 @@ class Published:
         self.options: Options = make_options(dict(counting))
         what_counts(robot, self.options)
         relatives(robot, self.options)
-        self.levels = np.array(group_levels(robot, self.options))  # (2 F,) level of each tip's position and orientation
+        self.levels = np.array(group_levels(robot, self.options))  # (2 F,) priority of each tip's position, orientation
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes for pickling, without the compiled loop, which cannot be pickled."""

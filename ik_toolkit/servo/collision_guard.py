@@ -106,7 +106,7 @@ class Guard:
         self._fresh, self._known = np.zeros_like(self._fresh), False
 
     def _get_ready(self) -> None:
-        """Call every kernel once now, so that none is compiled inside a control loop when the arm has to brake."""
+        """Call every compiled function once, so that none is compiled inside a control loop when the arm has to brake."""
         space, q, still = self._space, self.robot.home, np.zeros(self.robot.n)
         path, ks = self._follow(q[None], still[None], 1.0), np.arange(len(self._keep))[:1]
         if path is None:
@@ -170,7 +170,7 @@ class Guard:
         return count
 
     def _measure(self, ks: np.ndarray) -> None:
-        """Measure the distances of those pairs of bodies ks that are not yet measured at the start of the step."""
+        """Measure the distances of the pairs of bodies ks at the start of the step, if not yet measured."""
         for k in ks[~self._fresh[ks]].tolist():
             self._low[k] = self._space.gap(k)
         self._fresh[ks] = True
@@ -185,7 +185,7 @@ class Guard:
         return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
 
     def instead(self, q: np.ndarray, rate: np.ndarray, rate1: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint values and rates (n,) after h [s], instead of a step from (q, rate) to rate1 that is refused.
+        """Return joint values and rates (n,) after h [s] of the motion that replaces a refused step from (q, rate) to rate1.
 
         The arm brakes. From rest it takes a small part of the step if that is proven free; otherwise it could stand
         still for ever.

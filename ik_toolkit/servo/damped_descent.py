@@ -1,4 +1,4 @@
-"""Damped least squares for an arm stuck before a target at rest: descend to the least error nearby, and stop there.
+"""Damped least squares for an arm stuck before a target at rest: move to the least error nearby, and stop there.
 
 A tracking method brings each direction of the task to its own closest point. Where limits or a singular pose forbid
 part of that, the joints may creep, stop too early, or turn back and forth. An arm that is stuck in this way gets the
@@ -45,13 +45,13 @@ BRISK = 0.5  # share of the acceleration limit used to brake before the end of a
 
 @inner
 def feedback(law, h):
-    """Return the feedback gain [1/s] of the descent, which is at most the method's own."""
+    """Return the feedback gain [1/s] of a damped least-squares step, which is at most the method's own."""
     return min(natural(law, h), GAIN / h)
 
 
 @inner
 def stuck(law, s, limits, square, h, state):
-    """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped descent.
+    """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped least-squares step.
 
     square: squared weighted error now; `state` is updated. The target stands if neither its twist s.f (m,) nor the difference
     between the errors now (s.e) and at the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may
@@ -134,7 +134,7 @@ def adapt(turned, error, h, state):
 
 @inner
 def descend(law, s, limits, h, state):
-    """Write the task of a damped descent step for `constrain`: s.ask, s.weight and desired rates of 0; return the damping mu."""
+    """Write the task of a damped least-squares step to s.ask and s.weight, with desired rates of 0; return the damping mu."""
     n, m = s.J.shape
     heavy, size, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), 0.0, feedback(law, h), False
     for k in range(m):

@@ -260,9 +260,9 @@ def pay(now, parts, count, one, two):
 def exchange(p, dependent, newest):
     """Return the active constraint to drop for a new one that depends linearly on the active set, or NONE.
 
-    NONE means that the new constraint, number `newest`, contradicts the others. The multipliers are moved as the exchange demands.
-    `dependent` is the inequality whose linear combination `parts` computes. The new constraint is this inequality itself, or a
-    bound in the combination.
+    NONE means that the new constraint, number `newest`, contradicts the others. The multipliers are updated for the exchange.
+    `dependent` is the inequality that is a linear combination of active constraints. The new constraint is this inequality itself,
+    or a bound in the combination.
     """
     u, r, n = p.u, p.r, p.size
     parts(p, dependent)

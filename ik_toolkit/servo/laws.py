@@ -43,8 +43,8 @@ class State(NamedTuple):
     share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
     lowest: int  # value below which `share` is not lowered for now
     nearest: int  # least weighted error so far; an arm that is not stuck improves on it
-    stalled: int  # time [s] in which the weighted error did not fall; before a descent only while joints are hindered
-    turned: int  # joint reversals before a descent; the count fades with time
+    stalled: int  # time [s] in which the weighted error did not fall; outside a damped descent only while joints are hindered
+    turned: int  # joint reversals while there is no damped descent; the count fades with time
     free: int  # time [s] since limits, inequalities or a singular pose last hindered the joints
     pressed: int  # time [s] for which errors beyond their slack (dead band) are closed like errors without slack
 

@@ -3,9 +3,9 @@
 A method (a published law, or a solver with one iteration a sample) commands joint rates. Their part along
 singular directions, in which the tip can hardly move, is replaced (singular_step.py), and secondary motion is added in
 the null space. If limits or inequality constraints forbid the result, `constrain` finds the best that they allow;
-otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a standing target descends
-to the least error nearby (damped_descent.py). Mode CLIP is the published form throughout: damped in all directions near
-singular poses, each joint clipped on its own.
+otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a standing target takes damped
+least-squares steps to the least error nearby (damped_descent.py). In mode CLIP the method is as published: damped in all
+directions near singular poses, each joint clipped on its own.
 """
 
 # Pyright does not know that numba calls the overloads below and takes their options from a dict.
@@ -182,8 +182,8 @@ def judge(wanted, h, p, state):
 def by_constraints(law, s, count, mu, h, own, work, code):
     """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from the commanded rates.
 
-    count: number of inequality constraints. If mu > 0, the step is a damped descent, whose task `descend` has written. code (n,)
-    receives the bits of the limits that held joints back.
+    count: number of inequality constraints. If mu > 0, the step is a damped least-squares step with this damping, whose task is
+    already in s. code (n,) receives the bits of the limits that held joints back.
     """
     n, m = s.J.shape
     mode, size = int(law.mode), s.size
@@ -322,7 +322,7 @@ def run(step, arm, given, own, samples, out, h, block):
         if not still:
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         move(q, rate, s.x, law.gamma, h)
-        # After a descent step the method has no previous command to continue from.
+        # After a damped least-squares step the method has no previous command to continue from.
         state[STATE.start] = RUNNING if mu == 0.0 else READY
         state[STATE.period] = h
     return 0

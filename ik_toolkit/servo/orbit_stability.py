@@ -45,7 +45,7 @@ class Growth(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Matrices of the exact motion, one for each of N steps; D(x) is the derivative of J along joint velocities x.
+    """Matrices of the motion without error, one for each of N steps; D(x) is the derivative of J along joint velocities x.
 
     row: J^+ J; rate: J^+ D(qd); acceleration: J^+ D(qdd); bend: J^+ D(J^+ D(qd) qd); second: J^+ times the second derivative of J
     along qd; each (N, n, n). first, last (m, n): J at the start and at the end.

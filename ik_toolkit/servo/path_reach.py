@@ -144,7 +144,7 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
 
 
 def bound_search(robot: Joints, **options: Any) -> Any:
-    """Return the general search bound to a robot, with tolerances fine enough to say what can be reached."""
+    """Return the general-purpose numerical solver for a robot, with tolerances fine enough to say what can be reached."""
     from ..solvers.registry import search_for
     from ..solvers.solve import bound_solver
 

@@ -73,7 +73,7 @@ class Postures:
         weights = tuple((speed / max(speed.max(), TINY)).tolist())
         self.quick = Plan(robot, row, row.load()(), replace(one_attempt, joint_weights=weights))
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
-        # An error of a lower level is as small as this posture allows, which is no reason to look for another.
+        # Errors of lower priority levels are no reason to look for another posture.
         firm = np.repeat(np.equal(group_levels(robot, options), 0), 3)
         self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips)) * firm
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
@@ -179,7 +179,7 @@ class Reconfiguration:
         self._vain = np.zeros(0)  # target at the last search that found nothing
 
     def forget(self) -> None:
-        """Drop the goal and the search: the target has been reached or left."""
+        """Drop the goal and the search, because the target has been reached or has moved elsewhere."""
         self.goal: np.ndarray | None = None
         # time without progress [s], error summed over time [m s], least error [m]
         self._stood, self._lost, self._least = 0.0, 0.0, math.inf
@@ -246,7 +246,7 @@ class Reconfiguration:
                 self._decide(taken, stood)
 
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
-        """Begin a search at the next step, for targets T (F, 4, 4) that jumped and now stand.
+        """Begin a search at the next step, for targets T (F, 4, 4) that jumped and now stand still.
 
         If the search finds nothing, `goal` stays None.
         """

@@ -146,7 +146,7 @@ class Run:
                 return
 
     def _at_rest(self) -> bool:
-        """Return whether the joints stand at the start."""
+        """Return whether the joints are at rest at the start."""
         return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
     def _slowly(self, way: Way, from_rest: bool) -> None:
@@ -228,7 +228,7 @@ class Run:
         return self.tracker.robot.n > (self.tracker._settings.counts[0] > 0.0).sum()
 
     def _besides(self, here: Way) -> Iterator[Way]:
-        """Yield variants of a `Way` with stronger avoidance of limits, or the middle of the ranges as posture."""
+        """Yield variants of a joint path: with stronger avoidance of limits, or drawn to the middle of the joint ranges."""
         lower, upper = self.tracker._limits[:2]
         bounded = np.isfinite(upper - lower)
         for avoid in HARDER:
@@ -324,7 +324,7 @@ class Run:
         return np.interp(way.s, way.s[some], rates[some])
 
     def _begin(self, way: Way) -> None:
-        """Reset the tracker to the start of the run, with the secondary motion of `way`."""
+        """Reset the tracker to the start of the run, with limit avoidance and posture as in `way`."""
         self.tracker.put_back(self.start)
         secondary = self.tracker.secondary
         secondary.avoid, secondary.wish[:2], secondary.wish[2] = way.avoid, way.posture, 0.0

@@ -72,7 +72,7 @@ def by_difference(task, s):
 
 @inner
 def forget_default(state, away):
-    """Set away (n,) to zero before the first singular pose, because it then holds a default and not a known side."""
+    """Set away (n,), the side from which joints came, to zero before the first singular pose, where it is only a default."""
     if state[STATE.near] == 0.0:
         for i in range(away.shape[0]):
             away[i] = 0.0

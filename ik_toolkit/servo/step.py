@@ -62,7 +62,7 @@ class Judged(NamedTuple):
     robot: Any
     settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
-    firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the first level of priority
+    firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the highest priority level
     jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
     speed: np.ndarray  # (n,) speed limits [rad/s or m/s]
 

@@ -1,4 +1,4 @@
-"""A target that jumped and stands: the tip moves there in a straight line, or the joints move together if faster.
+"""A target that jumped and stands still: the tip moves there in a straight line, or by a direct joint move if much faster.
 
 The feedback of a method closes an error in proportion to its size. Inside joint limits that loses time twice: the tip slows down
 long before its target, and a straight line of the tip can be a long way for the joints, or end where no joint can go

@@ -170,7 +170,7 @@ KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its arra
 
 
 class Stream(CopiesViews):
-    """The targets of a tracker: the last and the next one (`samples`), and whether the next one stands (`stand`).
+    """The targets of a tracker: the last and the next one (`samples`), and whether the next one stands still (`stand`).
 
     kinds: kind of target of each tip, None before the first target. pace [s]: the longest recent time between targets.
     unseen [s]: time since the tracker last examined a step.

@@ -76,7 +76,7 @@ class Record(NamedTuple):
     Q: Array  # (N, n) joint values
     R: Array  # (N, n) joint rates
     E: Array  # (N, m) errors [m, rad], base axes
-    # (N,) number of singular directions removed from the task in each step (1 in a descent near a singular pose)
+    # (N,) number of singular directions removed from the task in each step (1 in a damped descent near a singular pose)
     S: Array
     C: Array  # (N - 1, n) uint8: bits of the limits that held joints back in each step
 
@@ -86,25 +86,25 @@ class Record(NamedTuple):
 
 @shared
 def settings_shapes(n, m, rows):
-    """Return the shapes of the arrays of `Settings`."""
+    """Return the shapes of the arrays in Settings for n coordinates, m errors and `rows` inequalities."""
     return LAW, (3, m), (4, n), (3, n), (rows, n), rows, n
 
 
 @shared
 def carried_shapes(n, memory, rows, m):
-    """Return the shapes of the arrays of `Carried`; arrays of bytes are counted in floats of eight bytes."""
+    """Return the shapes of the arrays in Carried (state between steps); int8 arrays are counted in floats of eight bytes."""
     return (2, n), memory, (3, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8
 
 
 @shared
 def samples_shapes(N, F):
-    """Return the shapes of the arrays of `Samples`."""
+    """Return the shapes of poses, twists and accelerations of F targets at N samples."""
     return (N, F, 4, 4), (N, 6 * F), (N, 6 * F)
 
 
 @shared
 def record_shapes(N, n, m):
-    """Return the shapes of the arrays of `Record`; the array of bytes is counted in floats."""
+    """Return the shapes of the result arrays for N samples, n joints and m errors; the uint8 array is counted in floats."""
     return (N, n), (N, n), (N, m), N, ((N - 1) * n + 7) // 8
 
 
@@ -117,14 +117,14 @@ def head(block):
 
 @shared
 def settings_of(block):
-    """Divide a block (K,) with the sizes n, m, rows into `Settings`."""
+    """Return views of a flat array (K,), whose head holds n, m, rows, as the fields of Settings."""
     n, m, rows = head(block)
     return Settings(block, *cut(block, np.float64, settings_shapes(n, m, rows)))
 
 
 @shared
 def carried_of(block):
-    """Divide a block (K,) with the sizes n, memory, rows, m into `Carried`."""
+    """Return views of a flat array (K,), whose head holds n, memory, rows, m, as the fields of Carried."""
     n, memory, rows = head(block)
     shapes = carried_shapes(n, memory, rows, int(block[4]))
     motion, own, swings, away, basis, state, active, kept = cut(block, np.float64, shapes)
@@ -135,14 +135,14 @@ def carried_of(block):
 
 @shared
 def samples_of(block):
-    """Divide a block (K,) with the sizes N, F into `Samples`."""
+    """Return views of a flat array (K,), whose head holds N, F, as the fields of Samples."""
     N, F, _ = head(block)
     return Samples(block, *cut(block, np.float64, samples_shapes(N, F)))
 
 
 @shared
 def record_of(block):
-    """Divide a block (K,) with the sizes N, n, m into `Record`."""
+    """Return views of a flat array (K,), whose head holds N, n, m, as the fields of Record."""
     N, n, m = head(block)
     Q, R, E, S, codes = cut(block, np.float64, record_shapes(N, n, m))
     return Record(block, Q, R, E, S, fold(codes, np.uint8, N - 1, n))
@@ -150,7 +150,7 @@ def record_of(block):
 
 # -------------------------------------------------------------------------------------------------------- from Python
 def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
-    """Make a block of zeros with room for arrays of these shapes, write the sizes, and divide it with `of`."""
+    """Allocate a flat array of zeros for arrays of these shapes, write the sizes into its head, and return its views by `of`."""
     sizes = [math.prod(one) if isinstance(one, tuple) else one for one in shapes]
     block = np.zeros(LINE + sum(-(-size // LINE) * LINE for size in sizes))
     block[1 : 1 + len(counts)] = counts
@@ -215,7 +215,7 @@ class Bench(NamedTuple):
     before: Array  # (n,) rates before the step
     at: Array  # (n,) joint values at which error and Jacobian are evaluated
     size: Array  # (n,) speed limit of each joint, or UNLIMITED
-    even: Array  # (n,) ones, in place of `size` in a damped descent
+    even: Array  # (n,) ones, in place of `size` in a damped least-squares step of a stuck arm
     floor: Array  # (n,) lower rate bounds
     roof: Array  # (n,) upper rate bounds
     planes: Array  # (rows, n) inequalities planes x <= edges, including those of slack
@@ -224,13 +224,13 @@ class Bench(NamedTuple):
 
 @inline
 def bench_space(n, m, rows):
-    """Return the number of floats that `bench_on` needs; the matrices of `Bench` need less than 3 (n + m)^2."""
+    """Return the number of floats of the scratch arrays of a step; its matrices need less than 3 (n + m)^2."""
     return 3 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
 
 
 @spliced
 def bench_on(block, n, m, rows):
-    """Divide a block of zeros into the arrays of `Bench`."""
+    """Return views of a flat array of zeros as the scratch arrays of a step."""
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (

@@ -72,7 +72,7 @@ def refused_request(headers: Any, host: str) -> str:
 
 @contextlib.contextmanager
 def guarded(host: str, token: str) -> Iterator[None]:
-    """Make the server started inside check Host, Origin and token, and survive bad input.
+    """Context manager: a server started in the `with` block checks Host, Origin and token, and survives invalid messages.
 
     Without the check of Origin any web page could connect. Page, files and socket are below /token. A message that
     cannot be read or is too large closes its connection with a reason; a message with invalid values is dropped.

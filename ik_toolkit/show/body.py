@@ -215,7 +215,7 @@ def _read(robot: Any) -> tuple[list[BodyPart], str]:
 
 
 def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
-    """Triangles of a link's shape, one DrawnShape per material; () if none are left."""
+    """Return the triangles of a link's shape, one DrawnShape per material; () if there are none."""
     *rgb, opacity = shape.color or (*GREY, 1.0)
     color = (rgb[0], rgb[1], rgb[2])
     if shape.kind == "mesh":
@@ -233,7 +233,7 @@ def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
 
 
 def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float) -> DrawnShape:
-    """Triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
+    """Return the triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
     if shape.kind != "mesh":
         return DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity)
     form = shape.form()
@@ -242,7 +242,7 @@ def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float)
 
 
 def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
+    """Return vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
     creation = need_trimesh().creation
     scale = np.array(sizes) if kind == "box" else np.full(3, sizes[0])
     if kind == "box":

@@ -49,7 +49,7 @@ class Interaction:
             self.scene.window.say(curves=[_curve(label, result, css(color)) for (label, result), color in curves])
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
-        """Return the outputs of a cell."""
+        """Return the outputs that a notebook cell displays: scene, curves and text."""
         return self.scene._repr_mimebundle_(include, exclude)
 
 

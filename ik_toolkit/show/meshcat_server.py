@@ -1,7 +1,7 @@
 """A meshcat scene inside this process: a self-contained page, or a live one served on loopback by a thread.
 
 The stock meshcat server is a second process that survives a SIGTERM, and its page cannot set the camera or show an
-animation's frames. Here the same viewer script draws, and nothing outlives the program.
+animation's frames. Here the same viewer script is used, but the server ends with the program.
 """
 
 import asyncio

@@ -107,7 +107,7 @@ class PageInCell:
         self.page, self.window = page, window
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
-        """Return the outputs of a cell."""
+        """Return the outputs that a notebook cell displays: the page, a picture and text."""
         what = f"Live page of {self.window.about['title']}: page('robot.html') writes it as a file"
         return _bundle([_part(self.page)], {"id": uuid.uuid4().hex}, what, self.window, 620)
 

@@ -1,4 +1,4 @@
-"""Where a robot should stand: base poses from which it reaches the most of given poses.
+"""Search for base poses from which a robot reaches as many of given poses as possible.
 
 First an inverse reachability map proposes bases (Vahrenkamp, Asfour, Dillmann 2013): sampled tip poses are sorted by what a motion
 of the base on the floor does not change (height of the tip, direction of the vertical in its frame), and each pose votes for the

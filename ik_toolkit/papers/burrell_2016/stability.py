@@ -15,7 +15,7 @@ from .figures import draw_stability
 from .published import PAPER_OPTIONS
 
 SETTLED = 1e-6  # [rad] A run ended in the affine subspace q0 + S w (its "slice") if its distance from it is below this.
-NEAR = 1e-9  # [rad] a joint this near a limit is at it
+NEAR = 1e-9  # [rad] A joint nearer to a limit than this counts as at the limit.
 KP = (
     0.02,
     0.05,

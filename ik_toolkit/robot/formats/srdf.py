@@ -33,8 +33,8 @@ class Srdf:
 
     `name` is the robot's, `path` the file or None for text. `states` maps a configuration to its groups ('' if none is
     given), and each group to joint values [rad or m]. `disabled` maps pairs of links that may touch to a reason; a link
-    in `quiet` may touch everything but its partners in `enabled`. `remarks` are sentences on what cannot be used. The
-    configurations of `group`, the chosen one, take precedence.
+    in `quiet` may touch everything but its partners in `enabled`. `remarks` are sentences on contents that cannot be
+    used. Configurations of `group`, the group chosen by the user, take precedence.
     """
 
     name: str = ""

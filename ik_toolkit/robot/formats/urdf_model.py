@@ -1,8 +1,8 @@
 """Builds a Pinocchio model from URDF text, with followers tied to their leaders.
 
-Pinocchio's parser gets a text of ours that has only what concerns the motion, with every number checked and written
-out. It therefore prints no warning, and nothing that it does not know (extensions, encodings, processing instructions,
-quaternions, limits without an effort) can make it refuse a file or misread it.
+Pinocchio's parser gets a rewritten text that has only joints, links and inertias, with every number checked. It therefore
+prints no warning, and nothing that it does not know (extensions, encodings, processing instructions, quaternions, limits
+without an effort) can make it refuse a file or misread it.
 """
 
 import html

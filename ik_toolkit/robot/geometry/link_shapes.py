@@ -54,7 +54,7 @@ class LinkShape:
 
 
 def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Problems]:
-    """Read the shapes of a robot's links for 'surface' (collisions) or 'look' (visuals); also return what is wrong with the others.
+    """Read the shapes of a robot's links, collision ('surface') or visual ('look'); also return problems of unusable shapes.
 
     Raises ModelError if there are more than `most`.
     """

@@ -28,7 +28,7 @@ DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a
 
 
 class MeshRefused(Exception):
-    """A file is not read; the message says why."""
+    """Raised for a mesh file that is refused; the message says why."""
 
 
 class References:

@@ -185,7 +185,7 @@ class Session:
         return {name: cls._field_defaults.get(name) for name in cls._fields if name not in ("tuned", "starts")}
 
     def rule(self) -> Any:
-        """Return the solver's name, or a rule with the typed parameters. Raises InvalidOption."""
+        """Return the solver's name, or the solver with the typed parameters. Raises InvalidOption."""
         given = {name: text.strip() for name, text in self.parameters.items() if text.strip() and name in self.fields()}
         if not given:
             return self.solver

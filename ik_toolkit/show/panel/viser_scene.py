@@ -201,7 +201,7 @@ class Stage:
         self.ghost(self.ghosted)
 
     def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
-        """Draw a line from each tip to its target, a pose (4, 4) or position (3,); {} draws none."""
+        """Draw a line from each tip to its target (4, 4) or (3,), to show what is missing; {} removes the lines."""
         ends = [T for T in targets.values() if T is not None]
         base = self.body.T_world_base
         goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
