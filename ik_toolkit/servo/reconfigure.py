@@ -169,7 +169,7 @@ class Reconfiguration:
         self.begin()
 
     def begin(self) -> None:
-        """Forget everything, as at the start."""
+        """Reset to the initial state: no goal, no search, no pause."""
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
         self._barred: list[np.ndarray] = []  # postures that collide, or that a collision on the way blocks

@@ -167,7 +167,7 @@ def fastest_along(V, r, limits):
 
 @inner
 def mode_speed(s, mode, gain, h, limits, near, away):
-    """Decide whether singular direction r leaves the task; if so, write 1 to s.lost[r] and the joint speed along V_r to s.xk[r].
+    """Decide whether to remove singular direction r from the task; if so, set s.lost[r] to 1 and s.xk[r] to the speed along V_r.
 
     u_r and V_r are the task and joint directions of singular direction r. s.t holds the curvature along u_r of each motion of
     `mode_probe`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
@@ -215,7 +215,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
 
 @inline
 def judge_modes(law, task, look, s, limits, h, own, heavy):
-    """Choose for each singular direction whether it leaves the task, and the joint rate along it (see `mode_speed`).
+    """Choose for each singular direction whether it is removed from the task, and the joint rate along it (see `mode_speed`).
 
     Returns whether the target is out of reach along one of them.
     """

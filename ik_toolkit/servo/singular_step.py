@@ -89,7 +89,7 @@ def modes(J, near, W, U, sigma):
 
 @inner
 def begin_anew(slack, near):
-    """Forget the u_k of the last call if an error has slack: an error that leaves the task needs a direction of its own."""
+    """Forget the u_k of the last call if an error has slack: when it leaves the task, its axis must be a direction of its own."""
     some = False
     for k in range(slack.shape[0]):
         some = some or slack[k] > 0.0

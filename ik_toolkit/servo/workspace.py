@@ -110,7 +110,7 @@ def record_shapes(N, n, m):
 
 @shared
 def head(block):
-    """Return the three sizes at the head of a block, and mark the block as not yet divided."""
+    """Return the first three sizes at the head of a block, and mark the block as not yet divided."""
     block[0] = 0.0
     return int(block[1]), int(block[2]), int(block[3])
 
