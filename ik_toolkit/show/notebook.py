@@ -141,7 +141,7 @@ def _shell() -> Any:
 
 
 def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) -> dict[str, str]:
-    """Return a Window whose camera is aimed as outputs of a cell: text/html, image/png (with matplotlib) and text/plain."""
+    """Return the outputs of a cell for a Window: text/html, image/png (with matplotlib) and text/plain. The camera must be set."""
     robots: dict[str, dict[str, bytes]] = {}
     for path, command in window.objects.items():
         if path.count("/") > 1:  # ROBOT/PART/NUMBER

@@ -101,7 +101,7 @@ def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> boo
 
 
 def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, between: tuple[str, str] | None) -> str:
-    """Say the remaining error in a sentence; `between` names what would touch."""
+    """Return a sentence on the remaining error; `between`: names of the two parts that would touch, or None."""
     away = max(position for position, _ in errors.values())
     turned = [error for _, error in errors.values() if error is not None]
     left = length(away) + (f" and {angle(max(turned))}" if turned else "")
