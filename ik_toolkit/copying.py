@@ -1,4 +1,4 @@
-"""Bases of objects that are copied and pickled correctly, or say why they cannot be; and of objects that cannot be changed."""
+"""Base classes for copying and pickling (or for the error that says why it is impossible), and for read-only attributes."""
 
 import copy
 import pickle
@@ -47,9 +47,9 @@ class Holds:
 
 
 class CopiesViews(Holds):
-    """Base of objects that keep blocks of numbers and views of them.
+    """Base of objects that keep arrays ("blocks") and views of parts of them.
 
-    A copy gets its own blocks, and `_cut` makes its views of them. `copy.copy` shares only what does not change; for a tracker
+    A copy gets its own arrays, of which `_cut` makes the views. `copy.copy` shares only what does not change; for a tracker
     that is the robot and the obstacles.
     """
 
@@ -57,7 +57,7 @@ class CopiesViews(Holds):
     SHARED: tuple[str, ...] = ()  # names of the attributes that a shallow copy shares with the original
 
     def _cut(self) -> None:
-        """Make the views of the blocks."""
+        """Make the views of the arrays."""
         raise NotImplementedError
 
     def __getstate__(self) -> dict[str, Any]:
@@ -86,7 +86,7 @@ class Unique:
 class ReadOnly:
     """Base of objects whose public attributes cannot be assigned once they are sealed.
 
-    What was made from the attribute earlier would not change. Names with an underscore can still be assigned.
+    An assignment would have no effect on what was computed from the attribute before. Names with an underscore can be assigned.
     """
 
     __slots__ = ()

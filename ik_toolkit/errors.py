@@ -20,13 +20,13 @@ SHOWN = 100  # longest name [characters] that is compared or shown in full; comp
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
 FAR_AWAY = 50.0  # [arm reaches] a target farther away was probably given in millimetres
 FEW_TURNS = 4.0 * math.pi  # [rad] a larger angle was probably given in degrees
-DOUBTED: set[str] = set()  # angles and lengths already warned about, so that no warning is repeated
+DOUBTED: set[str] = set()  # subjects of warnings about units given so far, so that none is repeated
 # A requirement of an extra in the metadata of a package, such as: scipy>=1.10; extra == "tune".
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
 def clean(text: object) -> str:
-    """Return text that is safe for a terminal: control characters, which names in files may contain, are escaped."""
+    """Return a text with control characters escaped, which names in files may contain, so that it is safe for a terminal."""
     return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
@@ -59,7 +59,7 @@ class RobotNotFound(IKError, KeyError):
 
 
 class ModelError(IKError, ValueError):
-    """A robot description cannot be used: it is broken, hostile, or has something that the toolkit does not handle."""
+    """A robot description cannot be used: it is broken, malicious, or has a feature that the toolkit does not support."""
 
 
 class FrameNotFound(IKError, KeyError):
@@ -93,7 +93,7 @@ class InvalidOption(IKError, ValueError):
 
 
 class ReadOnlyAttribute(IKError, AttributeError):
-    """An attribute was assigned that is only read when its object is built; the message says what to do instead."""
+    """An attribute was assigned that cannot be changed after its object is built; the message says what to do instead."""
 
 
 class UnknownSolver(IKError, KeyError):

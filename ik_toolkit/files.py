@@ -36,12 +36,12 @@ def as_path(value: Any, what: str = "it") -> Path:
 
 
 def require_place(path: str | Path) -> None:
-    """Raise InvalidOption, which names the folder, where no file can be written at a path: its folder is missing, or not ours."""
+    """Raise InvalidOption if no file can be written at a path, because its folder is missing or not writable."""
     file, place = Path(path), Path(os.path.realpath(path))
     if place.is_dir():
         raise InvalidOption(f"'{file}' is a folder, not a file")
     if file.exists() and not file.is_file():
-        return  # a device or a pipe, which is written to itself
+        return  # a device or a pipe, which is written directly, without a temporary file
     missing = next((one for one in reversed(place.parents) if not one.is_dir()), None)
     if missing is not None:
         shown = missing if file.is_absolute() else Path(os.path.relpath(missing))
@@ -75,7 +75,7 @@ class WholeFile:
             self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")
 
     def write(self, data: str | bytes) -> None:
-        """Write text (as UTF-8) or bytes, and mark them when they are written completely."""
+        """Write text (as UTF-8) or bytes, and `mark` the position after them."""
         with self.named():
             self.stream.write(data.encode() if isinstance(data, str) else data)
         self.mark()
@@ -88,7 +88,7 @@ class WholeFile:
             self._good = self.stream.tell()
 
     def finish(self) -> None:
-        """Flush the file to disk and give it its name; if that fails, keep the marked part as NAME.partial."""
+        """Flush the file to disk and rename it to its final name; if that fails, keep the marked part as NAME.partial."""
         try:
             with self.named():
                 self.stream.flush()

@@ -1,10 +1,10 @@
-"""The contract that every solver keeps, as a test that you can run on your own rule or closed form.
+"""The contract that every solver keeps, as a test that you can run on your own iterative solver (rule) or closed form.
 
     from ik_toolkit.testing import check_solver
     check_solver(HalfStep)
 
 Each clause of the contract is a function of a `Case` (a solver, a robot, a kind of target) that raises AssertionError with a
-sentence; `CLAUSES` lists them by name. Poses are compared by Pinocchio and numpy, never by the kernel that computed the result.
+sentence; `CLAUSES` lists them by name. Poses are compared by Pinocchio and numpy, never by the code that computed the result.
 """
 
 import functools
@@ -28,14 +28,14 @@ from .solvers.status import Status
 KINDS = ("pose", "position")
 # Tolerances [m] and [rad] wide enough for slow methods too.
 LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}
-SAMPLES = 8  # number of targets that a promise is tested with; most faults show at the first one
+SAMPLES = 8  # number of targets for the test of a clause; most faults show at the first one
 SHORT = 20  # a message with fewer characters is no proper sentence
-ROUNDING = 1e-9  # [m] largest difference between kernel and Pinocchio, which sum a chain in different orders
-ANGLE_ROUNDING = 1e-7  # [rad] largest difference of angles; near the identity an angle has half the digits
+ROUNDING = 1e-9  # [m] largest difference from Pinocchio, which computes the kinematics in another order of operations
+ANGLE_ROUNDING = 1e-7  # [rad] largest difference of angles; near the identity an angle has only half of the digits
 
 
 def default_robots() -> list[Any]:
-    """Return shipped robots of different kinds: six joints, planar, sliding joints, a lift, and two tips on one base."""
+    """Return shipped robots of different kinds: six revolute joints, planar, prismatic, mixed, and two tips on one base."""
     arms = [Robot.load(name) for name in ("hydrolek_7w", "planar_2r", "planar_3r", "cartesian_pp", "inspection_7dof")]
     wrist = Robot.load("inspection_7dof", locked={"lift": 0.25})
     return [*arms, wrist, Tree.load("brokk_hydrolek")]
@@ -91,7 +91,7 @@ class Case:
         return f"{self.row.name} on {self.robot.name} ({self.kind})"
 
     def claim(self, holds: Any, sentence: str) -> None:
-        """Raise AssertionError with the sentence unless it is true that the promise `holds`."""
+        """Raise AssertionError with the sentence unless `holds` is true."""
         _hold(bool(holds), f"{self}: {sentence}")
 
     def bind(self, **options: Any) -> Solver:
@@ -139,7 +139,7 @@ class Case:
 
     @functools.cached_property
     def sample(self) -> list[tuple[Any, np.ndarray, Result]]:
-        """Targets, starts and results with LOOSE tolerances; half of the starts are near a solution, half are at home."""
+        """List of (target, start, result) with wide tolerances (LOOSE); half of the starts are near a solution, half are home."""
         solver, robot, rng = self.bind(**LOOSE), self.robot, np.random.default_rng(self.seed)
         rows = []
         for k in range(SAMPLES):
@@ -163,7 +163,7 @@ def _shift(moved: Any) -> np.ndarray:
 
 
 def _error(T: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
-    """Return the distance [m] and angle [rad] from a pose (4, 4) to a target (4, 4) or (3,), which leaves the angle None."""
+    """Return the distance [m] and angle [rad] from a pose (4, 4) to a target (4, 4); for a position (3,) the angle is None."""
     if target.shape == (3,):
         return float(np.linalg.norm(target - T[:3, 3])), None
     R = target[:3, :3] @ T[:3, :3].T
@@ -288,7 +288,7 @@ def _bounded(case: Case) -> bool:
 
 
 def records_every_evaluation(case: Case) -> None:
-    """With history=True q and errors of every iteration are recorded, and the result is one of them (up to full turns)."""
+    """With history=True q and errors of every iteration are recorded, and the result is one of them (modulo 2 pi)."""
     target = case.target(np.clip(case.robot.home + 0.1, case.robot.lower, case.robot.upper))
     result = case.bind(history=True, restarts=0, max_iterations=20)(target)
     history = result.history

@@ -1,4 +1,4 @@
-"""Numbers and values as people type and read them: parsing, forms for sentences and tables, conversion of results to JSON."""
+"""Numbers and values as text: parsing, formatting for sentences and tables, conversion of results to JSON."""
 
 import functools
 import html
@@ -16,7 +16,7 @@ from .errors import InvalidOption, InvalidTarget
 
 @functools.cache
 def program() -> str:
-    """Return how a shell calls the command line here: ik, or with the module's name where it would not find that."""
+    """Return how to call the command line in a shell: `ik`, or `python -m ik_toolkit` if the shell would not find it."""
     if shutil.which("ik"):
         return "ik"
     found = shutil.which("python")
@@ -25,7 +25,7 @@ def program() -> str:
 
 
 def in_shell(text: str) -> str:
-    """Return a text in which commands, such as `ik solve`, are named as a shell finds them here."""
+    """Replace commands such as `ik solve` in a text by what can be typed in this shell (see `program`)."""
     commands = (
         "robots|info|fk|solve|path|track|gains|reproduce|solvers|bench|tune|workspace|reach|place|calibrate|dh|check|convert"
         "|view|panel|doctor"
@@ -44,9 +44,9 @@ def figure(value: float, digits: int = 3) -> str:
 
 
 def _size(value: float, units: str, digits: int) -> str:
-    """Write a size in the largest of some units, each a thousandth of the one before, of which it is one or more.
+    """Write a size in the largest of the given units in which it is at least 1; each unit is a thousandth of the one before.
 
-    Less than a hundredth of the smallest is rounding, and has no digits.
+    A size below a hundredth of the smallest unit is taken as rounding and written without digits.
     """
     rounded = abs(float(f"{value:.{digits}g}"))
     names = units.split()
@@ -89,9 +89,9 @@ def numbers(text: str) -> list[float] | None:
 
 
 def with_points(text: str) -> str:
-    """Return a text whose commas look like those of decimals ('0,5 0 0,3', '1,5;0') with points instead, or ''.
+    """Return a text with decimal commas ('0,5 0 0,3', '1,5;0') replaced by points, or '' if they do not look like decimal commas.
 
-    In '1,1,1 0,0,0' they do not: a word with two commas is no number.
+    In '1,1,1 0,0,0' they do not, because a word with two commas is no number.
     """
     words = text.replace(";", " ").split()
     decimals = [word for word in words if "," in word]
@@ -102,7 +102,7 @@ def with_points(text: str) -> str:
 
 
 def comma_hint(text: str, what: str, sizes: Sequence[int]) -> str:
-    """Return what to write if a text has as many numbers as allowed once its commas are read as decimal points, or ''."""
+    """Return a hint on decimal commas if a text has an allowed number of numbers once its commas are read so, or ''."""
     pointed = with_points(text)
     fits = pointed and len(numbers(pointed) or []) in sizes
     return f" (a comma separates numbers); write decimals with a point: {what} {pointed}" if fits else ""
@@ -159,7 +159,7 @@ def plain(value: Any) -> Any:
 
 
 class TextTable:
-    """A title, words, rows under a head, and notes: what a result says of itself, in a notebook and in a terminal."""
+    """Summary of a result for a notebook or a terminal: title, text, table with a header, and notes below it."""
 
     def __init__(
         self,
@@ -171,19 +171,19 @@ class TextTable:
         color: str = "",
         most: int = 12,
     ) -> None:
-        """Make a table of at most so many rows; numbers are written with four digits, None as nothing."""
+        """Make a table of at most `most` rows; numbers are written with four digits, None as an empty cell."""
         every = [[_entry(value) for value in row] for row in rows]
         self.title, self.words, self.head, self.rows, self.color = title, words, head, every[:most], color
         more = [f"and {len(every) - most} more rows"] if len(every) > most else []
         self.notes = [*more, *(note for note in notes if note)]
 
     def html(self) -> str:
-        """Return the table for a cell of a notebook; all of it is text, whatever is in it."""
+        """Return the table as HTML for a notebook; all contents are escaped."""
         style = f" style='color:{self.color}'" if self.color else ""
         title = f"<b{style}>{html.escape(self.title)}</b>"
         head = "".join(f"<th>{html.escape(one)}</th>" for one in self.head)
         rows = ""
-        for row in self.rows:  # numbers stay with their units
+        for row in self.rows:  # No line break between a number and its unit.
             cells = (html.escape(one).replace(" ", "&nbsp;" if one[:1].isdigit() else " ") for one in row)
             rows += f"<tr>{''.join(f'<td>{one}</td>' for one in cells)}</tr>"
         notes = "".join(f"<div>{html.escape(note)}</div>" for note in self.notes)

@@ -8,9 +8,9 @@ import numpy as np
 
 from .errors import InvalidConfiguration, InvalidOption, floats, near_match
 
-LATE = 5.0  # longest step that keeps joint limits, over the first step; longer ones are taken in parts
+LATE = 5.0  # largest ratio of a step to the first one; longer steps are divided, so that joint limits are kept
 MOST_PARTS = 100_000  # largest number of parts of a step; so many take some seconds
-# Values of options that only one function takes; an error message elsewhere names that function.
+# option values that only one function accepts, with its name for the error messages of other functions
 ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}
 
 
@@ -68,7 +68,7 @@ def rates(robot: Any, rate0: Any) -> np.ndarray:
 
 def solver_list(solvers: Any) -> list[Any]:
     """Return one solver or several (names, classes or instances) as a list. Raises InvalidOption for anything else."""
-    # A rule instance is a tuple (NamedTuple), but counts as one solver.
+    # An instance of an iterative solver is a tuple (NamedTuple), but counts as one solver.
     if isinstance(solvers, str | type) or hasattr(type(solvers), "loop"):
         return [solvers]
     if not isinstance(solvers, Iterable):

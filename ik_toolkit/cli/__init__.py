@@ -118,7 +118,7 @@ def _stopped(came: list[int]) -> int:
 
 
 def _explain(error: Exception) -> tuple[str, int]:
-    """Sentence and exit code for an error."""
+    """Return a sentence about an error, and the exit code for it."""
     if isinstance(error, MissingExtra):
         return str(error), MISSING_EXTRA
     if isinstance(error, IKError):

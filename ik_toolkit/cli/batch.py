@@ -27,7 +27,7 @@ FAILED = ".failed"
 
 
 def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of a table of solutions, by name: joints [rad or m], status and errors [m, rad], counts."""
+    """Return the columns of a table of solutions, by name: joints [rad or m], status and errors [m, rad], counts."""
     words = {int(status): status.name for status in Status}
     statuses = np.array([words.get(k, "") for k in range(max(words) + 1)])
     columns = dict(zip(names, part.q.T, strict=True)) | {"status": statuses[part.status]}
@@ -36,15 +36,15 @@ def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 class Writer:
-    """Base of the writers of a batch's parts to `file`; `names` are the joint names."""
+    """Base class of writers that write a batch of solutions, part by part, to `file`; `names`: joint names."""
 
     def __init__(self, file: WholeFile, names: Sequence[str]) -> None:
-        """Nothing is written yet."""
+        """Store the file and the joint names."""
         self.file, self.names = file, names
         self.table: Any = None  # the csv.writer or ParquetWriter, once a part was written
 
     def close(self) -> None:
-        """Finish the file; for most formats nothing is left to write."""
+        """Write what completes the file; most formats need nothing."""
 
 
 class CsvWriter(Writer):
@@ -63,7 +63,7 @@ class CsvWriter(Writer):
 
 
 class NpzWriter(Writer):
-    """Writes a batch as one part to an NPZ file, with the names of several tips in order."""
+    """Writes a whole batch to an NPZ file, with the names of the tips if there are several."""
 
     def add(self, part: BatchResult) -> None:
         """Write the arrays."""
@@ -94,7 +94,7 @@ class ParquetWriter(Writer):
         self.table.write_table(table)
 
     def close(self) -> None:
-        """Write the end, without which the file cannot be read."""
+        """Write the footer, without which the file cannot be read."""
         if self.table is not None:
             self.table.close()
             self.table = None
@@ -102,13 +102,13 @@ class ParquetWriter(Writer):
 
 
 class Solutions:
-    """Output file of a batch. `add` parts; leaving the `with` block without an exception gives the file its name.
+    """Output file of a batch, used in a `with` block: call `add` for each part; at the end of the block the file gets its name.
 
     Leaving it by an exception keeps the parts finished as NAME.partial and says so; `fail` keeps them as NAME.failed.
     """
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Open beside `path`. Raises InvalidOption, OSError."""
+        """Open a temporary file next to `path`. Raises InvalidOption, OSError."""
         self.file = WholeFile(path)
         self.count = 0
         try:
@@ -130,11 +130,11 @@ class Solutions:
         return self.file.keep(FAILED)
 
     def __enter__(self) -> "Solutions":
-        """From here on parts are added."""
+        """Return the object itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
-        """Give the file its final name, by how the block ended."""
+        """Rename the temporary file to its final name, or to NAME.partial after an exception."""
         with uninterrupted():
             if kind is None:
                 self.writer.close()
@@ -157,7 +157,7 @@ class Solutions:
 # ---------------------------------------------------------------------------------------------------------- the command
 @contextmanager
 def cluster_of(address: str | None) -> Iterator[Any]:
-    """Executor of a running Dask scheduler; Dask repeats lost tasks."""
+    """Yield an executor that runs tasks on the Dask scheduler at an address (None without one); Dask repeats lost tasks."""
     if address is None:
         yield None
         return
@@ -175,7 +175,7 @@ def cluster_of(address: str | None) -> Iterator[Any]:
 
 
 class _Tally:
-    """Totals over the parts of a batch."""
+    """Sums over all parts of a batch."""
 
     def __init__(self) -> None:
         self.done, self.solver, self.failed = 0, "", ""
@@ -192,7 +192,7 @@ class _Tally:
 
 
 def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[str, Any], show_done: Any) -> _Tally:
-    """Solve and write all targets; parts as they come where the format takes parts."""
+    """Solve all targets and write the solutions, part by part if the file format allows it."""
     tally = _Tally()
     parts: Iterator[BatchResult] = iter(())
     many, interrupted = None, None
@@ -220,7 +220,7 @@ def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[s
 
 
 def _refuse(failure: BatchCheckFailed, file: Solutions) -> NoReturn:
-    """Report why a batch failed and where its answers are; exit code 1."""
+    """Report why the check of a batch failed, and where its results are kept; exit with code 1."""
     file.add(failure.result)
     failed = file.fail()
     notice(f"ik: {failure}")
@@ -243,8 +243,8 @@ def solve_file(
 ) -> None:
     """Solve all targets of a file and write their solutions; exit code 1 when any is not solved.
 
-    What is finished when Ctrl-C or SIGTERM comes is kept as NAME.partial. When Pinocchio does not confirm an answer, what there
-    is goes to NAME.failed, and the exit code is 1.
+    On Ctrl-C or SIGTERM the finished part is kept as NAME.partial. If the check by Pinocchio fails, the results are kept as
+    NAME.failed, and the exit code is 1.
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")

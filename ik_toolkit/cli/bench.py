@@ -1,4 +1,4 @@
-"""`ik bench`: our own solvers side by side on a robot."""
+"""`ik bench`: comparison of the solvers of this package on a robot."""
 
 from pathlib import Path
 from typing import Any
@@ -110,7 +110,7 @@ def bench(asked: BenchOptions, out: BenchOutput) -> None:
 
 
 def _write_csv(file: Path, found: Any) -> None:
-    """The rows as CSV: times in seconds; those of one attempt in columns that begin with once."""
+    """Write the results as CSV, with times in seconds; columns that begin with "once" are for a single attempt."""
     head = ["robot", "solver", "task", *FIGURES, *(f"once_{name}" for name in FIGURES)]
     both = (((one.robot, one.solver, one.task), (one, one.once or one)) for one in found.rows)
     write_table(
@@ -119,7 +119,7 @@ def _write_csv(file: Path, found: Any) -> None:
 
 
 def _write_latex(file: Path, found: Any) -> None:
-    """The rows as a LaTeX table (booktabs): success with its interval, median time; one attempt, then with restarts."""
+    """Write a LaTeX table (booktabs) of success with its interval and median time, for one attempt and with restarts."""
     lines = [
         r"\begin{tabular}{llrrrr}",
         r"\toprule",

@@ -103,7 +103,7 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
 
 
 def _pair(text: str) -> tuple[tuple[int, int], float]:
-    """Two sockets and their distance [m]."""
+    """Return the indices of two sockets and their distance [m] from the text I:J:METRES."""
     read = [numbers(part) or [] for part in text.split(":")]
     if len(read) != 3 or any(len(one) != 1 for one in read) or any(one[0] % 1.0 for one in read[:2]):
         raise InvalidOption(f"--distance takes A:B:M, two sockets (from 0) and their distance [m], not '{text}'")
@@ -111,7 +111,7 @@ def _pair(text: str) -> tuple[tuple[int, int], float]:
 
 
 def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, np.ndarray, np.ndarray]:
-    """Read the file: what was measured, joint values (N, n) [rad or m] and the measurements."""
+    """Read the file of measurements: return their kind, joint values (N, n) [rad or m] and the measured values."""
     from ..robot.pose_arrays import read_named
     from ..robot.pose_files import LENGTHS, read_columns, read_poses
 
@@ -178,7 +178,7 @@ def _suggest(asked: CalibrateOptions, arm: Any, groups: list[str], found: Any, d
 
 
 def _show(found: Any) -> None:
-    """Print what was found."""
+    """Print the result of a calibration."""
     before, after = found.rms
     noise = length(found.noise[0]) + (f", {figure(np.degrees(found.noise[1]), 2)} deg" if found.what == "pose" else "")
     lines = {

@@ -1,4 +1,4 @@
-"""How a command of `ik` declares its options: fields of frozen records, each with its type, its default and its help."""
+"""Declaration of the options of a command of `ik`: fields of frozen dataclasses, with type, default and help text."""
 
 import functools
 import importlib.util
@@ -22,7 +22,7 @@ TIP = ("--tip", "--ee")  # both names of the option for a tip
 TARGET = ("xyz", "matrix")  # options that each give a whole target
 MANY = "for many targets of one tip use ik solve --targets FILE, or ik path --poses FILE for one motion through them"
 PLOTS = (".png", ".pdf", ".svg")
-REQUIRED = MISSING  # default that makes an option or argument mandatory
+REQUIRED = MISSING  # as a default, it makes an option or argument mandatory
 Record = TypeVar("Record")
 
 
@@ -87,12 +87,12 @@ def options(panel: str | None = None) -> Callable[[type[Record]], type[Record]]:
 
 
 def _declared(record: Any) -> list[Any]:
-    """Fields of a record that are on the command line."""
+    """Return the fields of a class of options that are on the command line."""
     return [one for one in fields(record) if "info" in one.metadata]
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
-    """Make a function whose arguments are classes of options a command of `ik`, called with the options given.
+    """Decorate a function as a command of `ik`. Its parameters are annotated with classes of options.
 
     The help shows the options in the order of the classes and their fields, then the examples of the function's
     docstring.
@@ -146,7 +146,7 @@ def writable(*suffixes: str) -> Callable[[Path | None], Path | None]:
 
 
 def _same_file(one: str | Path, other: str | Path) -> bool:
-    """Whether two names mean one file, existing or not: also through links, or by case where case is ignored."""
+    """Return whether two paths are the same file, existing or not; links, and case on systems that ignore it, are considered."""
     if os.path.exists(one) and os.path.exists(other):
         return os.path.samefile(one, other)
     return os.path.realpath(one) == os.path.realpath(other)
@@ -154,7 +154,7 @@ def _same_file(one: str | Path, other: str | Path) -> bool:
 
 # ------------------------------------------------------------------------------------------------------------- parsing
 class Command(typer.core.TyperCommand):
-    """A command that refuses several tips where it takes one, an output that it also reads, and two outputs to one file."""
+    """A command that refuses several tips if it takes one, an output that is also an input, and two outputs to the same file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the arguments. Raises InvalidOption."""
@@ -176,9 +176,9 @@ class Command(typer.core.TyperCommand):
             if one.name in TARGET and sum(word.partition("=")[0] in one.opts for word in args) > 1:
                 raise InvalidOption(f"{one.opts[0]} is given twice; {MANY}")
         try:
-            return super().parse_args(ctx, [*args])  # the parser empties its list
+            return super().parse_args(ctx, [*args])  # a copy, because the parser empties its list
         except UsageError as error:
-            error.ctx = ctx  # type: ignore[attr-defined]  # a missing value comes without: whose help to see
+            error.ctx = ctx  # type: ignore[attr-defined]  # needed for the hint on --help; errors of missing values lack it
             for name, text in _given(args, getattr(getattr(error, "param", None), "opts", ())):
                 if hint := comma_hint(text, name, (1,)):
                     raise InvalidOption(f"{name} takes a number, not '{text}'{hint}") from None

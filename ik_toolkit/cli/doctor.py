@@ -20,7 +20,7 @@ from .output import notice, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}
-ROOM = 2**21  # [bytes] free space needed; the largest kernel takes less
+ROOM = 2**21  # [bytes] free space needed; the largest file of compiled code takes less
 DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras for developers only
 
 
@@ -94,7 +94,7 @@ def _versions() -> Iterator[dict[str, Any]]:
 
 
 def _extras() -> Iterator[dict[str, Any]]:
-    """One row per extra, read from the installed package's requirements."""
+    """Yield a row of the report for each optional extra, read from the installed package's requirements."""
     for extra, packages in extras().items():
         if extra in DEVELOPMENT:
             continue
@@ -108,7 +108,7 @@ def _extras() -> Iterator[dict[str, Any]]:
 
 
 def _compiler() -> dict[str, Any]:
-    """Whether numba is a release whose own interfaces kernels are compiled with, or compiles them in its usual way."""
+    """Report whether code is compiled through internal interfaces of numba (known releases only), or in numba's usual way."""
     try:
         import numba
 
@@ -122,7 +122,7 @@ def _compiler() -> dict[str, Any]:
 
 
 def _background() -> Iterator[dict[str, Any]]:
-    """What became of compiling in the background, if anything."""
+    """Report the state of a compilation in the background: running or failed; nothing if there is none."""
     from ..compile.cache import folder
 
     place = folder()
@@ -135,7 +135,7 @@ def _background() -> Iterator[dict[str, Any]]:
 
 
 def _cache() -> dict[str, Any]:
-    """Where compiled kernels are kept, whether there is room, and whether they are whole; what is damaged is removed."""
+    """Report where compiled code is cached, whether there is space, and whether files are damaged; damaged ones are removed."""
     try:
         from ..compile.cache import damaged, open_to_others
         from ..kernel.chain import forward_kinematics
@@ -167,7 +167,7 @@ def _cache() -> dict[str, Any]:
 
 
 def _pinocchio() -> dict[str, Any]:
-    """PyPI's 'pinocchio' is a different package that hides the one we need; old releases lack what we use."""
+    """Report whether the right Pinocchio is installed: PyPI's 'pinocchio' is another package, and old releases are not enough."""
     stranger = _installed("pinocchio")
     if stranger:
         return _row("pinocchio", "problem", f"package 'pinocchio' {stranger} hides 'pin'; run: pip uninstall pinocchio")

@@ -80,7 +80,7 @@ def dh(asked: DhOptions) -> None:
 
 
 def _print(asked: Any, text: str, payload: dict[str, Any]) -> None:
-    """Print the object with the URDF in it, or the URDF if it is written nowhere else."""
+    """Print a JSON object that contains the URDF if asked for, or else the URDF itself if no output file is given."""
     if asked.as_json:
         write_json({**payload, "urdf": text}, True)
     elif asked.output is None:
@@ -163,7 +163,7 @@ def check(asked: CheckOptions) -> None:
 
 
 def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, seed: int) -> Any:
-    """Pairs of links that need no test, for any tip: all joints of the model move."""
+    """Find the pairs of links that need no collision test; they hold for any tip, because all joints of the model move."""
     from ..robot.geometry.self_collision import SAMPLES, self_collision
     from ..robot.robot import Robot
 
@@ -179,7 +179,7 @@ def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, se
 
 
 def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
-    """Description by tip of the closed form that fits there; text: a URDF that can be loaded."""
+    """Return for each tip a description of the closed form that applies to its arm; text: a URDF that can be loaded."""
     from ..robot.base import carried
     from ..robot.formats.urdf_model import build_model
     from ..robot.robot import Robot

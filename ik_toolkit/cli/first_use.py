@@ -1,7 +1,7 @@
-"""The first solve on a machine: answered by the uncompiled kernel, while a process in the background compiles.
+"""The first solve on a machine: computed by uncompiled code, while a background process compiles.
 
-A command that finds nothing on disk stops where it would begin to compile, and is run again without compilation: the same code
-as plain Python, slow but at once. What this does not solve within its budget is run once more, compiled.
+A command that finds no compiled code on disk stops where it would begin to compile, and is run again without compilation: as plain
+Python, which is slow but starts at once. If this run uses up its budget without a solution, the command is run once more, compiled.
 """
 
 import logging
@@ -17,21 +17,21 @@ from typing import Any
 from ..errors import clean
 from .output import notice
 
-# Environment variables: the user asks to compile and wait; this process is the second run, without compilation.
+# environment variables: set by the user to compile and wait; set for the second run, which does not compile
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment variable: this is the second or third run
-BUDGET = 2000  # largest number of evaluations of the uncompiled kernel, about 1 s
+BUDGET = 2000  # largest number of evaluations in uncompiled code, about 1 s
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
-LOCK, LOG = "compiling.lock", "compiling.log"  # files in the folder of compiled kernels
-BEGUN = "compiling.begun"  # exists while a process compiles in the background, and after it has died
+LOCK, LOG = "compiling.lock", "compiling.log"  # files in the folder of compiled code
+BEGUN = "compiling.begun"  # This file exists while a background process compiles, and remains if it dies.
 _here = {"allowed": False, "past": False}
 
 
 class CompileNeeded(Exception):
-    """A kernel must be compiled first. folder: where it would be kept, or None."""
+    """Code must be compiled first. folder: where the compiled code would be cached, or None."""
 
     def __init__(self, folder: Path | None) -> None:
-        """Keep the folder."""
+        """Store the folder of the cache."""
         super().__init__()
         self.folder = folder
 
@@ -52,7 +52,7 @@ def budget() -> int | None:
 
 
 def kernel() -> str:
-    """Return which kernel this process uses: "compiled" or "interpreted"."""
+    """Return whether this process uses compiled or interpreted code: "compiled" or "interpreted"."""
     from numba import config
 
     return "interpreted" if config.DISABLE_JIT else "compiled"  # type: ignore[attr-defined]
@@ -60,7 +60,7 @@ def kernel() -> str:
 
 @contextmanager
 def instead_of_compiling() -> Iterator[None]:
-    """Context: if `allow` has allowed it, CompileNeeded is raised instead of compiling a kernel."""
+    """Context manager: if `allow` was called, CompileNeeded is raised instead of compiling anything."""
     _here["past"] = True
     if not _here["allowed"]:
         yield
@@ -74,7 +74,7 @@ def instead_of_compiling() -> Iterator[None]:
 
 
 def said_before() -> bool:
-    """Return whether the first run has shown these notices: it stopped at a point that this run has not reached."""
+    """Return whether the first run has already shown notices: this run has not yet passed the point where the first one stopped."""
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 
@@ -98,7 +98,7 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
         return code
     from ..compile.cache import folder as common
 
-    folder = common() or folder  # the log's folder, also for closed forms, which are kept elsewhere
+    folder = common() or folder  # the folder for the log, also if the code itself is cached elsewhere (closed forms)
     if why := died(folder):
         notice(f"solved without compiled code: {why}")
         return code
@@ -117,7 +117,7 @@ def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) ->
 
 
 def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int]) -> int:
-    """Exit code of a command run in place of this one: Ctrl-C and SIGTERM end it as well, and it reports them."""
+    """Run a command in place of this one and return its exit code; Ctrl-C and SIGTERM are passed on, and it reports them."""
     with subprocess.Popen(command, env=environment) as process:
         try:
             return process.wait()
@@ -134,7 +134,7 @@ def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int
 
 @contextmanager
 def only_one(folder: Path) -> Iterator[bool]:
-    """Context: tell whether no other process compiles in the background, claim that role, and lower the priority.
+    """Context manager: yield whether no other process compiles in the background; if so, take a lock and lower the priority.
 
     A process that ends by an error or dies leaves a file that `died` finds; one stopped by a signal does not.
     """
@@ -166,7 +166,7 @@ def _lock(file: Any) -> bool:
 
 
 def _versions() -> str:
-    """What is compiled with what: another release may do better."""
+    """Return the versions of the package and the compiler as text; a failure with other versions may not occur again."""
     import llvmlite
     import numba
 

@@ -51,7 +51,7 @@ def gains(asked: GainsOptions, late: LateOptions, robot: RobotOptions, out: Json
             raise InvalidOption("gains are judged along the path of one tip; choose it with --tip")
         path = asked_path(arm, asked, joint_vector(arm, asked.q0, "--q0", robot.deg), {}, 1e-3)
         along_path = {"robot": arm, "path": path.reference}
-    used = chosen(asked)  # This refuses a rate of 0.
+    used = chosen(asked)  # raises for a rate of 0, before the division below
     check = check_gains(asked.method, 1.0 / asked.rate, delay=late.delay, noise=late.noise, **along_path, **used)
     along = None if check.along is None else check.along._asdict()
     write_json({"robot": arm.name, **vars(check), "along": along}, out.as_json)
@@ -79,7 +79,7 @@ def chosen(asked: PathOptions) -> dict[str, float]:
 
 
 def judged(check: Any) -> str:
-    """Say a verdict in a few words."""
+    """Return the verdict of a GainCheck in a few words."""
     text = f"spectral radius {check.radius:.4g} at rest"
     if check.along is not None:
         text += f"; along the path {check.along.words}"
@@ -87,7 +87,7 @@ def judged(check: Any) -> str:
 
 
 def along_the_path(arm: Any, check: Any, path: Any, options: dict[str, Any], most: int = 3000) -> Any:
-    """Return a run's verdict on its gains with their growth along the path, where that can be told; else as it was.
+    """Return a GainCheck of a run, extended by the error growth along the path if that can be computed, else unchanged.
 
     A path of more than `most` samples is not judged, as that would take longer than the run.
     """

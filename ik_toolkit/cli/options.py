@@ -22,11 +22,11 @@ OBSTACLES = {  # numbers that describe an obstacle, and how many of them are siz
 
 # ---------------------------------------------------------------------------------------------- completion in the shell
 def robots_like(incomplete: str) -> list[tuple[str, str]]:
-    """Return the robots whose names begin like a word, with descriptions; without one the shell completes names of files."""
+    """Return the robots whose names begin with a word, and descriptions; if there are none, the shell completes file names."""
     from ..robot.library import data_files, list_robots
 
     known = {entry.name: entry.description for entry in list_robots()}
-    # The many robots of example-robot-data whose tips are guessed are offered where no other fits.
+    # The other robots of example-robot-data, whose tips are guessed, are offered only if no known one matches.
     for names in (known, dict.fromkeys(data_files(), "example-robot-data")):
         if found := [row for row in names.items() if row[0].startswith(incomplete)]:
             return found
@@ -34,7 +34,7 @@ def robots_like(incomplete: str) -> list[tuple[str, str]]:
 
 
 def links_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the links of the robot given whose names begin like a word."""
+    """Return the links of the given robot whose names begin with a word."""
     from ..robot.formats.urdf import parse, safe_read
     from ..robot.library import find
 
@@ -45,7 +45,7 @@ def links_like(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def tips_like(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the tips that are known of the robot given, or else its links, whose names begin like a word."""
+    """Return the known tips of the given robot, or else its links, whose names begin with a word."""
     from ..robot.library import find
 
     with contextlib.suppress(IKError):
@@ -55,7 +55,7 @@ def tips_like(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def solvers_like(incomplete: str) -> list[tuple[str, str]]:
-    """Return the solvers whose names begin like the last word of a list, with what they are."""
+    """Return the solvers whose names begin with the last word of a list, and descriptions."""
     from ..solvers.registry import list_rows
 
     before, comma, word = incomplete.rpartition(",")
@@ -158,11 +158,11 @@ class RobotOptions:
         return robot.narrowed(ranges)
 
     def _value(self, robot: Any, joint: str, x: float) -> float:
-        """A joint's value as it is typed, in [rad, m]."""
+        """Convert a typed joint value (degrees with --deg) to rad or m."""
         return math.radians(x) if self.deg and not slides(robot, joint) else x
 
     def _read(self, tip: str | list[str] | None) -> Any:
-        """The Robot or the Tree as its description has it."""
+        """Load the Robot or the Tree, with the limits of its description."""
         from ..robot.library import find
         from ..robot.robot import Robot
         from ..robot.tree import Tree
@@ -197,8 +197,9 @@ class RobotOptions:
     ) -> str | list[str] | None:
         """Return the tip of a Robot or the tips of a Tree: of --tip, or the robot's own, or those with a target.
 
-        given: targets by tip, None where there is no --target; relative: --relative; one: whether one target without a tip is
-        given. With --group, whose tips `load` takes, of a Robot where None is returned and there is one. Raises InvalidOption.
+        given: targets by tip, or None without --target; relative: --relative; one: whether a single target without a tip is
+        given. With --group, `load` takes the tips of the group: for None it makes a Robot if there is one tip. Raises
+        InvalidOption.
         """
         if self.group is not None:
             return None if given is None else []
@@ -250,7 +251,7 @@ def slides(robot: Any, joint: str) -> bool:
 
 
 def kind_of(robot: Any, joint: str) -> str:
-    """Return the kind of any joint of the model, as far as units need it."""
+    """Return the kind of any joint of the model: 'prismatic' or 'revolute', which determines its unit."""
     return "prismatic" if slides(robot, joint) else "revolute"
 
 
@@ -296,7 +297,7 @@ def assignments(pairs: Sequence[str] | None, name: str, mark: str = "=") -> dict
 
 # ------------------------------------------------------------------------------------------------ tolerances, obstacles
 def given(record: Any) -> dict[str, Any]:
-    """Return those options of a class of options that were given, by name."""
+    """Return the options of a class that were given (are not None), by name."""
     return {name: value for name, value in vars(record).items() if value is not None}
 
 
@@ -321,7 +322,7 @@ class FileOptions:
     )
 
     def convention(self, deg: bool) -> Any:
-        """Return the convention of the file for its reader."""
+        """Return units and angle convention of the file."""
         from ..robot.pose_files import Convention
 
         return Convention(self.length_unit or "m", deg, self.euler)
@@ -340,7 +341,7 @@ class CollisionOptions:
     margin: float | None = option("M", "Distance [m] below which parts count as touching. Implies --avoid-collisions.")
 
     def read(self, arm: Any) -> dict[str, Any]:
-        """Return the option `avoid_collisions`, or none; obstacles [m, rad] are placed in the base frame."""
+        """Return {"avoid_collisions": ...}, or {} if not asked for; obstacles [m, rad] are placed in the base frame."""
         if not self.obstacle and self.margin is None:
             return {"avoid_collisions": True} if self.avoid_collisions else {}
         from ..robot.geometry.collision import CollisionModel

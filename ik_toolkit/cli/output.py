@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-WRAPPED = 12  # least width in columns of a name or a sentence
+WRAPPED = 12  # least width [characters] of a table column with names or sentences
 
 
 def notice(text: str) -> None:
@@ -39,9 +39,9 @@ def notice_once(text: str) -> None:
 
 
 class LogNotices(logging.Handler):
-    """Shows the package's log on stderr; compiling is reported once, whatever the number of kernels.
+    """Shows the package's log on stderr; compilation is reported only once.
 
-    hint: what to do about angles that look like degrees.
+    hint: advice appended to warnings about angles that look like degrees.
     """
 
     def __init__(self, hint: str = "") -> None:
@@ -73,7 +73,7 @@ def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = Non
 
 
 def table(*columns: str) -> "Table":
-    """Make an empty table in our style; columns named '<...' or '>...' never wrap, the latter are right-aligned."""
+    """Make an empty table; columns whose names begin with '<' or '>' never wrap, those with '>' are right-aligned."""
     from rich import box
     from rich.table import Table
 
@@ -85,9 +85,9 @@ def table(*columns: str) -> "Table":
 
 
 def show(*things: Any) -> None:
-    """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none.
+    """Print tables and lines on stdout, as wide as the terminal, or 100 characters if there is none.
 
-    A table too wide for that loses its padding, then names of files break after a folder, then all names wrap; numbers never do.
+    If a table is too wide, its padding is left out, then file names break after a folder, then all names wrap; numbers never do.
     """
     from rich.console import Console
     from rich.segment import Segment, Segments
@@ -115,7 +115,7 @@ def show(*things: Any) -> None:
 
 
 def _least(thing: Any) -> int:
-    """Least width in columns of a table; 0 for anything else."""
+    """Return the least width [characters] of a table; 0 for anything else."""
     from rich.cells import cell_len
 
     least = 0
@@ -173,7 +173,7 @@ def turns(kind: str) -> bool:
 
 
 def number(value: float, kind: str, deg: bool) -> str:
-    """Return a joint value (given in rad or m) in the unit that a table shows, `unit(kind, deg)`."""
+    """Write a joint value [rad or m] as text, in degrees if it is an angle and `deg` is set."""
     if not math.isfinite(value):
         return "none"
     degrees = deg and turns(kind)

@@ -174,7 +174,7 @@ def path(
 
 
 def _joined(parts: list[Any]) -> Any:
-    """Poses of the blocks of a file as one array, or a dict of these by tip."""
+    """Concatenate the poses of a file that is read in parts, to one array or a dict of arrays by tip."""
     import numpy as np
 
     if isinstance(parts[0], dict):
@@ -183,7 +183,7 @@ def _joined(parts: list[Any]) -> Any:
 
 
 def _numbers(text: str | None, option: str, joints: int) -> Any:
-    """One number, or one per joint."""
+    """Return the number in a text, or an array with one per joint."""
     if text is None:
         return None
     found = vector(text, option)
@@ -194,7 +194,7 @@ def _numbers(text: str | None, option: str, joints: int) -> Any:
 
 
 def _keep(found: Any, output: Path, what: str) -> None:
-    """Keep the path of an interrupted command beside the file asked for."""
+    """Save the path of an interrupted command next to the requested file."""
     with uninterrupted():
         kept = partial(output)
         found.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
@@ -202,7 +202,7 @@ def _keep(found: Any, output: Path, what: str) -> None:
 
 
 def _write(result: Any, made: Any, asked: PathOptions) -> None:
-    """Write the file asked for."""
+    """Write the path or trajectory to the requested file."""
     if asked.output is not None:
         if made is not None:
             save = made.to_json if asked.output.suffix.lower() == ".json" else made.to_csv

@@ -10,7 +10,7 @@ from .output import notice
 
 
 def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html: Path | None, live: bool) -> None:
-    """Draw what was requested of a result with history or of several solutions: chart, page, scene in the browser.
+    """Draw the requested pictures of a result with history, or of several solutions: chart, page, scene in the browser.
 
     `around` is the option `avoid_collisions` of the solve.
     """
@@ -29,7 +29,7 @@ def draw(arm: Any, what: Any, target: Any, around: Any, plot: Path | None, html:
 
 
 def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bool = True) -> None:
-    """Write the page where a file is given; serve it until Ctrl-C or SIGTERM if it is to be seen live."""
+    """Write the page if a file is given; if `live`, serve it until Ctrl-C or SIGTERM."""
     incomplete(scene)
     if html is not None:
         written(scene.save(html))
@@ -44,19 +44,19 @@ def present(scene: Any, html: Path | None, live: bool, port: int = 0, browse: bo
 
 
 def incomplete(scene: Any) -> None:
-    """Say what of the robot could not be drawn, and how meshes are found."""
+    """Print a notice on parts of the robot that could not be drawn, and on how meshes are found."""
     if scene.body.notice:
         meshes = "; --package-dir names a folder to search for them" if "mesh" in scene.body.notice else ""
         notice(f"{scene.body.notice}{meshes}")
 
 
 def written(page: Path) -> None:
-    """Say that a page was written, and how large it is."""
+    """Print a notice that a page was written, and its size."""
     notice(f"wrote {page} ({page.stat().st_size / 1e6:.1f} MB, opens without a network)")
 
 
 def wait(announcement: str, url: str, browse: bool) -> None:
-    """Say where the page is, open a browser, and wait for Ctrl-C or SIGTERM."""
+    """Print the address of the page, open a browser if `browse`, and wait for Ctrl-C or SIGTERM."""
     done = threading.Event()
     before = signal.signal(signal.SIGTERM, lambda *_: done.set())
     try:

@@ -105,7 +105,7 @@ def place(
 
 
 def _one_or_two(text: str, name: str) -> list[float]:
-    """Return the ends of a range, twice the same where there is one number."""
+    """Return the ends of a range, which are equal if the text has a single number."""
     values = vector(text, name)
     if len(values) > 2:
         raise InvalidOption(f"{name} takes one number or two, not '{text}'")
@@ -113,7 +113,7 @@ def _one_or_two(text: str, name: str) -> list[float]:
 
 
 def _write(found: Any, asked: PlaceOptions) -> None:
-    """Write the places and the picture asked for."""
+    """Write the requested files: places and picture."""
     if asked.output is not None:
         text = io.StringIO()
         writer = csv.writer(text)

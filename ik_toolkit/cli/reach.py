@@ -106,7 +106,7 @@ def reach(
 
 
 def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
-    """Return the region or the loose poses asked for."""
+    """Return the requested region, or single poses."""
     if asked.poses is not None:
         if asked.region is not None or asked.resolution is not None or asked.orientations != "any":
             raise InvalidOption("--poses are answered as they are; omit --region, --resolution and --orientations")
@@ -145,7 +145,7 @@ def _audit(asked: ReachOptions) -> int | str:
 
 
 def _draw(found: Any, arm: Any, asked: ReachOptions) -> None:
-    """Say which file was written, and draw the pictures asked for."""
+    """Print which file was written, and draw the requested pictures."""
     if asked.output is not None:
         notice(f"wrote {asked.output} ({asked.output.stat().st_size / 1e6:.1f} MB)")
     if asked.plot is not None:

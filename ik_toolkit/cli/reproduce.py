@@ -1,4 +1,4 @@
-"""`ik reproduce`: the papers behind the toolkit, published numbers beside ours."""
+"""`ik reproduce`: reproduces the papers behind the toolkit, and compares published numbers with computed ones."""
 
 import importlib
 import importlib.util
@@ -55,7 +55,7 @@ def reproduce(asked: ReproduceOptions) -> None:
     from ..papers.report import ReportInterrupted
 
     try:
-        with progress("computing", None):  # None: the total is unknown, as a report does not tell its progress
+        with progress("computing", None):  # None: the progress of a report is unknown
             report = getattr(importlib.import_module(module), function)()
     except ReportInterrupted as stop:
         with uninterrupted():

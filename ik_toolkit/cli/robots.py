@@ -1,4 +1,4 @@
-"""`ik robots`, `ik info`, `ik fk`: which robots there are, what one is like, where its tip stands."""
+"""`ik robots`, `ik info`, `ik fk`: list of robots, description of one, and pose of its tip."""
 
 import contextlib
 import math
@@ -85,7 +85,7 @@ def robots(out: ListOptions) -> None:
 
 
 def _cell(value: Any) -> str:
-    """Text of a value of the list; tips are joined by spaces."""
+    """Return a value of the list of robots as text; several tips are joined by spaces."""
     return " ".join(value) if isinstance(value, tuple | list) else str(value or "")
 
 
@@ -160,7 +160,7 @@ def info(robot: InfoOptions, out: TableOutput) -> None:
 
 
 def _tie(robot: Any, joint: str, tie: Any, deg: bool) -> str:
-    """How a mimic joint follows its leader, in words."""
+    """Return a text on how a mimic joint follows its leader."""
     kinds = kind_of(robot, joint), kind_of(robot, tie.leader)
     units = [unit(kind, deg) for kind in kinds]
     ratio = tie.ratio * math.prod(
@@ -172,7 +172,7 @@ def _tie(robot: Any, joint: str, tie: Any, deg: bool) -> str:
 
 
 def _write_joints(file: Path | None, rows: list[dict[str, Any]]) -> None:
-    """The joints of each tip as CSV, in metres and radians; a joint that several tips share has a row for each."""
+    """Write the joints of each tip as CSV, in metres and radians; a joint that several tips share has a row for each."""
     if file is not None:
         joints = [{"tip": row["tip"], **joint} for row in rows for joint in plain(row["joints"])]
         cells = (["" if value is None else value for value in joint.values()] for joint in joints)
@@ -181,7 +181,7 @@ def _write_joints(file: Path | None, rows: list[dict[str, Any]]) -> None:
 
 
 def _show_tips(entry: Any, arms: list[Any], out: TableOutput) -> None:
-    """One line per end of a robot with several ends, none of them known by name."""
+    """Print a line for each possible tip of a robot, if it has several and none is known or recognised by name."""
     source = {"name": entry.name, "description": entry.description, "path": entry.path}
     rows = [describe(arm) for arm in arms]
     _write_joints(out.csv_file, rows)
@@ -223,7 +223,7 @@ def describe(robot: Any) -> dict[str, Any]:
 
 
 def _srdf_dict(robot: Any) -> dict[str, Any] | None:
-    """Content of the robot's SRDF as plain data; None without one."""
+    """Return the contents of the robot's SRDF as plain data; None without one."""
     said = robot.srdf
     if said.path is None and not said.remarks:
         return None
@@ -242,7 +242,7 @@ def _srdf_dict(robot: Any) -> dict[str, Any] | None:
 
 
 def _srdf_facts(robot: Any) -> dict[str, str | None]:
-    """The same in words."""
+    """Return the contents of the robot's SRDF as text, by subject."""
     said = _srdf_dict(robot)
     if said is None:
         return {}
@@ -283,7 +283,7 @@ def _dh_table(dh: Any, deg: bool) -> Any:
 
 
 def _added(constant: str) -> str:
-    """Sum of q and a constant of the D-H table, as text."""
+    """Return q plus a constant of the D-H table, as text."""
     if not float(constant):
         return "q"
     return f"q - {constant[1:]}" if constant.startswith("-") else f"q + {constant}"

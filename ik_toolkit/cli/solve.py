@@ -59,7 +59,7 @@ class SolverOptions:
     limits: bool = flag("--limits/--no-limits", "Enforce joint limits.", default=True)
 
     def choose(self, robot: Any) -> Any:
-        """Return the solver's name, or a rule with its preset and parameters. Raises UnknownSolver, InvalidOption."""
+        """Return the solver's name, or the solver configured by preset and parameters. Raises UnknownSolver, InvalidOption."""
         from ..solvers.presets import from_preset
         from ..solvers.registry import GENERAL, find_row, make_rule
         from ..solvers.solve import closed_form_with
@@ -74,13 +74,13 @@ class SolverOptions:
         return from_preset(row, self.preset, values)
 
     def read(self) -> dict[str, Any]:
-        """Return the options given, by name, for a call of the library."""
+        """Return the given options by name, as keyword arguments of the library's functions."""
         return {name: value for name, value in given(self).items() if name not in ("solver", "param", "preset")}
 
 
 @options("Start and preferences")
 class WishOptions:
-    """Options for the start and for what is wanted of the solution."""
+    """Options for the start, and for preferences among the solutions."""
 
     q0: str | None = option("Q1 Q2 ...", "Start configuration; default: chosen by the solver, or home.")
     clamp_q0: bool = flag("--clamp-q0/--refuse-q0", "Clamp a start outside the limits, or reject it.", default=True)
@@ -100,7 +100,7 @@ class WishOptions:
     )
 
     def read(self, arm: Any, deg: bool, many: bool) -> dict[str, Any]:
-        """Return options of a call, with q0, and for many targets `closest` as a word. Raises InvalidOption."""
+        """Return the options by name, including q0, as `solve` takes them, or `solve_batch` if `many`. Raises InvalidOption."""
         read = {name: value for name, value in given(self).items() if name in ("objective", "follow")}
         read |= {"q0_outside": "clamp" if self.clamp_q0 else "refuse", "q0": joint_vector(arm, self.q0, "--q0", deg)}
         if self.joint_weights is not None:
@@ -240,12 +240,12 @@ def _refuse_contradictions(target: TargetOptions, wish: WishOptions, many: ManyO
 def _solve_one(
     arm: Any, target: Any, rule: Any, start: Any, options: dict[str, Any], out: SolveOutput, deg: bool, explain: bool
 ) -> None:
-    """Solve, print, draw; exit code 1 when it is not solved."""
+    """Solve one target, print and draw the result; exit with code 1 if it is not solved."""
     from ..solvers.solve import solve as solve_one
 
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if out.drawn else first_use.instead_of_compiling():
-        # A solve that starts at its solution compiles or loads the kernels, so that the time shown is the solve's own.
+        # A solve that starts at its solution compiles or loads the code, so that the displayed time does not include this.
         solve_one(arm, _at_home(arm, target, options), rule, q0=arm.home if options.get("follow") else None, **first)
     if first_use.budget():
         options |= {"max_evaluations": first_use.budget(), "timeout": None}
@@ -275,7 +275,7 @@ def _solve_one(
 
 
 def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
-    """A target of the same form as the given one that is met at home."""
+    """Return a target of the same form as the given one that the robot reaches at home."""
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
@@ -284,7 +284,7 @@ def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
 
 
 def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """The request, for JSON."""
+    """Return target and options of the request, for the JSON output."""
     plain = arm.each_tip(target)
     plain = {tip: getattr(one, "T_base_tip", one) for tip, one in plain.items()}
     if not arm.by_tip:
@@ -294,7 +294,7 @@ def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], out: SolveOutput) -> None:
-    """Requested pictures, with the targets as they are when the robot is at q."""
+    """Draw the requested pictures; targets that are relative to another tip are drawn for the robot at q."""
     if out.drawn:
         target, around = in_base(target, arm.fk(q), options.get("relative_to")), options.get("avoid_collisions")
         draw(arm, what, target, around, out.plot, out.html, out.live)
@@ -303,7 +303,7 @@ def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], out
 def _solve_all(
     arm: Any, target: Any, rule: Any, start: Any, options: dict[str, Any], out: SolveOutput, deg: bool
 ) -> None:
-    """Print all solutions and draw them; exit code 1 when there is none."""
+    """Print and draw all solutions; exit with code 1 if there are none."""
     from ..solvers.solve import solve_all
 
     found = solve_all(arm, target, rule, start, **options)
@@ -324,7 +324,7 @@ def _solve_all(
 
 
 def _solutions(found: Any, deg: bool) -> list[Any]:
-    """Tables of solutions: a row each if the joints fit as columns, otherwise a column each, a few per table."""
+    """Return tables of solutions, one per row if the joints fit as columns, otherwise one per column, a few per table."""
     arm, made = found.robot, []
     kinds = arm.joint_kinds
     in_rows = arm.n <= ACROSS
@@ -348,7 +348,7 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
     from ..solvers.message import unweighted
 
     robot = result.robot
-    left = dict(zip(robot.tips, unweighted(result)[0], strict=True))  # as the sentence about a failure says them
+    left = dict(zip(robot.tips, unweighted(result)[0], strict=True))  # errors without weights, as in the message
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
@@ -385,7 +385,7 @@ def _show(result: Any, target: Any, options: dict[str, Any], deg: bool) -> None:
 
 
 def _angle(value: float | None, deg: bool | None = None) -> str:
-    """An angle in words; in both units unless one is asked for."""
+    """Write an angle [rad] as text, in degrees or radians, or in both if deg is None."""
     if value is None:
         return "free"
     words = angle(value, deg is not False)

@@ -1,4 +1,4 @@
-"""`ik solvers`: the methods there are, and the parameters of one."""
+"""`ik solvers`: list of the solvers, and the parameters of one."""
 
 import inspect
 import re

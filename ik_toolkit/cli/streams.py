@@ -1,4 +1,4 @@
-"""How a command handles standard streams and signals: `-`, closed streams, readers that leave, Ctrl-C and SIGTERM."""
+"""Standard streams and signals of a command: `-`, closed streams, pipes closed by the reader, Ctrl-C and SIGTERM."""
 
 import os
 import re
@@ -17,7 +17,7 @@ from typing import Any
 from ..errors import InvalidOption
 
 RAISED_AGAIN = 0.05  # [s] after which a dropped Ctrl-C is raised again
-IMPORTING = 20.0  # [s] for which Ctrl-C waits at most for the end of an import
+IMPORTING = 20.0  # [s] longest time for which Ctrl-C waits for the end of an import
 
 
 def open_standard_streams() -> None:
@@ -37,10 +37,10 @@ def open_standard_streams() -> None:
 
 @contextmanager
 def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
-    """Context: the arguments with a file in place of `-`, which has all of standard input until the block ends.
+    """Context manager: yield the arguments with `-` replaced by a temporary file that holds all of standard input.
 
-    The file's name is that of the robot in it, and ends as its contents do: .urdf, .npz, .toml, .json or .csv. It is a file because
-    a command may run twice (see first_use.py), and counts the rows of its targets. Raises InvalidOption.
+    The file is named after the robot in it, with a suffix by its contents: .urdf, .npz, .toml, .json or .csv. It is a file because
+    a command may run twice (without compilation first), and counts the rows of its targets. Raises InvalidOption.
     """
     places = [k for k, word in enumerate(arguments) if re.fullmatch(r"(--[a-z-]+=)?-", word)]
     if not places:
@@ -65,10 +65,10 @@ def with_input(arguments: Sequence[str]) -> Iterator[list[str]]:
 
 @contextmanager
 def stoppable(came: list[int]) -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, and note in `came` which of the two came.
+    """Let SIGTERM end the block as Ctrl-C does, by KeyboardInterrupt, and append the signal received to `came`.
 
-    Where the exception is dropped, as in code that C calls (numba's compiler, finalizers), it is raised again soon after. It is
-    not raised in the middle of an import: libraries that try whether another one is there take any exception for "no".
+    If the exception is dropped, as in Python code called from C (numba's compiler, finalizers), it is raised again soon after. It
+    is not raised during an import, because a library that tries to import another one takes any exception as "not installed".
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -112,7 +112,7 @@ def stoppable(came: list[int]) -> Iterator[None]:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Whether a module is being imported there."""
+    """Return whether a stack frame, or one of its callers, is importing a module."""
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             return True
@@ -122,7 +122,7 @@ def _importing(frame: FrameType | None) -> bool:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ctrl-C and SIGTERM wait for the end of the block: a half-written file would be lost."""
+    """Delay Ctrl-C and SIGTERM until the end of the block, so that files are written completely."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -145,7 +145,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 class Output:
-    """Standard output for people who pipe it: a reader that leaves early does not end the command or change its exit code.
+    """Standard output that may be a pipe: if its reader closes it early, the command continues and its exit code is unchanged.
 
     Characters the terminal's encoding lacks are escaped.
     """
@@ -157,18 +157,18 @@ class Output:
             stream.reconfigure(errors="backslashreplace")
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else is passed on to the stream."""
+        """Return any other attribute of the stream."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, unless the reader has left."""
+        """Write, unless the reader has closed the pipe."""
         try:
             return self._stream.write(text)
         except BrokenPipeError:
             return self._drop(len(text))
 
     def flush(self) -> None:
-        """Flush, unless the reader has left."""
+        """Flush, unless the reader has closed the pipe."""
         try:
             self._stream.flush()
         except BrokenPipeError:

@@ -1,4 +1,4 @@
-"""The options that give a target, of one tip or of several, and those that say what counts of it."""
+"""Options for the target of one or several tips, and for which components of it count."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -66,14 +66,14 @@ class TargetOptions:
         return self._several(self.targets, deg) if self.targets else self._single(deg)
 
     def _directions(self) -> tuple[Any, Any]:
-        """Directions and tip axes (3,) of --direction and --tip-axis, for all tips or by tip, or None."""
+        """Return the directions and tip axes (3,) of --direction and --tip-axis, for all tips or by tip, or None."""
         ways, axes = _vectors(self.direction, "--direction", 3), _vectors(self.tip_axis, "--tip-axis", 3)
         if axes is not None and ways is None:
             raise InvalidOption("--tip-axis says which axis --direction turns; give --direction too")
         return ways, axes
 
     def _single(self, deg: bool) -> Any:
-        """One target: (3,) when the orientation is free, (4, 4), or an AxisTarget."""
+        """Return a single target: a position (3,) if the orientation is free, a pose (4, 4), or an AxisTarget."""
         from ..robot.pose import pose
 
         if self.matrix is not None:
@@ -98,7 +98,7 @@ class TargetOptions:
         return pose(at, rpy=angles, quat_xyzw=xyzw, quat_wxyz=wxyz, axis=axes or AXES["z"], direction=ways)
 
     def _several(self, texts: Sequence[str], deg: bool) -> dict[str, Any]:
-        """Targets by tip of --target (see FORMS), --direction and --tip-axis."""
+        """Return targets by tip from --target, --direction and --tip-axis."""
         from ..robot.pose import pose
 
         ways, axes = self._directions()
@@ -159,7 +159,7 @@ class CountOptions:
     )
 
     def read(self, deg: bool, relative: Sequence[str] | None) -> dict[str, Any]:
-        """Return the options given, by name, for a call; relative: --relative. Raises InvalidOption."""
+        """Return the given options by name, as keyword arguments of a solver; relative: --relative. Raises InvalidOption."""
         turn = math.radians(1.0) if deg else 1.0
         slack = _vectors(self.slack, "--slack", 6, (1.0, 1.0, 1.0, turn, turn, turn))
         axis = _for_tips(self.free_turn, "--free-turn", _axis)
@@ -180,7 +180,7 @@ def priorities(text: str | None) -> list[Any] | None:
 
 
 def _for_tips(texts: Sequence[str] | None, name: str, read: Callable[[str], Any]) -> Any:
-    """Value of an option for all tips, or a dict by tip where it is given as TIP:VALUE; None where it is not given.
+    """Return the value of an option for all tips, or a dict by tip if given as TIP:VALUE; None if it is not given.
 
     Raises InvalidOption when it is given twice for a tip, or both for all tips and for one.
     """
@@ -196,7 +196,7 @@ def _for_tips(texts: Sequence[str] | None, name: str, read: Callable[[str], Any]
 
 
 def _vectors(texts: Sequence[str] | None, name: str, size: int, factors: Sequence[float] | None = None) -> Any:
-    """The same for an option that takes this many numbers, as tuples, each number times its factor."""
+    """Return the value of an option of `size` numbers as a tuple, or a dict of tuples by tip; factors: multiply the numbers."""
     each = factors or (1.0,) * size
     return _for_tips(
         texts, name, lambda text: tuple(x * factor for x, factor in zip(vector(text, name, size), each, strict=True))
@@ -204,7 +204,7 @@ def _vectors(texts: Sequence[str] | None, name: str, size: int, factors: Sequenc
 
 
 def _axis(text: str) -> tuple[float, ...]:
-    """An axis of the tip: x, y, z or three numbers."""
+    """Return a tip axis (3,) from x, y, z or three numbers."""
     return AXES.get(text.strip().lower()) or tuple(vector(text, "--free-turn", 3))
 
 
@@ -222,7 +222,7 @@ def relations(texts: Sequence[str] | None) -> dict[str, str] | None:
 
 
 def _pose_of(x: Sequence[float]) -> Any:
-    """Pose (4, 4) of the numbers of its matrix (see MATRIX), row by row. Raises InvalidTarget."""
+    """Return the pose (4, 4) from 12 or 16 numbers of its matrix, row by row. Raises InvalidTarget."""
     import numpy as np
 
     from ..robot.pose import LAST, corrected

@@ -120,7 +120,7 @@ def track(
 def _follow(
     arm: Any, asked: TrackOptions, q: Any, counts: dict[str, Any], tolerance: float, run: Callable[[Asked], Any]
 ) -> tuple[Asked, Any]:
-    """The path asked for, and its run; of an interrupted one the part that is done is kept beside the file asked for."""
+    """Return the path to follow and its tracking run; of an interrupted run, the finished part is saved next to the output file."""
     from ..servo.run import TrackInterrupted
 
     try:
@@ -137,7 +137,7 @@ def _follow(
 
 
 def _write(result: Any, arm: Any, asked: TrackOptions) -> None:
-    """Write the files asked for."""
+    """Write the requested files of a run."""
     if asked.output is not None:
         with uninterrupted():
             notice(f"wrote {result.save(asked.output)}")

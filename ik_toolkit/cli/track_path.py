@@ -1,4 +1,4 @@
-"""The path of `ik track`: as the options give it, or one that every robot can follow; and what to try if it cannot."""
+"""The path of `ik track`: given by options, or one that every robot can follow; and advice if the robot cannot follow it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -11,8 +11,8 @@ from .command import PLOTS, flag, option, options
 from .output import number
 
 SHAPES = ("circle", "line", "eight")
-RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # defaults [m, m, s] of a path given in part
-PLACE = {  # options for place and size of each kind of path; a file contains both
+RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, m, s] defaults of options that are left out
+PLACE = {  # options for place and size of each kind of path; a path from a file has none
     "circle": ("radius", "axis", "start"),
     "eight": ("radius", "axis", "start"),
     "line": ("length", "axis", "start", "end"),
@@ -20,7 +20,7 @@ PLACE = {  # options for place and size of each kind of path; a file contains bo
 }
 TIMES = ("duration", "law", "turns")
 DRAWN = ("radius", "length", "axis", "start", "end", *TIMES)
-PLACED = (*DRAWN[:5], "law", "turns")  # options that ask for a path of their own, unlike the duration alone
+PLACED = (*DRAWN[:5], "law", "turns")  # options that select a drawn path; the duration alone does not
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
@@ -129,7 +129,7 @@ class TrackOptions(PathOptions):
 
 
 class Asked(NamedTuple):
-    """A path to follow: its reference, the initial joint values (None: solved for), and in words how it was chosen."""
+    """A path to follow: its reference, the initial joint values (None: solved for), and a sentence on how it was chosen."""
 
     reference: Any
     q0: Any
@@ -144,7 +144,7 @@ class Asked(NamedTuple):
 
 
 def _line(reference: Any) -> str:
-    """A reference in a line."""
+    """Return a line of text that describes a reference."""
     return f"{reference.name} in {reference.duration:g} s{', orientation free' if reference.position_only else ''}"
 
 
@@ -178,7 +178,7 @@ def asked_path(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any], tol
 
 
 def _drawn(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any]) -> Any:
-    """The path as it is given: from the tip at --q0 or home, or from --start, with the tip's orientation."""
+    """Return the path given by options: from the tip at --q0 or home, or from --start, with the tip's orientation."""
     from ..servo.default_path import paths
 
     if asked.start is not None or (asked.shape == "line" and asked.end is not None):
@@ -200,7 +200,7 @@ def _drawn(arm: Any, asked: PathOptions, q: Any, counts: dict[str, Any]) -> Any:
 
 
 def _from_to(T: Any, asked: PathOptions) -> Any:
-    """The path from --start, or to --end, of a tip that stands at T."""
+    """Return the path from --start, or to --end, of a tip whose pose is T."""
     import numpy as np
 
     from ..motion import shapes
@@ -227,7 +227,7 @@ def _from_to(T: Any, asked: PathOptions) -> Any:
 def advice(
     arm: Any, asked: TrackOptions, path: Asked, q: Any, found: Any, run: Callable[..., Any], deg: bool, **options: Any
 ) -> list[str]:
-    """Return options with which the robot can follow a path given in part or in a file, each found by trying it.
+    """Return changes of the options with which the robot can follow the path; each was found by trying it.
 
     run(Asked, quiet): a function that tracks a path with the other options of the command.
     """
@@ -260,7 +260,7 @@ def advice(
 
 
 def _ways(asked: TrackOptions, found: Any) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Other options to try: as words, and as changes of the command line."""
+    """Yield other options to try: as text, and as changed values of the options."""
     from ..servo.path_reach import smaller
 
     if asked.shape not in SHAPES:

@@ -48,7 +48,7 @@ class TuneOptions:
 
 
 def _telling(bar: Callable) -> Callable:
-    """Report to a progress bar the least cost of the generations so far."""
+    """Return a function that shows the least cost of all generations so far in a progress bar."""
     least = float("inf")
 
     def step(generation: int, costs: Any) -> None:
@@ -111,7 +111,7 @@ def tune(robot: TunedRobot, asked: TuneOptions, out: TableOutput) -> None:
 
 
 def _write_csv(file: Path | None, result: Any) -> None:
-    """The scores as CSV, where asked for: a row for each rule, the tuned one also on the training targets."""
+    """Write the scores as CSV, if a file is given: a row for each parameter set, for the tuned one also on the training targets."""
     if file is None:
         return
     file = partial(file) if result.interrupted else file
@@ -125,7 +125,7 @@ def _write_csv(file: Path | None, result: Any) -> None:
 
 @contextmanager
 def _record(file: Path, resume: bool) -> Iterator[None]:
-    """Keep the record of an earlier search beside `file` until this one has begun its own; --resume continues from it."""
+    """Context manager: keep the checkpoint of an earlier search until this one has written its own; --resume continues from it."""
     from ..study.tune import check_record
 
     if resume and not file.exists():

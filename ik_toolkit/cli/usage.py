@@ -1,4 +1,4 @@
-"""What `--help` prints: options in groups, names whole whatever the terminal's width, examples last."""
+"""The text of `--help`: options in groups, names that are never broken, examples last."""
 
 import re
 import shutil
@@ -11,7 +11,7 @@ from ..text import in_shell
 
 # Some versions of Typer contain a copy of click; in all versions this is the base class of usage errors.
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
-# Arguments of the library, and the names that their options have here.
+# option names that differ from the names of the library's arguments
 PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}
 # Matches the name of an argument that is the subject of a sentence.
 SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")
@@ -58,7 +58,7 @@ def placeholder(argument: Any) -> str:
 
 
 def _names(option: Any) -> str:
-    """Names of an option, the short one first, and its value."""
+    """Return the names of an option, the short one first, followed by the placeholder of its value."""
     names = sorted(option.opts, key=lambda name: name.startswith("--"))
     if option.is_flag:
         return " / ".join([", ".join(names), *option.secondary_opts])
@@ -66,7 +66,7 @@ def _names(option: Any) -> str:
 
 
 def _explained(option: Any) -> str:
-    """What an option does, with its default if the text does not give it."""
+    """Return the help text of an option, with its default if the text does not mention it."""
     said, default = option.help or "", option.default
     if default in (None, (), [], "") or callable(default) or "default" in said.lower():
         return said
@@ -78,14 +78,14 @@ def _explained(option: Any) -> str:
 
 
 def _row(left: str, right: str, column: int, width: int) -> str:
-    """Name and explanation side by side, or below each other if the name is long."""
+    """Return name and explanation side by side, or below each other if the name is long."""
     lines = textwrap.wrap(right, max(width - column, 20), break_on_hyphens=False) or [""]
     first = f"  {left}".ljust(column) + lines.pop(0) if len(left) + 4 <= column else f"  {left}"
     return "\n".join([first.rstrip(), *(" " * column + line for line in lines)])
 
 
 def in_flags(text: str, command: Any) -> str:
-    """Return a library error's text with arguments named as the options typed: acceleration_limits as --acceleration.
+    """Replace names of library arguments in an error message by option names: acceleration_limits by --acceleration.
 
     Many names are ordinary words, too; only the subject of a sentence, or a name before "=", is taken for an option.
     """

@@ -154,7 +154,7 @@ def _alone(option: str, others: dict[str, Any]) -> None:
 
 
 def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options: dict[str, Any]) -> tuple[Any, bool]:
-    """Result with history, or the list of solutions; and whether any was found."""
+    """Return the result with history, or the list of solutions if `every`; and whether a solution was found."""
     from ..solvers.solve import solve as solve_one
     from ..solvers.solve import solve_all
 

@@ -96,7 +96,7 @@ def workspace(asked: WorkspaceOptions, robot: WholeRobot, out: ObjectOutput) -> 
 
 
 def _draw(found: Any, arm: Any, plot: Path | None, html: Path | None) -> None:
-    """Pictures of a finished study."""
+    """Draw the requested pictures of a finished study."""
     if plot is not None:
         from ..show.plot import plot as draw
 
@@ -113,7 +113,7 @@ def _draw(found: Any, arm: Any, plot: Path | None, html: Path | None) -> None:
 
 
 def _chosen(names: list[str] | None, presets: list[str] | None) -> dict[str, Any]:
-    """Solvers by the name they are shown under: --solver and --preset."""
+    """Return the solvers of --solver and --preset, by the name under which they are shown."""
     from ..solvers.presets import from_preset
     from ..solvers.registry import GENERAL, find_row
 
@@ -127,7 +127,7 @@ def _chosen(names: list[str] | None, presets: list[str] | None) -> dict[str, Any
 
 
 def _workers(count: int | None) -> Any:
-    """Pool of processes, or nothing. Ctrl-C reaches them too; only this process answers it."""
+    """Return a pool of worker processes, or a context without one. The workers ignore Ctrl-C, which this process handles."""
     from concurrent.futures import ProcessPoolExecutor
 
     if count is None:

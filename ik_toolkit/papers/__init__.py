@@ -1,4 +1,4 @@
-"""Reproductions of the papers behind the toolkit, which set published numbers beside ours.
+"""Reproductions of the papers behind the toolkit, which compare published numbers with computed ones.
 
 PAPERS lists them by name. It is plain data, so that listing the papers imports none of their modules.
 """

@@ -137,7 +137,7 @@ WIDEST = 8.0  # largest width of a figure [inches]; its 9-point text is then 12 
 
 
 def cell(value: Any, least: float = 0.0) -> str:
-    """Write a value as a table has it, see `Report.table`."""
+    """Format a value for a table: floats with 5 significant digits, numbers below `least` as "under LEAST"."""
     if isinstance(value, float | np.floating):
         return "-" if np.isnan(value) else f"under {least:.0e}" if 0.0 < abs(value) < least else f"{value:.5g}"
     return str(value).replace("|", "\\|").replace("\n", " ")

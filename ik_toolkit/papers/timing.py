@@ -10,14 +10,14 @@ Work = tuple[Callable[[], Any], int]  # a function to time, and the number of so
 
 
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:
-    """Time several works in turn, for a number of rounds.
+    """Time several functions in turn, for a number of rounds.
 
     Processor time is measured, because other processes on the same core should not count.
 
     Args:
-        works: What to time, by name.
-        count: Number of rounds that count.
-        warm: Whether everything is compiled. If not, a first round compiles and does not count.
+        works: By name, the function to time and the number of solves in one call.
+        count: Number of timed rounds.
+        warm: Whether everything is compiled already. If not, a first round, which is not timed, compiles it.
 
     Returns:
         For each name the time of a solve in each round (count,) [s].

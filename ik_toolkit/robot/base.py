@@ -19,7 +19,7 @@ from .rotation import matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 # The pitch of a floating base is at most 85 degrees either way, because at 90 degrees yaw and roll share one axis.
 PITCH = math.radians(85.0)
 BALL_PITCH = math.pi / 2  # A ball joint pitches at most this much [rad], so that every rotation can be reached.
-ENDLESS = 1e16  # A limit of this size means that there is none (see NO_LIMIT in probe.py).
+ENDLESS = 1e16  # A limit of this size means "no limit".
 AXES = {
     "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ,
     "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,
@@ -38,7 +38,7 @@ ROOT = "base"  # The names of base coordinates begin with this: base_x, ..., bas
 
 
 class UnfoldedJoint(NamedTuple):
-    """A joint of the given model with several degrees of freedom: its kind, index in q, and the joints that replace it."""
+    """A joint with several degrees of freedom: its type, its index in q of the given model, and the joints that replace it."""
 
     kind: str
     idx_q: int
@@ -141,7 +141,7 @@ def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
 
 
 def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
-    """Give a model one joint for each coordinate; also return the conversion back, or None if the model has such joints only.
+    """Replace joints with several degrees of freedom by single-coordinate joints; also return the conversion (None: none needed).
 
     Frames keep their names. A model with mimic joints, which Pinocchio cannot copy, is unfolded at its root only.
     """
@@ -255,7 +255,7 @@ class Footing(NamedTuple):
 
 
 def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
-    """Unfold a model, put it on a base and set the base limits. Raises InvalidOption, InvalidTarget, ModelError."""
+    """Give a model single-coordinate joints, a base and base limits. Raises InvalidOption, InvalidTarget, ModelError."""
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
     if isinstance(on_base, str) and root_joint(model):
@@ -274,7 +274,7 @@ def on_own_base(model: pin.Model, on_base: Any = None, base_limits: Any = None) 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
     """Move shapes that were placed on one model to the links of another, or of the same, model."""
     for shape in geometry.geometryObjects:
-        # A shape that was made with a joint alone has no frame, and is placed like that joint.
+        # A shape that has only a parent joint and no parent frame is placed like that joint.
         of_joint = (k for k, frame in enumerate(original.frames) if frame.parentJoint == shape.parentJoint)
         old = original.frames[shape.parentFrame if shape.parentFrame < original.nframes else next(of_joint)]
         k = model.getFrameId(old.name, old.type)

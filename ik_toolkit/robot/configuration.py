@@ -111,7 +111,7 @@ def configuration_in(model: Any, robot: Any, q: np.ndarray, rest: Any) -> np.nda
         rest = floats(rest, "rest must be numbers", InvalidConfiguration)
         if rest.shape != (model.nq,):
             raise InvalidConfiguration(f"rest must have {model.nq} values for this model, not shape {rest.shape}")
-    # Joints with several coordinates are unfolded only if the robot moves them, so that others keep the very numbers of `rest`.
+    # Joints with several coordinates are converted only if the robot moves them; others keep the values of `rest` bit for bit.
     if given is None or not any(name in robot.joint_names for block in given.blocks for name in block.names):
         made, given = model, None
     full = pin.neutral(made) if rest is None else rest.copy() if given is None else given.back(made, rest)

@@ -17,14 +17,14 @@ from ..text import angle, equations, length
 from .formats.mimic import mimic_limits
 from .probe import JointPath, limits
 
-STEPS, TRIES = 40, 5  # Number of Gauss-Newton steps, and of starts, for closing a loop with the joints off the path.
+STEPS, TRIES = 40, 5  # numbers of Levenberg-Marquardt steps and of starts, for closing a loop by joints off the path
 CLOSED = 1e-10  # The iteration that closes a loop ends below this residual [m or rad].
 SLOW = 1e-4  # The iteration also ends after a step that reduces the residual by less than this share.
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
 class End(NamedTuple):
-    """A frame on a link: point [m] and rotation (rows, 9 numbers) in the axes of the link."""
+    """A frame fixed to a link: its origin [m] and rotation (9 numbers, row by row) in the axes of the link."""
 
     link: str
     point: tuple[float, ...]
@@ -68,7 +68,7 @@ Constraint = Loop | Relation
 
 
 class Kept(NamedTuple):
-    """Whether all constraints hold at a configuration, and text on those that its joints can break."""
+    """Result of a check: whether all constraints hold at a configuration, and a text about those that depend on its joints."""
 
     holds: bool
     text: str
@@ -98,7 +98,7 @@ def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -
 
 
 class CoupledConstraints(NamedTuple):
-    """Constraints that depend on common joints off the path; ids and limits (m,) of those m joints."""
+    """Constraints that depend on the same joints off the path to the tip, with ids and limits (m,) of these m joints."""
 
     constraints: list[Constraint]
     joints: list[int]
@@ -107,7 +107,7 @@ class CoupledConstraints(NamedTuple):
 
 
 class Closure:
-    """The constraints of a robot that the joints of q can break."""
+    """The constraints of a robot that depend on the joints of q."""
 
     def __init__(self, robot: Any) -> None:
         """Find the joints on which each constraint depends."""
@@ -167,7 +167,7 @@ class Closure:
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> Kept:
-        """Move joints off the path in `full` (nq,) to where they close the loops, and evaluate the constraints."""
+        """Close the loops by moving joints of `full` (nq,) that are not on the path to the tip; then evaluate the constraints."""
         holds, said = True, []
         for group in self.groups:
             moved = self._close(group, full, min(position, orientation))
@@ -282,7 +282,7 @@ class Closure:
         return np.concatenate([off for off, _ in parts]), np.vstack([slope[:, columns] for _, slope in parts])
 
     def _descend(self, group: CoupledConstraints, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, float]:
-        """Descend by Levenberg-Marquardt within the limits; return the values (m,) at its end, and the residual's norm there."""
+        """Minimise the residual by Levenberg-Marquardt within the limits, from x; return joint values (m,) and residual norm."""
         damping = 1e-6
         off, J = self._stack(group, full, x)
         for _ in range(STEPS):

@@ -30,7 +30,7 @@ from .narrow import narrowed
 from .probe import JointPath
 
 LOG = logging.getLogger("ik_toolkit")
-# Maps a word to rows of a tip's Jacobian.
+# rows of a tip's Jacobian, by the word for them
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}
 
 
@@ -50,11 +50,11 @@ class Joints(ReadOnly):
         rest: Values (nq,) of the joints off the path.
         tips: Names of the tips.
         arms: A Robot for each tip.
-        places: For each arm, the indices in q of its joints.
+        places: For each arm (tip), the indices in q of its joints.
         srdf: Contents of the SRDF.
         collision_model, visual_model: The shapes given with a Pinocchio model, or None.
         notes: Sentences on parts of the description that were changed or left out.
-        chain: The arrays of the compiled kernel.
+        chain: Geometry of the joints as arrays, for the compiled code.
         memo: Cache of things made for this robot, by key; copies and pickles start with an empty one.
     """
 
@@ -113,7 +113,7 @@ class Joints(ReadOnly):
             LOG.warning("%s: %s", self.name, note)
 
     def _route(self) -> str:
-        """Return base and tips, for display."""
+        """Return the names of base and tips, for display."""
         raise NotImplementedError
 
     def jacobian(self, q: Any) -> np.ndarray:
@@ -127,10 +127,10 @@ class Joints(ReadOnly):
 
     @property
     def reach(self) -> float:
-        """Upper bound [m] of the distance of a tip from its first joint, which joints and limits may keep it from coming near.
+        """Upper bound [m] of the distance of a tip from its first joint; the true reach may be much smaller.
 
-        It is the sum of the offsets along the path and of finite strokes (1 m where unbounded), the scale of lengths in this
-        package; `ik.workspace` samples what is reached.
+        It is the sum of the offsets along the path and of the strokes of prismatic joints (1 m where unbounded), and sets the
+        internal unit of length. `ik.workspace` estimates the true reach by sampling.
         """
         return max(arm.chain.reach for arm in self.arms)
 
@@ -160,7 +160,7 @@ class Joints(ReadOnly):
 
     @property
     def pose_shape(self) -> tuple[int, ...]:
-        """Shape of the poses of all tips as the kernel takes them: (4, 4), of several tips (F, 4, 4)."""
+        """Shape of the array of all tips' poses in the compiled code: (4, 4), for several tips (F, 4, 4)."""
         return (4, 4) if len(self.tips) == 1 else (len(self.tips), 4, 4)
 
     def each_tip(self, given: Any) -> dict[str, Any]:
@@ -203,11 +203,11 @@ class Joints(ReadOnly):
         return array
 
     def read_q(self, q: Any, name: str = "q") -> tuple[np.ndarray, str]:
-        """Joint values in any form as an array (n,), which is not checked, and a notice, see `read_configuration`."""
+        """Convert joint values in any accepted form to an unchecked array (n,); also return a notice on what was ignored."""
         return read_configuration(self, q, name)
 
     def _values(self, q: Any, name: str = "q") -> np.ndarray:
-        """Return joint values in any form as `check_q` does, finite or not."""
+        """Convert joint values in any accepted form to an array (n,), finite or not. Raises InvalidConfiguration."""
         return self.read_q(q, name)[0]
 
     def locked(self, joints: Mapping[str, float]) -> Self:
@@ -382,7 +382,7 @@ class Joints(ReadOnly):
         return full
 
     def from_pinocchio(*_: Any) -> Any:
-        """Raise an error that tells the new name."""
+        """Raise an error, as this method is now called `q_from_pinocchio`."""
         raise AttributeError("from_pinocchio is now q_from_pinocchio(q_full); ik.Robot(model) wraps a pin.Model")
 
     def q_from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:

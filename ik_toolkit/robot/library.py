@@ -20,7 +20,7 @@ from .packages import MANIFESTS
 DATA_PACKAGE = "example-robot-data"
 DESCRIBED = "robot_descriptions:"  # Names of the package robot_descriptions begin with this.
 MENAGERIE = "mujoco-menagerie:"  # Folder names of the MuJoCo Menagerie begin with this.
-# The environment variable MENAGERIE_ROOT has the path of a copy; the mujoco-menagerie package reads it too.
+# environment variable with the path of a copy of the MuJoCo Menagerie; the package mujoco-menagerie reads it too
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
 
@@ -31,8 +31,8 @@ class RobotEntry:
     `source` is what to read: `path`, or the URDF text if path is None. `tip` is None if several exist or none is known;
     `tips` are all the known ones. `home` (n,) [rad or m] is in the order of the joints from base to tip (for several
     tips the union of their paths, in the order of `tips`), or None. Packages are searched in `package_dirs`. `paper`,
-    `table` and `description` say where the numbers come from. `sample` has columns n, o, a and p [m] of the pose that
-    the paper computes, as printed, and their source `from`. `xacro_args` are values of a xacro file's arguments.
+    `table` and `description` say where the numbers come from. `sample` is a pose that the paper computes: its columns n, o, a
+    and p [m], as printed, and their source `from`. `xacro_args` are values of a xacro file's arguments.
     """
 
     name: str
@@ -55,7 +55,7 @@ class RobotEntry:
         return self.tips[0] if len(self.tips) == 1 else None
 
 
-# Each name maps to a file below robots/ and its tips: the arms of example-robot-data 6 that have a fixed base.
+# the arms of example-robot-data 6 that have a fixed base: file below robots/ and tips, by name
 DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "panda": ("panda_description/urdf/panda.urdf", ("panda_hand_tcp",)),
     "ur3": ("ur_description/urdf/ur3_robot.urdf", ("tool0",)),

@@ -110,9 +110,9 @@ def read_both(
 
 
 def given_models(model: Any, collision: Any, visual: Any, urdf: str | None) -> tuple[pin.Model, Any, Any]:
-    """Return model, collision and visual shapes (or None) of what a caller may have: these, all three in one, or a RobotWrapper.
+    """Return model, collision shapes and visual shapes (or None), which the caller gives singly, as a tuple or as a RobotWrapper.
 
-    Without any the model is that of a URDF text, if there is one. Raises ModelError.
+    If none is given, the model is built from the URDF text, if there is one. Raises ModelError.
     """
     own: list[Any] = [None, None]
     if isinstance(model, pin.RobotWrapper):
@@ -155,8 +155,8 @@ def default_base(
 ) -> str | None:
     """Return the base frame to use: the one given, or the robot's known one, or the link that a free joint carries.
 
-    The last is for a tip below a floating or planar joint without base_limits: the joint is held, and a note on that is
-    added to `made`, which `read_source` returns.
+    The last applies to a tip below a floating or planar joint without base_limits: this joint is then locked, and a note on that
+    is added to `made`, the arguments for `Robot`.
     """
     model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -187,7 +187,7 @@ def doubted_size(model: pin.Model, joints: Sequence[int], tip: int, strokes: np.
 
     Args:
         model: of the robot.
-        joints: ids of the joints from base to tip; the place of the first may be far from the base, as in the frame of a map.
+        joints: ids of the joints from base to tip; the first may be far from the base, for example if the base is a map frame.
         tip: id of the tip's frame.
         strokes: (2, k) limits [m] of the joints that slide, without those of a moving base.
     """

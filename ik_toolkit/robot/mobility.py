@@ -21,13 +21,12 @@ class Mobility:
 
     Attributes:
         joints: moving joints on the way to the tip.
-        directions: of the six of a twist, how many the tip can move in at once (the generic rank of the Jacobian).
+        directions: number of independent components of the tip's twist (the generic rank of the Jacobian).
         turns: dimension of its rotations: 3 any, 1 about one fixed axis, 0 none.
         moves: dimension of its positions: 3 any, 2 a plane, 1 a line, 0 a point.
-        axis: the base axis (3,) about which all turns are, and tip_axis: the tip's axis (3,) that always points along it; None
-            unless turns is 1.
-        normals: base axes (3 - moves, 3) along which the tip's position never changes, and heights (3 - moves,) [m]: where on
-            them it stays.
+        axis: the axis (3,) of all rotations, in base axes, and tip_axis: the same axis (3,) in tip axes; None unless turns is 1.
+        normals: directions (3 - moves, 3) in base axes along which the tip's position never changes, and heights (3 - moves,) [m]:
+            its constant coordinates along them.
         rotation: the tip's rotation (3, 3) where it never changes, else None.
         reach: Upper bound [m] of the arm's reach.
     """
@@ -46,7 +45,7 @@ class Mobility:
     def never(self, T: np.ndarray, tolerances: tuple[float, float], free: Any = None) -> list[str]:
         """Return sentences on why the tip never has a pose T (4, 4) or position (3,), within tolerances [m], [rad].
 
-        free: axis of the tip (3,) about which any turn will do, or None.
+        free: axis of the tip (3,) about which the rotation is free, or None.
         """
         position, angle = (
             max(given, DOUBTLESS * size) for given, size in zip(tolerances, (self.reach, 1.0), strict=True)
@@ -78,7 +77,7 @@ class Mobility:
         return found
 
     def _never_along(self, R: np.ndarray, free: np.ndarray, tolerance: float) -> list[str]:
-        """Return a sentence if the tip's axis `free` never points as that of a target's rotation R (3, 3)."""
+        """Return a sentence if the tip's axis `free` can never point where a target's rotation R (3, 3) requires."""
         fixed = self.axis if self.rotation is None else self.rotation @ free
         own = free if self.rotation is not None else self.tip_axis
         if fixed is None or own is None:

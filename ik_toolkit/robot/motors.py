@@ -1,4 +1,4 @@
-"""Between a robot's joint values and what its motors are told: direction, zero position, unit."""
+"""Conversion between a robot's joint values and its motor commands: direction, zero position, unit."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ class MotorMap:
         robot: The Robot or Tree whose joints the motors move.
         sign: {joint: 1 or -1} whether the motor turns with the joint or against it; 1 where it is left out.
         offset: {joint: value} joint value [rad or m] where the motor is at 0; 0 where it is left out.
-        degrees: Whether motors of revolute joints are told degrees; `offset` stays in radians.
+        degrees: Whether motor positions of revolute joints are in degrees; `offset` stays in radians.
 
     Raises:
         JointNotFound: A name is not a joint of the robot.
@@ -73,7 +73,7 @@ class MotorMap:
         return self.sign * values * self.unit + self.offset
 
     def to_motors(self, q: Any) -> dict[str, Any]:
-        """Return the motor position of each joint, by name, at joint values q (n,), or (N,) of them for (N, n) [rad or m].
+        """Return motor positions by joint name: numbers for joint values q (n,) [rad or m], arrays (N,) for q (N, n).
 
         Raises InvalidConfiguration.
         """

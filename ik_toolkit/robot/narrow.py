@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import InvalidOption, JointNotFound, floats, near_match
 
-KEPT = 32  # A robot keeps this many narrowed variants, so that a loop with the same limits does not make them again.
+KEPT = 32  # number of variants with narrower limits that a robot caches, for loops with the same limits
 ASKED = (
     "limits must be True, False, a dict from joint names to (lower, upper) [rad or m] (None: as it is), or a pair of arrays "
     "(lower, upper) with one value per joint"
@@ -23,7 +23,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
         else:
             key = tuple((x.dtype, x.shape, x.tobytes()) for x in limits)
         found = kept.get(key)
-    except (AttributeError, TypeError):  # Lists of numbers, unlike arrays, raise these errors: no key is made of them.
+    except (AttributeError, TypeError):  # Limits given as lists are not looked up in the cache.
         key = found = None
     if found is None:
         lower, upper = _ends(robot, limits)
@@ -35,7 +35,7 @@ def narrowed(robot: Any, limits: Any) -> Any:
 
 
 def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, Any]) -> Any:
-    """Return the robot within lower, upper (n,): itself, a variant that it keeps, or a new one."""
+    """Return the robot with limits lower, upper (n,): itself if they are its own, a cached variant, or a new one."""
     _check(robot, lower, upper)
     if np.array_equal(lower, robot.lower) and np.array_equal(upper, robot.upper):
         return robot

@@ -14,7 +14,7 @@ MANIFESTS = ("package.xml", "manifest.xml")  # A folder with one of these files 
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,255}")
 LEVELS = 8  # Number of parent folders of a file that are searched for neighbouring packages.
 INSIDE, FOLDERS = 3, 2_000  # Depth below a given folder, and number of folders, that are searched for a manifest.
-DATA = {  # Maps a Python distribution to its folders of ROS packages.
+DATA = {  # folders with ROS packages, by Python distribution
     "example-robot-data": ("cmeel.prefix/share/example-robot-data/robots", "cmeel.prefix/share"),
     "rtb-data": ("rtbdata/xacro",),
 }
@@ -74,7 +74,7 @@ def _places(
 
 
 def _below(folder: Path, depth: int) -> Iterator[Path]:
-    """Yield a folder and those below it, the upper ones first, down to a depth and below no package; hidden ones are left out."""
+    """Yield a folder and its subfolders to a depth, upper ones first; hidden folders and those inside a package are left out."""
     level = [folder]
     for k in range(depth + 1):
         yield from level

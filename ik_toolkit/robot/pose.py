@@ -278,7 +278,7 @@ def as_matrix(pose: Any) -> np.ndarray:
 
 
 def as_array(target: Any, base: str = "") -> Any:
-    """Return the array of a pin.SE3 or ROS message, also as a dict (see `ros.read_pose`), other values as is.
+    """Convert a pin.SE3 or a ROS message (or a dict of its fields, see `ros.read_pose`) to an array; return other values unchanged.
 
     Raises InvalidTarget, also for a dict with other fields.
     """

@@ -89,7 +89,7 @@ def _of_message(path: Path, k: int, row: Any, base: str) -> Any:
 
 def _as_numbers(value: Any) -> np.ndarray | None:
     """Return lists of numbers as an array of floats; None if they are anything else."""
-    with suppress(TypeError, ValueError, OverflowError):  # The function `floats` would be slow here.
+    with suppress(TypeError, ValueError, OverflowError):  # `floats` of text.py would be slow here.
         if (array := np.array(value)).dtype.kind in NUMBERS:
             return array.astype(float)
     return None

@@ -62,7 +62,7 @@ class Convention(NamedTuple):
 
 
 class PoseRows(NamedTuple):
-    """Rows read at a time: t (m,) [s] or None, poses (m, 4, 4) or positions (m, 3); for several tips a dict of these by tip."""
+    """A part of a file: t (m,) [s] or None, and poses (m, 4, 4) or positions (m, 3), for several tips a dict of these by tip."""
 
     t: np.ndarray | None
     poses: Any
@@ -168,7 +168,7 @@ def _lines(stream: TextIO, name: str) -> Iterator[str]:
 
 
 class _Top(NamedTuple):
-    """What stands above the rows: column names, the character that separates them, their line; and whether there are rows."""
+    """The header of a file: column names, the character that separates them, the line number; and whether rows follow."""
 
     header: list[str]
     mark: str
@@ -177,7 +177,7 @@ class _Top(NamedTuple):
 
 
 def _blank(line: str) -> bool:
-    """Return whether a line has no cell with anything in it; spreadsheets write such lines below a table."""
+    """Return whether all cells of a line are empty; spreadsheets write such lines below a table."""
     return not line.strip(' ,;\t\r\n"')
 
 

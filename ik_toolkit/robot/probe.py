@@ -1,4 +1,4 @@
-"""Makes a kernel chain of a Pinocchio model by reading each joint's screw from the model, whatever its type is called.
+"""Makes the joint arrays of the compiled code from a Pinocchio model, by reading each joint's screw, whatever its type.
 
 A joint's pose in its parent is placement . M(0) . exp(S q) with a constant S: its motion subspace, which holds the axis
 and a mimic multiplier, while M(0) holds a mimic offset. Both are used directly, so no angle is ever extracted from a
@@ -18,21 +18,21 @@ from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .formats.urdf_values import reversed_advice
 from .rotation import turn_onto
 
-SAMPLES = 24  # A chain is compared with Pinocchio at this many configurations.
+SAMPLES = 24  # number of configurations at which the arrays are compared with Pinocchio
 # In comparisons with Pinocchio a robot's size is at least this share of its distance from the model's origin.
 # (Pinocchio's rounding error grows with the distance from the model's origin.)
 FAR = 1e-5
 # A chain may differ from Pinocchio by this [rad, or share of the robot's size], a thousandth of the default tolerance.
 AGREE = 1e-9
-# Relative rounding error of a large angle: half an ulp (last digit), and as much again when full turns are removed.
+# Relative rounding error of a large angle: half an ulp (last digit), and as much again for its reduction modulo 2 pi.
 HELD = 2.5e-16
-# A limit of 1e15 or more [m, rad or per s] counts as none, because files write 1e16 or 1e308 for "no limit".
+# A limit of at least this [m, rad or per s] counts as none, because files write 1e16 or 1e308 for "no limit".
 NO_LIMIT = 1e15
 # A limit beyond 1e6 [rad or m] is read as 1e6, which the notes say.
 # Near 1e7 rad one ulp (last digit) of an angle reaches AGREE.
 # Near 1e9 m one ulp (last digit) of a length reaches a tenth of the default tolerance.
 LARGEST_ANGLE, LARGEST_STROKE = 1e6, 1e6
-# Two axes are parallel, up to the rounding of a few matrix products, if the sine between them is below PARALLEL.
+# Two axes count as parallel if the sine of the angle between them is below this, the rounding of a few matrix products.
 PARALLEL = 1e-14
 SINGULAR = 0.02  # A configuration is no good as home if its smallest singular value (lengths over reach) is below this.
 
@@ -46,7 +46,7 @@ class JointPath(NamedTuple):
     leaders: list[int]  # Id of the joint of each coordinate, in order of first use.
     # Number of leading coordinates that move the tip's branch; the others move the base's branch, for another tip only.
     own: int
-    owner: dict[int, int]  # Each joint of the model that moves maps to its coordinate.
+    owner: dict[int, int]  # for each moving joint of the model, the index of its coordinate
     idx_q: np.ndarray  # Indices (n,) of the coordinates in q.
     circle: np.ndarray  # Whether each coordinate (n,) is stored as (cos, sin).
 
@@ -221,7 +221,7 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
-    """Return whether joint j turns (else slides), its motion per unit of coordinate [rad or m], and its axis (3,)."""
+    """Return whether joint j is revolute (else prismatic), its motion [rad or m] per unit of its coordinate, and its axis (3,)."""
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
     if slides and turns:
@@ -246,7 +246,7 @@ def probe(
     upper: np.ndarray,
     home: np.ndarray,
 ) -> Chain:
-    """Build the chain of `path`; joints off it and locked ones keep their values in `rest` (nq,).
+    """Build the joint arrays (Chain) of a path; joints off it and locked ones keep their values in `rest` (nq,).
 
     base and tip are frame ids, tool is the pose of the working point in the tip frame; lower, upper and home (n,) are
     in [rad or m].
@@ -255,7 +255,7 @@ def probe(
     for i, circle in zip(path.idx_q, path.circle, strict=True):
         zero[i : i + 1 + int(circle)] = (1.0, 0.0) if circle else 0.0
     pin.forwardKinematics(model, data, zero)
-    # The transform from the axis of the previous moving joint to the next one.
+    # transform from the axis of the previous moving joint to that of the next one
     before = model.frames[base].placement.inverse()
     rows = []
     places = []
@@ -270,7 +270,7 @@ def probe(
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[0] = 1.0  # This is the cosine of the rotation about x, which does not exist before the first joint.
+        row[0] = 1.0  # cosine of the rotation about x before the joint, here of angle 0
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:
@@ -290,7 +290,7 @@ def probe(
 
 
 def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
-    """Return configurations (SAMPLES, n) [rad or m] at which a chain is compared: uniform over the limits, and each limit once.
+    """Return configurations (SAMPLES, n) [rad or m] at which a chain is compared with Pinocchio: random ones, and each limit once.
 
     Without limits they cover five turns, or one reach, either way; slides (n,) tells which coordinates are in metres.
     """
@@ -310,8 +310,8 @@ def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far:
     """Return the largest difference of the chain from the pose (pin.SE3) [m] and Jacobian (6, n) of kinematics(q).
 
     Lengths are divided by the robot's size: the largest of its reach, its largest offset, and FAR times the distance
-    `far` [m] of its base from the model's origin. A Jacobian column is divided by the ratio of its joints. The result
-    is at least the compiled kernel's rounding error at the largest angle, which is HELD times that angle.
+    `far` [m] of its base from the model's origin. A Jacobian column is divided by the ratio of its joints. The result is at
+    least the rounding error at the largest angle, which is HELD times that angle.
     """
     Q = configurations(chain, slides)
     poses, jacobians = zip(*(kinematics(q) for q in Q), strict=True)
@@ -329,7 +329,7 @@ def chain_deviation(chain: Chain, slides: np.ndarray, kinematics: Callable, far:
 
 
 def good_start(chain: Chain, lower: np.ndarray, upper: np.ndarray, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Return the configuration `middle` (n,) or, if it is singular, the first of some fixed offsets that is not.
+    """Return the configuration `middle` (n,) or, if it is singular, the first nonsingular one of a few with fixed offsets from it.
 
     moves (n,) is 1 for joints that may be offset, else 0.
     """

@@ -1,7 +1,7 @@
 """The robot: a Pinocchio model with a base and a tip frame.
 
-Pinocchio decides what every joint, frame and limit is and computes FK and Jacobians for users; the kernel's flat chain is read
-from it.
+The Pinocchio model defines joints, frames and limits, and computes FK and Jacobians for users. The arrays of the compiled solvers
+are read from it.
 """
 
 import math
@@ -211,7 +211,7 @@ class Robot(Joints):
             self.locked_joints[joint] = value
 
     def _settle(self, model: pin.Model) -> None:
-        """Adopt a model and place it on its base."""
+        """Take over a model, placed on its base, and set everything that follows from it: path, limits, home and chain."""
         self.model, self._original, self._given, self._of_base, self._slides = on_own_base(
             model, self.on_base, self.base_limits
         )
@@ -262,7 +262,7 @@ class Robot(Joints):
         self._seal()
 
     def _compare(self) -> None:
-        """Reject a robot whose chain disagrees with Pinocchio, because its results would be silently wrong."""
+        """Reject a robot if the arrays for the compiled solvers (chain) disagree with Pinocchio, as results would be wrong."""
         self._kinematics(self.home)
         far = math.hypot(*self.data.oMf[self._ids[0]].translation)
         off = chain_deviation(self.chain, self.slides, self._kinematics, far)
@@ -279,7 +279,7 @@ class Robot(Joints):
 
     @property
     def data(self) -> pin.Data:
-        """Pinocchio's workspace of the calling thread."""
+        """The pin.Data of the calling thread; each thread has its own."""
         data = getattr(self._local, "data", None)
         if data is None:
             data = self._local.data = self.model.createData()
@@ -374,7 +374,7 @@ class Robot(Joints):
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         state["visual_model"] = light(self.visual_model)
         follow = len(self.model.mimicking_joints)
-        # A given model may be without the mimic joints of its URDF.
+        # A given model may lack the mimic joints of its URDF; it is then pickled itself.
         if self.urdf is not None and (follow or not followers(self.urdf).tied):
             state["model"] = state["_original"] = state["_given"] = None
         elif follow:
@@ -384,7 +384,7 @@ class Robot(Joints):
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the robot, with a new workspace for each thread."""
+        """Restore the robot, with a new pin.Data for each thread."""
         self.__dict__.update(state)
         if self.model is None and self.urdf is not None:
             self._settle(build_model(self.urdf))

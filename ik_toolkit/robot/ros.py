@@ -14,7 +14,7 @@ POINT, QUATERNION = "xyz", "xyzw"  # fields of geometry_msgs/Point, Vector3 and 
 
 
 def _field(message: Any, name: str) -> Any:
-    """Return the field of a message, or of a dict with the fields of one; None if there is none."""
+    """Return a field of a message, given as an object or a dict; None if it has no such field."""
     return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
 
 
@@ -26,7 +26,7 @@ def has_fields(message: Any, names: Sequence[str]) -> bool:
 
 
 def is_by_name(value: Any) -> bool:
-    """Return whether a value is a dict by name (of tips), and not one target as a dict: a ROS message, or part of one."""
+    """Return whether a value is a dict from names (of tips) to targets, and not a single target as the fields of a ROS message."""
     fields = ("header", "position", "orientation", "translation", "rotation")
     return isinstance(value, Mapping) and not has_fields(value, POINT) and not any(name in value for name in fields)
 
@@ -112,7 +112,7 @@ def read_joint_state(message: Any, name: str) -> dict[str, float] | None:
         if isinstance(names, str):
             return None
         names, values = [str(joint) for joint in names], list(values)
-    except TypeError:  # A dict by joint may have joints of these names; their values are numbers.
+    except TypeError:  # A dict of joint values may have joints called "name" and "position", whose values are numbers.
         return None
     if len(names) != len(values):
         raise InvalidConfiguration(f"{name}: the JointState has {len(names)} names and {len(values)} positions")

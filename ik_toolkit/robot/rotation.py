@@ -70,7 +70,7 @@ def euler_matrix(order: str, angles: np.ndarray) -> np.ndarray:
 
 
 def rotation_columns(names: Sequence[str]) -> list[str]:
-    """Return those of some names of columns, in lower case, that other programs use for a rotation."""
+    """Return, in lower case, those column names that other programs use for rotations."""
     parts = ("roll", "pitch", "yaw", "rot", "quat", "euler", "orient")
     groups = ("w p r", "u v w", "alpha beta gamma", "phi theta psi", "q0 q1 q2 q3", "q1 q2 q3 q4")
     found = [name for name in names if any(part in name for part in parts)]

@@ -17,8 +17,8 @@ CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# SCENE has words for sensors and objects, which are taken as a tip only if there is no arm.
-# OTHERS has the words of SCENE and those for fingers, legs and the like, on which no tool is mounted.
+# SCENE: words for sensors and objects, which are taken as a tip only if there is no arm.
+# OTHERS: these, and words for fingers, legs and other parts on which no tool is mounted.
 SCENE = frozenset(
     "lidar sonar radar gps gnss sensor sensors microphone speaker antenna livox velodyne hokuyo realsense zed kinect "
     "ft force torque imu camera optical depth rgb accelerometer range laser target goal marker object box".split()
@@ -45,7 +45,7 @@ def words(name: str) -> list[str]:
 def follows_convention(convention: Sequence[str], said: set[str]) -> bool:
     """Return whether a frame whose name consists of these words follows a naming convention for tips.
 
-    An arm's tool frame is where its hand begins, if it has one.
+    A name with the words "arm" and "tool" follows only the convention of these two words, which ranks below a hand.
     """
     on_arm = "arm" in said and "tool" in said
     return set(convention) <= said and not other(said) and on_arm == ("arm" in convention)

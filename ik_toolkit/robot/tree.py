@@ -24,7 +24,7 @@ ENDS = 8  # A message lists this many path ends.
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
     """Return the names of the joints on any of the paths: the first arm's from base to tip, then those each further arm adds.
 
-    A joint that an arm has only because it moves for another tip comes where that tip adds it.
+    If an arm has a joint only because it moves another tip, the joint comes in the place where that tip's path adds it.
     """
     own = [joint for arm in arms for joint in arm.joint_names[: arm._path.own]]
     return tuple(dict.fromkeys([*own, *(joint for arm in arms for joint in arm.joint_names)]))
@@ -33,7 +33,7 @@ def union(arms: Sequence[Robot]) -> tuple[str, ...]:
 def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
     """Make a robot for each tip, from the arguments they share.
 
-    A tip that only the joints of other tips move is no error here.
+    A tip that no joint of its own path moves is accepted if joints of other tips' paths move it.
     """
     found: dict[str, Robot] = {}
     problem: Motionless | None = None
@@ -111,7 +111,7 @@ class Tree(Joints):
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        # The order is reversed, so that the first tip's values win.
+        # in reversed order, so that the first tip's values are kept
         for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)
@@ -152,7 +152,7 @@ class Tree(Joints):
     ) -> "Tree":
         """Load several tips of a robot, by name, from a file or from text.
 
-        A known home is used joint by joint.
+        If the library has a home configuration of the robot, each joint gets its value from it.
 
         Args:
             source: As in `Robot.load`.

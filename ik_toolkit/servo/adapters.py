@@ -1,6 +1,6 @@
-"""One interface for the two things that can drive a tracker: a published tracking method, or a solver's rule.
+"""One interface for the two things that can drive a tracker: a published tracking law, or the iteration of a solver.
 
-`Tracker` and `track` use the classes `Published` and `RuleSteps` without knowing which one it is.
+`Tracker` and `track` call `Published` (law) and `RuleSteps` (solver iteration) in the same way.
 """
 
 import math
@@ -22,31 +22,32 @@ from .loop import servo
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
-LOWER = 0.01  # weight of a level of priority relative to the level above it
+LOWER = 0.01  # weight of the errors of one priority level relative to those of the next higher level
 RELATIVE = (
     1.0 / LOWER
-)  # errors relative to another tip are a level above: how two hands hold a thing comes before where they do
-LEVER = 0.2  # [m] lever arm by which an angle is compared with a length: about the length of a hand
-ALIKE = 0.6  # similarity (difflib) above which an unknown option is taken for a misspelt one of another method
+)  # weight of an error relative to another tip: one level higher, as two hands must first keep their grip on an object
+LEVER = 0.2  # [m] An angle of 1 rad counts as much as this length, which is about the length of a hand.
+ALIKE = 0.6  # difflib similarity above which an unknown option is taken for a misspelt option of another method
 WORDS = (*COUNTING, "relative_to", "priority")  # options that select which errors count
 
 
 def even(scale: float) -> np.ndarray:
-    """Return weights (6,) that balance position (kernel units) against rotation [rad] at the lever arm LEVER.
+    """Return weights (6,) for position errors (in units of `scale`) and rotation errors [rad], so that 1 rad counts as LEVER.
 
-    scale: length of a kernel unit [m]. The geometric mean of the weights is 1, so singular values keep their magnitude.
+    scale: unit of length [m], about the arm's reach. The geometric mean of the weights is 1, so singular values keep their
+    magnitude.
     """
     share = math.sqrt(scale / LEVER)
     return np.array([share] * 3 + [1.0 / share] * 3)
 
 
 class Published:
-    """Adapter of a published tracking method (servo/methods.py) on a robot."""
+    """Drives a robot by one of the tracking methods cv, av, ca, aa, aad (see `Method`)."""
 
     waits = True  # `track` slows the reference's clock when the error exceeds its tolerance
 
     def __init__(self, robot: Robot | Tree, method: Method, counting: Mapping[str, Any]) -> None:
-        """Bind the method to the robot, without compiling. counting: the options that say which errors count."""
+        """Bind the method to the robot, without compiling. counting: options such as mask and slack that select errors."""
         self.robot = robot
         self.method = method
         self.name = method.name
@@ -59,7 +60,7 @@ class Published:
         self.options: Options = make_options(dict(counting))
         what_counts(robot, self.options)
         relatives(robot, self.options)
-        self.levels = np.array(group_levels(robot, self.options))  # (2 F,) level of each tip's position and orientation
+        self.levels = np.array(group_levels(robot, self.options))  # (2 F,) priority of each tip's position, orientation
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all attributes for pickling, without the compiled loop, which cannot be pickled."""
@@ -74,19 +75,19 @@ class Published:
         return {**self.method.gains(h), **({"reading": self.method.reading} if self.name == "aa" else {})}
 
     def check(self, h: float) -> GainCheck | None:
-        """Return the verdict of `check_gains` on the gains at sample time h [s]."""
+        """Return whether the gains are stable at sample time h [s], as a GainCheck."""
         return check_gains(self.name, h, **self.method.gains(h))
 
     def law(self, h: float) -> np.ndarray:
-        """Return the method and its gains at sample time h [s] as an array, in the layout of `laws.Law`."""
+        """Return the method and its gains at sample time h [s] as an array, in the order of the fields of `Law`."""
         return self.method.pack(h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the compiled loop must know about the errors; kinds: kind of target (POSE or POSITION) of each tip.
+        """Return the task parameters for the compiled loop; kinds: kind of target (POSE or POSITION) of each tip.
 
         Returns:
-            The packed task parameters `orders` (see servo/loop.py), and an array (3, m) with a column for each error:
-                weight, slack in kernel units, slack in m or rad.
+            The packed task parameters, and an array (3, m) with a column for each error: its weight, its slack (dead band) in
+                arm reaches or rad, and the same slack in m or rad.
         """
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []
@@ -105,15 +106,15 @@ class Published:
 
 
 class RuleSteps:
-    """Adapter of a solver's rule on a robot: one iteration per sample; the rule's state is kept between samples."""
+    """Drives a robot by an iterative solver: one iteration per sample; the solver's state is kept between samples."""
 
     gamma = 1.0
     chosen = False
-    # A solver's rule always lags behind a moving target, so its error does not show whether limits held it back.
+    # A solver's iteration always lags behind a moving target, so its error does not show whether limits held it back.
     waits = False
 
     def __init__(self, robot: Robot | Tree, rule: Any, limits: bool, options: dict[str, Any]) -> None:
-        """Bind a solver's rule to the robot. options: its parameters. Raises what `ik.Solver` raises."""
+        """Bind a solver's iteration (rule) to the robot. options: its parameters. Raises what `ik.Solver` raises."""
         from ..solvers.solve import Solver
 
         self.robot = robot
@@ -132,23 +133,23 @@ class RuleSteps:
         vars(self).update(state, loop=servo(type(state["solver"].rule)))
 
     def settings(self, h: float) -> dict[str, float]:
-        """Return the parameters of the rule that are plain numbers, by name; the sample time h plays no part."""
+        """Return the numerical parameters of the solver, by name; they do not depend on the sample time h."""
         return {k: v for k, v in self.solver.rule._asdict().items() if isinstance(v, int | float)}
 
     def check(self, h: float) -> GainCheck | None:
-        """Return None, as there is no closed-form stability condition for rules."""
+        """Return None, as there is no closed-form stability condition for the iteration of a solver."""
         return None
 
     def law(self, h: float) -> np.ndarray:
-        """Return an array in the layout of `laws.Law`: zeros except gamma = 1 and the damping of the pseudo-inverse."""
+        """Return an array in the order of the fields of `Law`: zeros except gamma = 1 and the damping of the pseudo-inverse."""
         law = np.zeros(len(laws.Law._fields))
         law[laws.PLACE.gamma], law[laws.PLACE.damping] = 1.0, DAMPING
         return law
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Return the packed task parameters (see servo/loop.py) and an array (3, m), as `Published.orders` does.
+        """Return the task parameters for the compiled loop, and an array (3, m) whose first row holds the errors' weights.
 
-        Only the first row of the array is used: the weights of the errors for null-space motion. The rule itself handles slack.
+        The weights are used for null-space motion. The other rows are not used, as the solver's iteration handles slack itself.
         """
         scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))
@@ -163,10 +164,10 @@ def bind(
 
     Args:
         robot: The robot.
-        method: Name of a method or solver, a Method, or a rule.
+        method: Name of a method or solver, a Method, or a solver's rule (its iteration).
         limits: Whether joint limits apply.
         options: Options of the method, and those that say which errors count.
-        known: Names of options of the caller itself, which an error message may suggest.
+        known: Names of the caller's own options, which an error message may suggest for a misspelt one.
 
     Raises:
         InvalidOption: There is no such method, or it does not take one of the options.
@@ -180,14 +181,14 @@ def bind(
 
 
 def is_published(method: Any) -> bool:
-    """Return whether `method` is one of the published methods (servo/methods.py) and not a solver."""
+    """Return whether `method` is one of the tracking methods (cv, av, ca, aa, aad) and not a solver."""
     return isinstance(method, Method) or (isinstance(method, str) and method in METHODS)
 
 
 def check_options(method: Any, options: Iterable[str], known: Iterable[str]) -> None:
     """Raise InvalidOption if there is no such method, or if it does not take one of the options.
 
-    known: as in `bind`.
+    known: names of the caller's own options, which the error message may suggest.
     """
     if is_published(method):
         name = method if isinstance(method, str) else method.name

@@ -19,8 +19,8 @@ KEEP = 0.005  # [m] distance from obstacles that the inequalities keep; a contro
 INFLUENCE = 0.1  # [m] distance between two bodies below which their inequality applies
 # [m/s] approach speed allowed at the distance INFLUENCE; it falls linearly to 0 at KEEP, with a time constant of 0.1 s
 SPEED = 1.0
-FLAT = 1e-9  # [m per rad or m] An inequality with only smaller entries is dropped: no joint changes the distance.
-SHARE = 0.1  # An inequality relies on the braking of joints whose entry in it exceeds this share of the largest entry.
+FLAT = 1e-9  # [m per rad or m] An inequality with only smaller coefficients is dropped: no joint changes the distance.
+SHARE = 0.1  # An inequality relies on the braking of joints whose coefficient exceeds this share of the largest one.
 CONTACT = 1e-5  # [m] distance below which two bodies count as touching: ten times the tolerance of coal's distances
 NEAREST = 1e-4  # [m] A motion that comes nearer than this is rejected without checking whether it touches.
 # Largest number of configurations at which distances are measured (0.05 ms each) to prove a step free of contact.
@@ -32,8 +32,8 @@ PARTS = (1 / 4, 1 / 16, 1 / 64)
 class Path(NamedTuple):
     """A step and the full brake after it: joint values, rates and distances covered (K + 1, n) at the ends of K pieces.
 
-    The first piece lasts h [s]. even [1/s]: share of its initial rate that a joint loses per second of the brake, see
-    `Guard._follow`; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of the
+    The first piece lasts h [s]. even [1/s]: share of their initial rates that the joints lose per second while they brake
+    together; the last row of rate holds these initial rates. alone (n,): whether a joint brakes independently of the
     others; aside (n,): the distance that such a joint needs for braking, 0 for other joints.
     """
 
@@ -49,7 +49,7 @@ class Path(NamedTuple):
 def stopping(v: np.ndarray | float, gamma: float, a: np.ndarray | float, late: float) -> np.ndarray:
     """Return the longest distances (n,) in which joints come to rest from rates v >= 0 (n,).
 
-    a: deceleration; late [s]: longest step. This is `viability.stopping` for arrays.
+    a: deceleration; late [s]: longest step; gamma: weight of the new rate in a step. This is `viability.stopping` for arrays.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         way = np.asarray(v * v / (2.0 * a))
@@ -66,11 +66,11 @@ class Guard:
         robot: The robot.
         model: Its CollisionModel.
         limits: Limits (4, n): lower, upper, speed, acceleration [rad or m, per s, per s^2].
-        gamma: Weight of the new rate in a step, which sets the motion between samples (see `interpolate`).
+        gamma: Weight of the new rate in a step, q' = q + h ((1 - gamma) rate + gamma rate').
 
     Attributes:
         pairs: Names of the pairs of bodies behind the last inequalities.
-        blocked: Names of the pair that kept the last step from being proven, or None.
+        blocked: Names of the pair of bodies because of which the last step was refused, or None.
     """
 
     def __init__(self, robot: Any, model: Any, limits: np.ndarray, gamma: float) -> None:
@@ -106,7 +106,7 @@ class Guard:
         self._fresh, self._known = np.zeros_like(self._fresh), False
 
     def _get_ready(self) -> None:
-        """Call every kernel once now, so that none is compiled inside a control loop when the arm has to brake."""
+        """Call every compiled function once, so that none is compiled inside a control loop when the arm has to brake."""
         space, q, still = self._space, self.robot.home, np.zeros(self.robot.n)
         path, ks = self._follow(q[None], still[None], 1.0), np.arange(len(self._keep))[:1]
         if path is None:
@@ -121,10 +121,7 @@ class Guard:
         space.rows(ks, space.points(ks), np.ones(len(ks)), still, *rules, self.A, self.b, self._order)
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
-        """Measure all distances at q (n,) [rad or m].
-
-        Return the names of a pair of bodies that touches there, or None.
-        """
+        """Measure all distances at q (n,) [rad or m]; return the names of a pair of bodies in contact there, or None."""
         if self._version != self.model.version:  # something was added, moved or removed
             self._bind()
         self._space.forget()
@@ -173,7 +170,7 @@ class Guard:
         return count
 
     def _measure(self, ks: np.ndarray) -> None:
-        """Measure the distances of those pairs of bodies ks that are not yet measured at the start of the step."""
+        """Measure the distances of the pairs of bodies ks at the start of the step, if not yet measured."""
         for k in ks[~self._fresh[ks]].tolist():
             self._low[k] = self._space.gap(k)
         self._fresh[ks] = True
@@ -188,7 +185,7 @@ class Guard:
         return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
 
     def instead(self, q: np.ndarray, rate: np.ndarray, rate1: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint values and rates (n,) after h [s], instead of a step from (q, rate) to rate1 that is refused.
+        """Return joint values and rates (n,) after h [s] of the motion that replaces a refused step from (q, rate) to rate1.
 
         The arm brakes. From rest it takes a small part of the step if that is proven free; otherwise it could stand
         still for ever.
@@ -228,7 +225,7 @@ class Guard:
         return self.limits[3] / bending(self.gamma)
 
     def _moved(self, way: np.ndarray) -> None:
-        """Lower the bounds on all distances after the joints have covered the lengths way (n,) on the proven path."""
+        """Lower the bounds on all distances, after the joints have moved by `way` (n,) along the proven path."""
         self._low = self._low - self._levers @ way[self._space.coordinates]
         self._fresh[:] = False
         self._known = False

@@ -1,4 +1,4 @@
-"""The joint rates that a method commands before limits are applied, for published laws and for solvers' rules."""
+"""The joint rates that a method commands before limits are applied, for published laws and for solvers' iterations."""
 
 # Pyright does not know that numba calls the overloads below and takes their options from a dict.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -57,20 +57,20 @@ class Moment(NamedTuple):
 
 
 class Published(NamedTuple):
-    """Marker in place of a solver's rule: the published control laws of laws.py, all compiled into one loop."""
+    """Passed in place of a solver's rule (iteration) to select the published control laws, all compiled into one loop."""
 
     unused: float
 
 
 @inline
 def target_of(s):
-    """Return the target's error and motion as a TargetMotion, from a tracker's scratch arrays s (a `Bench`)."""
+    """Return the target's error and motion, views of the scratch arrays s of a step."""
     return TargetMotion(s.e, s.ahead, s.f, s.a, s.bias)
 
 
 @inline
 def inverse_of(s):
-    """Return the Jacobian as a PseudoInverse with its scratch, from a tracker's scratch arrays s (a `Bench`)."""
+    """Return the Jacobian and the factor for its pseudo-inverse, views of the scratch arrays s of a step."""
     return PseudoInverse(s.J, s.G, s.H, s.y, s.t)
 
 
@@ -102,13 +102,13 @@ def find_wishes(law, s, limits, wish, base):
 
 @inline
 def lean_not(law, rule, s, limits, wish, rate, h):
-    """Return False: published control laws use no shifted joint values, unlike solver rules (`lean_over`)."""
+    """Return False (no secondary motion was applied): published laws add it later, solver rules beforehand (`lean_over`)."""
     return False
 
 
 @inline
 def lean_over(law, rule, s, limits, wish, rate, h):
-    """Shift s.at (n,) by the secondary motion of one step, so that the rule's iteration cancels that motion's effect on the tip.
+    """Shift s.at (n,) by the secondary motion of one step, so that the solver's iteration cancels its effect on the tip.
 
     Returns whether there was a secondary motion; s.g (n,) receives its rate, or zeros.
     """
@@ -152,7 +152,7 @@ def add_wishes(law, s, given, ratio, h, memory):
 
 @inline
 def feed_back(law, s, limits, now, heavy, beyond):
-    """Shrink the error that is fed back (s.e, s.ahead) to what the limits allow, see `hold_back` and `ease`.
+    """Shrink the error that is fed back (s.e, s.ahead), so that the joints can brake within their limits before it is zero.
 
     heavy: largest weight of an error; beyond: whether the target is out of reach. Returns whether joint limits or
     inequality constraints block the way that the error asks for.
@@ -238,7 +238,7 @@ def by_law(law, rule, task, look, weights, s, given, own, now):
 
 @inline
 def by_rule(law, rule, task, look, weights, s, given, own, now):
-    """Write to s.x (n,) the joint rates of a solver's rule: its step towards the target's next pose, divided by the time h.
+    """Write to s.x (n,) the joint rates of one solver iteration: its step towards the target's next pose, divided by h.
 
     Returns 0, because no directions are removed from the task.
     """
@@ -246,7 +246,7 @@ def by_rule(law, rule, task, look, weights, s, given, own, now):
     leaned = False
     for i in range(s.g.shape[0]):
         leaned = leaned or s.g[i] != 0.0
-    if leaned or not task.plain():  # Otherwise the Jacobian that `take_stock` computed is still valid.
+    if leaned or not task.plain():  # Otherwise the Jacobian computed at the start of the step is still valid.
         task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)

@@ -19,10 +19,10 @@ from ..kernel.records import Array, copy
 from .equality_qp import dot, problem_on, problem_space, resized, square
 from .hierarchical_qp import CONTRADICTION, DONE, SAME_TASK, solve_levels, unmet
 
-LEAVE, DIRECT = range(2)  # modes, explained above
-WANTED, MET, SHORT, RELAXED, INEXACT = range(5)  # statuses, see `constrain`
+LEAVE, DIRECT = range(2)  # modes, explained above: least error now, or the tip falls behind but keeps its direction
+WANTED, MET, SHORT, RELAXED, INEXACT = range(5)  # outcomes, explained in `constrain`
 LOOSE = 1e-9  # Inequalities are loosened by this more than needed, so that a solution exists despite rounding.
-CAUTIOUS = 1.5  # safety factor on the bound of the neglected curvature, see `damping`
+CAUTIOUS = 1.5  # safety factor on the bound of the curvature that the linear model neglects
 # An error across the direction asked for has this weight, if nothing is blocked; falling behind along that direction has weight 1.
 STRAIGHT = 100.0
 
@@ -55,7 +55,7 @@ class Allowed(NamedTuple):
 
 @compiled
 class StepTaken(NamedTuple):
-    """Outcome of `constrain`; the active set in it is also the start of the next step."""
+    """Joint rates that `constrain` found, and the active set, from which the next step starts (warm start)."""
 
     x: Array  # (n,) joint rates
     active: Array  # (n,) int8: -1 at its lower bound, 1 at its upper bound, 2 part of an active inequality, 0 free
@@ -70,19 +70,19 @@ def room_space(n, m, rows):
 
 @spliced
 def room_on(block, n, m, rows):
-    """Lay out a `TwoLevels` problem for n joints, m task rows and `rows` inequalities in a block of zeros."""
+    """Divide an array of zeros into the arrays of a `TwoLevels` problem for n joints, m task rows and `rows` inequalities."""
     return problem_on(block, n + m + 1, rows + m + 1)
 
 
 @build
 def make_room(n, m, rows):
-    """Return the problem of `room_on` in a block of its own, for callers that use ordinary arrays."""
+    """Allocate memory for a `TwoLevels` problem with n joints, m task rows and `rows` inequalities, and return it."""
     return room_on(np.zeros(room_space(n, m, rows)), n, m, rows)
 
 
 @inline
 def fitting(asked, allowed):
-    """Return whether the desired rates keep all bounds and constraints and do the task, and so can be taken."""
+    """Return whether the desired rates keep all bounds and constraints and fulfil the task, so that no optimisation is needed."""
     J, want = asked.J, asked.want
     for i in range(want.shape[0]):
         if not allowed.floor[i] <= want[i] <= allowed.roof[i]:
@@ -105,7 +105,7 @@ def lay_out(asked, allowed, loose, fastest, room):
     """Write the quadratic program to `room`; return the number of task rows, without rows that no joint can change.
 
     The unknowns are the joint rates divided by the joints' speeds, or by `fastest` if that is above 0. loose: amount by which
-    inequalities are loosened.
+    inequalities are loosened; room: memory for the program.
     """
     u, r, J, count, n = room.u, room.r, asked.J, allowed.rows, asked.J.shape[0]
     for i in range(n):
@@ -174,8 +174,8 @@ def keep_straight(p, share):
 def damp(p, aside, fastest, mu):
     """Extend the problem to min |C y - d|^2 + mu |y - aside|^2 (Levenberg-Marquardt), and return it.
 
-    The residual of each task row becomes an unknown, scaled by 1 / sqrt(mu), so that the task can always be met and
-    both terms become part of the closeness objective.
+    The residual of each task row becomes an unknown, scaled by 1 / sqrt(mu). The task can then always be met, and both
+    terms are part of the second objective.
     """
     u, r, n, unit = p.u, p.r, p.size, math.sqrt(mu)
     for i in range(n):
@@ -192,7 +192,7 @@ def damp(p, aside, fastest, mu):
 def least_slack(p):
     """Return the least amount by which inequalities must be loosened for a solution inside the bounds, plus a margin.
 
-    The slack is unknown number n, and its size is the only task.
+    This amount becomes unknown number n, and minimising it is the only task.
     """
     u, r, n = p.u, p.r, p.size
     for i in range(n):
@@ -219,7 +219,7 @@ def as_wanted(asked, taken):
 
 @inline
 def recall(room, rows, taken):
-    """Start the solver from the active set of the last step: copy it from `taken` to `room`."""
+    """Warm-start the solver: copy the active set of the last step from `taken` to `room`."""
     for i in range(taken.active.shape[0]):
         room.u.held[i] = taken.active[i] if taken.active[i] < 2 else 0
     for k in range(rows):
@@ -248,9 +248,8 @@ def answer(p, asked, allowed, fastest, taken):
 def damping(p, asked):
     """Return the damping mu that an unmet task calls for, and the speed of the fastest joint.
 
-    The linear model neglects the curvature of the tip's path. This is at most the curvature of a circle whose radius is one kernel
-    unit (the arm's reach), for slow joints as for fast ones. CAUTIOUS adds a margin of 3/2 because full steps zigzag
-    (`Weak.caution`).
+    The linear model neglects the curvature of the tip's path. This is at most the curvature of a circle whose radius is the arm's
+    reach, for slow joints as for fast ones. CAUTIOUS adds a margin of 3/2 because full steps zigzag.
     """
     miss, heavy, fastest = 0.0, 0.0, 0.0
     for k in range(p.planes, p.planes + p.task):

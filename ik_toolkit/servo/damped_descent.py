@@ -1,4 +1,4 @@
-"""Damped least squares for an arm stuck before a target at rest: descend to the least error nearby, and stop there.
+"""Damped least squares for an arm stuck before a target at rest: move to the least error nearby, and stop there.
 
 A tracking method brings each direction of the task to its own closest point. Where limits or a singular pose forbid
 part of that, the joints may creep, stop too early, or turn back and forth. An arm that is stuck in this way gets the
@@ -7,7 +7,7 @@ joint rates y of
     min |W (J y - K e)|^2 + mu |y|^2    inside all bounds and inequality constraints,    mu = share * max W * |W e|
 
 (Levenberg-Marquardt; e: error, W: weights, K: gain). The neglected curvature of the tip's path under one joint adds at most
-max W * |W e| to J'W^2 J, because the path is curved at most like a circle with a radius of one kernel unit (the arm's reach).
+max W * |W e| to J'W^2 J, because the path is curved at most like a circle whose radius is the arm's reach (the unit of length).
 With more damping the motion is closer to steepest descent along the limits, so the joints only stop where no descent is left.
 The share is adapted: it is raised when joints turn back (they went too far) or the error does not fall, and lowered while the
 error falls.
@@ -34,7 +34,7 @@ BACK = 0.1  # Joints turn back if at least this share of their motion is reverse
 TURNS, FORGOTTEN = 2.0, 0.1  # An arm is stuck after so many joint reversals; one is forgotten after FORGOTTEN [s].
 # First, least and largest value of the share, the factor in the damping mu. Below the least value joints turn back repeatedly.
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
-# The share is multiplied by these when joints turn back, when the error does not fall, and when the error falls.
+# factors on the share: when joints turn back, when the error does not fall, and when the error falls
 TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9
 # When joints turn back, the share is raised, and must not fall below this fraction of its raised value for a while. That is
 # FLOOR * TURNED = 2 times the share with which the joints turned back.
@@ -45,17 +45,17 @@ BRISK = 0.5  # share of the acceleration limit used to brake before the end of a
 
 @inner
 def feedback(law, h):
-    """Return the feedback gain [1/s] of the descent, which is at most the method's own."""
+    """Return the feedback gain [1/s] of a damped least-squares step, which is at most the method's own."""
     return min(natural(law, h), GAIN / h)
 
 
 @inner
 def stuck(law, s, limits, square, h, state):
-    """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped descent.
+    """Return whether the arm is stuck before a target that stands still, so that this step is to be a damped least-squares step.
 
     square: squared weighted error now; `state` is updated. The target stands if neither its twist s.f (m,) nor the difference
     between the errors now (s.e) and at the next sample (s.ahead) is noticeable; the twist alone is not enough, because a caller may
-    give a zero twist for a target that moves. The result is always False in mode CLIP, which keeps the published form.
+    give a zero twist for a target that moves. In mode CLIP, which keeps to the published laws, the result is always False.
     """
     most, error = 0.0, math.sqrt(square)
     for k in range(s.f.shape[0]):
@@ -73,7 +73,7 @@ def stuck(law, s, limits, square, h, state):
 
 @inner
 def fastest(s, limits, error):
-    """Return how fast [per s] the weighted error would fall if all joints that are not at limits moved at full speed."""
+    """Return how much the weighted error would fall per second if all joints that are not at limits moved at full speed."""
     total = 0.0
     for i in range(s.J.shape[0]):
         slope = 0.0
@@ -88,8 +88,8 @@ def fastest(s, limits, error):
 def notice(law, before, x, size, swings, code, square, h, state):
     """Update `state` after a step from the rates `before` to x (n,): count the time in which joints are hindered, and reversals.
 
-    In a descent its share is adapted. size (n,): a speed for each joint; swings: see `viability.watch`; code (n,): bits of the
-    limits that held joints back; square: squared weighted error.
+    In a damped descent the damping is adapted. size (n,): speed limit of each joint; swings (3, n): reversals of each joint, as
+    `viability.watch` counts them; code (n,): bits of the limits that held joints back; square: squared weighted error.
     """
     on, back, speed, swing, held = 0.0, 0.0, 0.0, False, False
     hindered, error = state[STATE.near] > 0.0, math.sqrt(square)
@@ -112,7 +112,7 @@ def notice(law, before, x, size, swings, code, square, h, state):
 
 @inner
 def adapt(turned, error, h, state):
-    """Adapt the share, the factor in the damping mu of a descent, after a step.
+    """Adapt the share, the factor in the damping mu, after a step of a damped descent; turned: whether joints turned back.
 
     It is raised if joints turned back or the weighted error has not fallen for STALLED [s], and lowered while that error falls.
     """
@@ -134,7 +134,7 @@ def adapt(turned, error, h, state):
 
 @inner
 def descend(law, s, limits, h, state):
-    """Write the task of a damped descent step for `constrain`: s.ask, s.weight and desired rates of 0; return the damping mu."""
+    """Write the task of a damped least-squares step to s.ask and s.weight, with desired rates of 0; return the damping mu."""
     n, m = s.J.shape
     heavy, size, gain, limited = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a), 0.0, feedback(law, h), False
     for k in range(m):

@@ -154,9 +154,9 @@ def paths(
     Args:
         robot: The robot.
         q: Joint values (n,).
-        kind: As in `draw`.
-        size: As in `draw` [m].
-        axis: As in `draw`.
+        kind: "circle", "line" or "eight".
+        size: Length of a line, radius of a circle or figure of eight [m].
+        axis: Direction of a line, or normal of a circle or eight, base axes.
         free: Leave the orientation free.
         relative: Tips whose target is given in the frame of another tip, by name; such a tip keeps its pose in that
             frame.

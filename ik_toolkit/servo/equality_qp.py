@@ -13,7 +13,7 @@ from ..compile.array_view import LINE, cut
 from ..compile.jit import compiled, inline, spliced
 from ..kernel.records import Array
 
-NONE = -1  # says that no row is meant
+NONE = -1  # index that means "no constraint"
 SAME = 1e-10  # A row is linearly dependent if the part perpendicular to the others is below this share of its length.
 # Gram-Schmidt needs no second pass for a row of which this share of the squared length remains (Daniel et al., 1976).
 CLEAR = 0.5
@@ -87,13 +87,13 @@ class TwoLevels(NamedTuple):
 
 @inline
 def problem_space(N, K):
-    """Return the length of the block of floats that `problem_on` needs for N unknowns and K rows."""
+    """Return the number of floats that a problem with N unknowns and K rows needs."""
     return 2 * K * N + 3 * K * K + 9 * N + 13 * K + 26 * LINE
 
 
 @spliced
 def problem_on(block, N, K):
-    """Lay out a problem of up to N unknowns and K rows in a block of zeros."""
+    """Divide an array of zeros into the arrays of a problem with up to N unknowns and K rows."""
     P, W, L, U = cut(block, np.float64, ((K, N), (K, N), (K, K), (2 * K, K)))
     y, want, floor, roof, first, second, new_first, new_second = cut(block, np.float64, (N, N, N, N, N, N, N, N))
     rhs, length, rest, remain, whole, along, off, k0, k1, k2, k3 = cut(
@@ -126,7 +126,7 @@ def dot(A, i, x, n):
 
 @inline
 def remove(b, row, j, n):
-    """Project basis vector j out of a row of W (first n entries), and add the coefficient to L."""
+    """Subtract from a row of W (first n entries) its component along basis vector j, and add this component to L."""
     base = b.order[j]
     s = 0.0
     for i in range(n):
@@ -147,7 +147,7 @@ def square(A, k, n):
 
 @inline
 def take_in(b, row, q, size, n):
-    """Turn row `row` of W into basis vector q, by dividing it by its length `size`."""
+    """Normalise row `row` of W (length `size`); it becomes basis vector q."""
     b.L[row, q] = size
     for i in range(n):
         b.W[row, i] /= size

@@ -19,7 +19,7 @@ import numpy as np
 from ..compile.jit import inline, inner
 from .equality_qp import NONE, SAME, dot, equality, square
 
-DONE, STUCK, CONTRADICTION = range(3)  # outcomes, see `solve_levels`
+DONE, STUCK, CONTRADICTION = range(3)  # outcomes: solved, out of iterations, infeasible
 # tolerance of bounds and inequalities; the unknowns are ratios of joint rates to joint speeds, and callers clip them to bounds
 OUT = 1e-12
 WRONG = 1e-11  # A multiplier of the second objective counts as having the wrong sign only if it is larger than this.
@@ -131,7 +131,7 @@ def enforce(p, which, side):
 
 @inner
 def solve_levels(p):
-    """Solve the problem p, starting from the active set in it; afterwards p holds the final active set.
+    """Solve the problem p, starting from the active set stored in p, which is replaced by the final one.
 
     Returns DONE, STUCK (out of iterations) or CONTRADICTION (the inequalities and bounds have no common solution).
     """
@@ -139,7 +139,7 @@ def solve_levels(p):
     for attempt in range(2):  # The second attempt, if the first is stuck, starts from an empty active set.
         begin(p, attempt > 0)
         new = NONE
-        adding = False  # Before any are added, initial constraints whose multipliers have the wrong sign are dropped.
+        adding = False  # First, initial constraints whose multipliers have the wrong sign are dropped; then others are added.
         for _ in range(PER * (n + p.planes)):
             last = new - n  # It is below 0 if the constraint added last is a bound and no inequality.
             dependent = equality(p, last)
@@ -191,7 +191,7 @@ def share(now, new, at, side):
 
 @inline
 def go(now, new, count, t, dt):
-    """Move the first `count` multipliers by the share t + dt eps of the way from now to new."""
+    """Move the first `count` multipliers by the share t + dt eps of the way from their values `now` to `new`."""
     for k in range(count):
         one, two = new.first[k] - now.first[k], new.second[k] - now.second[k]
         now.first[k] += t * one
@@ -250,7 +250,7 @@ def parts(p, dependent):
 
 @inline
 def pay(now, parts, count, one, two):
-    """Subtract (one / eps + two) times the coefficients that `parts` computes from the first `count` multipliers."""
+    """Subtract (one / eps + two) times the coefficients `parts` from the first `count` multipliers `now`."""
     for k in range(count):
         now.first[k] -= one * parts[k]
         now.second[k] -= two * parts[k]
@@ -260,9 +260,9 @@ def pay(now, parts, count, one, two):
 def exchange(p, dependent, newest):
     """Return the active constraint to drop for a new one that depends linearly on the active set, or NONE.
 
-    NONE means that the new constraint, number `newest`, contradicts the others. The multipliers are moved as the exchange demands.
-    `dependent` is the inequality whose linear combination `parts` computes. The new constraint is this inequality itself, or a
-    bound in the combination.
+    NONE means that the new constraint, number `newest`, contradicts the others. The multipliers are updated for the exchange.
+    `dependent` is the inequality that is a linear combination of active constraints. The new constraint is this inequality itself,
+    or a bound in the combination.
     """
     u, r, n = p.u, p.r, p.size
     parts(p, dependent)

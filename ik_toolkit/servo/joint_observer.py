@@ -32,7 +32,7 @@ FILTER = Filter()
 
 
 def read_measured(robot: Any, q: Any) -> np.ndarray:
-    """Return measured joints (n,) [kernel units], which may not be finite. Raises InvalidConfiguration for a wrong size."""
+    """Return measured joints (n,) [rad or arm reaches], finite or not. Raises InvalidConfiguration for a wrong size."""
     try:
         found = robot.check_q(q, "q")
     except InvalidConfiguration:
@@ -43,7 +43,7 @@ def read_measured(robot: Any, q: Any) -> np.ndarray:
 
 
 class JointObserver:
-    """Estimates the joints (n,) of one arm, in kernel units.
+    """Estimates the joint values (n,) of one arm [rad or arm reaches].
 
     Args:
         n: Number of joints.
@@ -87,13 +87,13 @@ class JointObserver:
         return min(steady, math.sqrt(FILTER.acceleration / self.noise)) if self.noise > 0.0 else steady
 
     def send(self, command: np.ndarray) -> None:
-        """Keep the present command (n,) [kernel units]; to be called once in every sample, also in those without a measurement."""
+        """Keep the present command (n,) [rad or arm reaches]; to be called in every sample, also without a measurement."""
         self._sent.append(command)
         if self._unheard:
             self._unheard -= 1
 
     def take(self, measured: np.ndarray, h: float, most: float, limits: np.ndarray) -> float:
-        """Take the joints measured now (n,) [kernel units], after `send` has been called for this sample; h [s]: sample time.
+        """Take the joints measured now (n,) [rad or arm reaches], after `send` was called for this sample; h [s]: sample time.
 
         Returns the largest difference between the measured joints and the command they answer to, infinite if a number is not
         finite. A measurement whose difference is above `most` is not believed until the next one agrees with it, and never

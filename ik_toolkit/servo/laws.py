@@ -19,34 +19,34 @@ from ..kernel.linalg import TINY, cholesky, cholesky_solve
 from ..kernel.records import Array
 from .viability import approach
 
-CV, AV, CA, AA = range(4)
-CLIP = 2  # mode in which each joint is clipped on its own, beside LEAVE and DIRECT of constrained_step.py
-AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # readings 1, 2, 3 of dJ/dt in eq (25) of Patko and Zelei (method aa)
+CV, AV, CA, AA = range(4)  # codes of the methods; AA is also the code of method aad
+CLIP = 2  # mode in which each joint is clipped on its own; the modes 0 and 1 are LEAVE and DIRECT
+AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # rates at which method aa takes dJ/dt: option reading = 1, 2, 3
 # A step begins at the target's rate, at a given rate, after an earlier command, or without one (after motion led by other code).
 MOVING, GIVEN, RUNNING, READY = range(4)
-FINE, NOT_FINITE, RUNAWAY = range(3)
+FINE, NOT_FINITE, RUNAWAY = range(3)  # end of the loop: all steps taken, command not finite, move too large
 SINGLE = 1e-24  # A row of J counts as zero if its diagonal entry in JJ' is below this share of the largest entry.
 # Damping of a blocked correction is this times curvature times error, so that its length is at most sqrt(error / curvature).
 FAR = 0.25
 SLUGGISH = 0.1  # A joint is slow if its speed limit is below this share of the fastest joint's limit.
-AT = 1e-9  # [rad or arm reaches] distance within which a joint counts as at its limit
+AT = 1e-9  # [rad or arm reaches] A joint nearer to its limit than this counts as at its limit.
 REGION = 2.0  # The pseudo-inverse is damped where the smallest singular value is below REGION * damping.
 
 
 class State(NamedTuple):
-    """Layout of the array of numbers that a tracker's loop keeps between steps; STATE holds the indices."""
+    """Names for the entries of the array that a tracker's loop keeps between steps; STATE.start etc. are the indices."""
 
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING or READY
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
     near: int  # at a singular pose 1 + time [s] the target still counts as out of reach; -1: was singular; 0: never was
-    share: int  # factor in the damping mu of a descent (damped_descent.py); 0: no descent
+    share: int  # factor in the damping mu of a damped descent (Levenberg-Marquardt); 0: no such descent
     lowest: int  # value below which `share` is not lowered for now
     nearest: int  # least weighted error so far; an arm that is not stuck improves on it
-    stalled: int  # time [s] in which the weighted error did not fall; before a descent only while joints are hindered
-    turned: int  # joint reversals before a descent; the count fades with time
+    stalled: int  # time [s] in which the weighted error did not fall; outside a damped descent only while joints are hindered
+    turned: int  # joint reversals while there is no damped descent; the count fades with time
     free: int  # time [s] since limits, inequalities or a singular pose last hindered the joints
-    pressed: int  # time [s] for which errors beyond their slack are closed like errors without slack
+    pressed: int  # time [s] for which errors beyond their slack (dead band) are closed like errors without slack
 
 
 STATE = State._make(range(len(State._fields)))
@@ -60,7 +60,7 @@ class Law(NamedTuple):
     kappa: float  # [1/s] gain of method cv (classical, velocity level)
     kp: float  # [1/s^2] gain of method ca (classical, acceleration level) on the error
     kd: float  # [1/s] gain of method ca on the error's rate
-    gamma: float  # weight of the new rate in a step, see `Method.rate_weight`
+    gamma: float  # weight of the new rate in a step: q' = q + h ((1 - gamma) rate + gamma rate')
     null: float  # damping of null-space motion [1/s]
     damping: float  # [arm reaches per rad] damping of the pseudo-inverse near singular poses
     reading: float  # where dJ/dt is evaluated: AT_RATE, AT_RATE_AND_STEP or AT_STEP
@@ -71,7 +71,7 @@ class Law(NamedTuple):
     avoid: float  # [1/s] gain of the motion away from joint limits
     rows: float  # number of inequality constraints in use
     measured: float  # 1: error and Jacobian are evaluated at the measured joints
-    omit: float  # share of the error that methods av, aa and aad leave to later steps
+    omit: float  # share of the error that methods av, aa and aad do not remove in this step
 
 
 PLACE = Law._make(range(len(Law._fields)))  # indices in the array that Python passes to the loop
@@ -112,7 +112,7 @@ class JointMotion(NamedTuple):
 
 @compiled
 class Briskness(NamedTuple):
-    """How fast an error may be closed, see `ease`."""
+    """How fast an error may be closed."""
 
     fast: float  # share of each joint's speed limit
     quick: float  # share of each joint's acceleration limit
@@ -275,7 +275,7 @@ def command(p, inverse, target, rate, prev, h, ratio, joints):
 
 @dual
 def natural(p, h):
-    """Return the rate [1/s] at which a method by itself removes an error; 0 for a method without feedback."""
+    """Return the rate [1/s] at which a method removes an error when nothing limits it; 0 for a method without feedback."""
     if p.code == CV:
         return p.kappa
     if p.code == CA:
@@ -336,7 +336,7 @@ def spare(J, m, e, limits, H, y, c):
 
 @dual
 def halved(speed, top):
-    """Return a joint's weight in `spare`: 1, or for a slow joint the largest power of 2 that is at most speed / top."""
+    """Return a joint's weight: 1, or for a slow joint the largest power of 2 that is at most speed / top."""
     w = 1.0
     while 0.0 < speed < SLUGGISH * top and speed < w * top:
         w *= 0.5

@@ -1,11 +1,11 @@
 """The compiled loop of a tracker: from the target's motion to joint rates inside every limit, sample by sample.
 
-A method (a published law, or a solver's rule with one iteration a sample) commands joint rates. Their part along
+A method (a published law, or a solver with one iteration a sample) commands joint rates. Their part along
 singular directions, in which the tip can hardly move, is replaced (singular_step.py), and secondary motion is added in
 the null space. If limits or inequality constraints forbid the result, `constrain` finds the best that they allow;
-otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a standing target descends
-to the least error nearby (damped_descent.py). Mode CLIP is the published form throughout: damped in all directions near
-singular poses, each joint clipped on its own.
+otherwise the commanded rates are taken unchanged, as published. An arm that is stuck before a standing target takes damped
+least-squares steps to the least error nearby (damped_descent.py). In mode CLIP the method is as published: damped in all
+directions near singular poses, each joint clipped on its own.
 """
 
 # Pyright does not know that numba calls the overloads below and takes their options from a dict.
@@ -81,7 +81,7 @@ def set_out(law, J, f, G, y, limits, q, rate, state):
 def take_stock(task, look, s, V, A, plain, counts, E):
     """Write error, Jacobian, target twist V and acceleration A to the scratch s, and the error [m, rad] to E (m,).
 
-    E is in base axes, less the part that slack (counts[2]) forgives.
+    E is in base axes, reduced by the slack (dead band) counts[2].
     """
     copy(task.desk.y, s.e)
     task.jacobian(look)
@@ -109,9 +109,9 @@ def leave_out(J, floor, roof):
 
 @inline
 def quieten(law, s, rate, swings, h, state):
-    """Limit the acceleration of oscillating joints (`calm`), if something has hindered joints lately.
+    """Limit the acceleration of oscillating joints, if limits or a singular pose have hindered joints lately.
 
-    Otherwise the target itself may ask for the reversals.
+    Otherwise the reversals may be due to the motion of the target itself.
     """
     if law.mode != CLIP and state[STATE.free] < LASTING:
         calm(rate, s.size, swings, h, box_of(s))
@@ -121,7 +121,7 @@ def quieten(law, s, rate, swings, h, state):
 def look_on(law, s, code, swings, h, state):
     """Update the detection of oscillation, and the time since joints were hindered, after a step from s.before to s.x.
 
-    The limit on oscillation itself (CALMED) does not count as a hindrance.
+    A limit on the acceleration of an oscillating joint (CALMED) does not count as a hindrance.
     """
     watch(swings, s.before, s.x, s.size, law.gamma, h)
     hindered = state[STATE.near] > 0.0
@@ -132,7 +132,7 @@ def look_on(law, s, code, swings, h, state):
 
 @inner
 def gather(law, lines, level, planes, edges):
-    """Copy the collision inequalities to `planes` and `edges`, to which others are added later; return their number, law.rows."""
+    """Copy the collision inequalities (lines x <= level) to `planes` and `edges`; return their number, law.rows."""
     for k in range(int(law.rows)):
         copy(lines[k], planes[k])
         edges[k] = level[k]
@@ -182,8 +182,8 @@ def judge(wanted, h, p, state):
 def by_constraints(law, s, count, mu, h, own, work, code):
     """Write to s.x the rates that `constrain` finds within all limits; return whether they differ from the commanded rates.
 
-    count: number of inequality constraints. If mu > 0, the step is a damped descent, whose task `descend` has written. code (n,)
-    receives the bits of the limits that held joints back.
+    count: number of inequality constraints. If mu > 0, the step is a damped least-squares step with this damping, whose task is
+    already in s. code (n,) receives the bits of the limits that held joints back.
     """
     n, m = s.J.shape
     mode, size = int(law.mode), s.size
@@ -221,16 +221,17 @@ def by_constraints(law, s, count, mu, h, own, work, code):
 
 @inline
 def by_clipping(law, s, count, mu, h, own, work, code):
-    """Do the work of `by_constraints` for a solver's rule, by clipping each joint on its own; always return False.
+    """Write rates within all limits to s.x for a solver's iteration, by clipping each joint on its own.
 
-    Compiling `constrain` into the loop of every rule would take a minute.
+    `by_constraints` is not used, since compiling it for every solver would take a minute. Always returns False: the solver's
+    state is not corrected for clipped rates.
     """
     clip(s.x, box_of(s), code)
     return False
 
 
 def obey(rule, law, s, count, mu, h, own, work, code):
-    """Write the rates that limits allow, by `by_constraints` or `by_clipping`.
+    """Write the rates that limits allow, by `by_constraints` (published laws) or `by_clipping` (solvers).
 
     Numba compiles the overload below instead.
     """
@@ -256,9 +257,9 @@ def error_squared(weight, e):
 
 @inline
 def run(step, arm, given, own, samples, out, h, block):
-    """Run the loop of `servo` on array views and return the number of steps.
+    """Take steps until the output is full or the loop must end; return the number of steps.
 
-    block: zeros that the scratch is cut from.
+    block: array of zeros, used as scratch memory.
     """
     (rows, ends, orders), (_, p, counts, limits, wish, lines, level, measured) = arm, given
     (_, T, V, A), (_, Q, R, E, S, C) = samples, out
@@ -321,7 +322,7 @@ def run(step, arm, given, own, samples, out, h, block):
         if not still:
             notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         move(q, rate, s.x, law.gamma, h)
-        # After a descent step the method has no previous command to continue from.
+        # After a damped least-squares step the method has no previous command to continue from.
         state[STATE.start] = RUNNING if mu == 0.0 else READY
         state[STATE.period] = h
     return 0
@@ -329,14 +330,14 @@ def run(step, arm, given, own, samples, out, h, block):
 
 @functools.cache
 def servo(cls: type | None = None) -> Callable:
-    """Return the compiled loop of the published laws (cls None), or of a solver's rule class.
+    """Return the compiled loop of the published laws (cls None), or of a solver, given the class of its iteration (rule).
 
     follow(rows, ends, orders, settings, carried, samples, out, h) takes at most as many steps of h [s] as the `Record`
     `out` has room for, and returns how many it took.
 
     rows, ends: the packed chain (several tips: ends (F, ...)); orders: HEAD numbers, a Task for each tip (weights 1 or
-    0, no slack), joint weights (n,), parameters of the rule. The other arguments are blocks, see workspace.py. All numbers are in
-    kernel units (rad, arm reaches), except h, T, V, A, errors and tolerances, which are in s, m and rad.
+    0, no slack), joint weights (n,), parameters of the solver. Each other argument is one array that holds all fields of
+    Settings, Carried, Samples or Record. Numbers are in rad and arm reaches; h, T, V, A, errors and tolerances in s, m and rad.
     """
     step: Any = Published if cls is None else step_class(cls)
 

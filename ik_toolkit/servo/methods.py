@@ -12,8 +12,8 @@ J^+ (target one step ahead - actual):
     aad  a = (s/h - J^+ J qd) / (gamma h) - J^+ Jdot(w) w / (2 gamma),   q' = q + h qd + gamma h^2 a        ours
 
 Eqs (29) and (32) print the indices i+1 and i. They must mean "the command computed now, and the one before", as only this
-reading gives the paper's matrices. The text does not say at which rates x, y the term Jdot(x) y of (25) is taken. With
-w = s/h + (1 - J^+ J) qd there are three readings, 1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default,
+gives the paper's matrices. The text does not say at which rates x, y the term Jdot(x) y of (25) is taken. With w = s/h +
+(1 - J^+ J) qd there are three interpretations, 1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default,
 as the paper ends with this form), 3: Jdot(w) w. `aa` keeps an eigenvalue -1, so its rate may zigzag for ever; `aad` with
 gamma > 1/2 damps this zigzag at the same accuracy.
 
@@ -42,7 +42,7 @@ DAMPING = 0.02
 # [1/s] default damping of null-space motion; with less, the null-space motion of one lap places joints badly for the next lap
 NULL_DAMPING = TAKEN_UP
 
-# For each tracking method: its code in the kernel, its options, and a description of one line.
+# For each tracking method: its code in the compiled loop, its options, and a description of one line.
 METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
     "cv": (laws.CV, ("kappa",), "velocity level, error fed back with kappa (classical)"),
     "av": (laws.AV, ("share",), "one Newton step a sample (alternative velocity level)"),
@@ -116,7 +116,7 @@ class Method:
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
     def pack(self, h: float) -> np.ndarray:
-        """Return the method and its gains (see `gains`) as an array, in the layout of `laws.Law`.
+        """Return the method and its gains at sample time h [s] as an array, in the order of the fields of `Law`.
 
         Entries that belong to a run and not to the method are 0.
         """
@@ -166,7 +166,8 @@ class System(NamedTuple):
 class Run(NamedTuple):
     """Result of `simulate` over the N + 1 samples that were reached.
 
-    t (N + 1,) [s]; q, rate (N + 1, n): joint values and rates; error (N + 1, m); command (n,): last command of methods cv and ca;
+    t (N + 1,) [s]: times; q, rate (N + 1, n): joint values and rates; error (N + 1, m): target minus actual; command (n,): last
+    command of methods cv and ca;
     gamma: weight of the new rate in a step; stopped: a sentence if the run ended early, else ''.
     """
 

@@ -12,7 +12,7 @@ from ..validate import switch
 from .viability import UNLIMITED
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
-INSTEAD = {  # Advice in the error for assigning an attribute of a Tracker, by attribute; "" is for all others.
+INSTEAD = {  # advice in the error raised on assignment to an attribute of a Tracker, by attribute; "": all others
     **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
     "q": "use reset(q0), or pass q= to update where joints are measured",
     "": "make a Tracker with the robot, method and options that are meant",
@@ -20,9 +20,9 @@ INSTEAD = {  # Advice in the error for assigning an attribute of a Tracker, by a
 
 
 def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> np.ndarray:
-    """Return the limits (4, n) of the joints in kernel units: rows lower, upper, speed, acceleration.
+    """Return the limits (4, n) of the joints in internal units: rows lower, upper, speed, acceleration.
 
-    Limits that a joint does not have are infinite. Kernel units are rad for a revolute joint, and about the arm's reach
+    Limits that a joint does not have are infinite. The internal unit is 1 rad for a revolute joint, and about the arm's reach
     (`chain.scale`) for a prismatic joint.
 
     Args:
@@ -59,7 +59,7 @@ def speeds(limits: np.ndarray) -> np.ndarray:
 
 
 def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
-    """Return a copy of the limits (4, n) [kernel units] with some of its rows replaced.
+    """Return a copy of the limits (4, n) [rad or arm reaches, per s, per s^2] with some of its rows replaced.
 
     Args:
         robot: The robot, for the names and units of its joints.

@@ -1,6 +1,6 @@
-"""What a tracker does besides its task: slack as inequalities, secondary motion in the null space, free turns.
+"""What a tracker does besides its task: slack (dead bands) as inequalities, secondary null-space motion, free rotations.
 
-The options of the null space are read once (`Secondary`); the compiled part turns them into a motion at every step.
+The options of the null space are checked once (`Secondary`); the compiled part turns them into a motion at every step.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ from .laws import STATE, apply
 FADING = 0.15  # share of a joint's range, next to each limit, in which the joint moves away from the limit
 # [rad or arm reaches] step of a difference quotient; the error of the quotient is about step^2 + 1e-16 / step
 STEP = 1e-5
-NEARLY = 0.5  # share of the remaining slack that an error may use up in one sample
+NEARLY = 0.5  # share of the distance to the end of its slack (dead band) by which an error may grow in one sample
 # An error that exceeds its slack by more than this is closed like an error without slack.
 # BEYOND [share of the slack] applies while inequalities cannot be kept; a smaller excess may be rounding.
 # FAR [arm reaches, rad] applies otherwise.
@@ -27,9 +27,9 @@ PRESSED = 0.1  # [s] after which inequalities that keep errors within slack are 
 
 @inline
 def reflect(flip, y):
-    """Mirror the rotation components of y (m,), three per tip, in place, so that a free turn becomes the last of the three.
+    """Mirror the rotation components of y (m,), three per tip, in place, so that the axis of a free rotation becomes the last one.
 
-    flip (F, 3): the unit normal of the mirror plane of each tip, zero for a tip without a free turn.
+    flip (F, 3): the unit normal of the mirror plane of each tip, zero for a tip without a free rotation.
     """
     for f in range(flip.shape[0]):
         k = 6 * f + 3
@@ -41,7 +41,7 @@ def reflect(flip, y):
 
 @inner
 def lay_aside(flip, J, e):
-    """Mirror J (n, m) and the error e (m,) as in `reflect`, and set the components of free turns to exactly zero."""
+    """Mirror J (n, m) and the error e (m,) as in `reflect`, and set the components about free axes to exactly zero."""
     reflect(flip, e)
     for f in range(flip.shape[0]):
         if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
@@ -71,12 +71,12 @@ def weigh(weight, J, e, ahead, f, a):
 
 @inner
 def slack_rows(slack, s, count, h, state):
-    """Turn errors with slack into inequalities, from row `count` of s.planes on, and out of the task; return the new count.
+    """Replace errors with a slack (dead band) by inequalities, from row `count` of s.planes on; return the new count.
 
-    Inside its slack an error may use up at most NEARLY of the remaining slack in one sample; slightly outside, it is brought back.
-    An error further outside stays in the task, reduced by its slack. While inequalities block the task or contradict the limits
-    (STATE.pressed), the same holds for every error beyond its slack, because hard inequalities would then let joints turn at full
-    speed.
+    Inside the band, an error may come closer to its edge by at most NEARLY of the distance in one sample; slightly outside, it is
+    brought back. An error further outside stays in the task, reduced by its slack. While inequalities block the task or contradict
+    the limits (STATE.pressed), the same holds for every error outside its band, because hard inequalities would then let joints
+    turn at full speed.
     """
     n, m = s.J.shape
     e = s.e
@@ -157,9 +157,9 @@ class Secondary(Holds):
     FUNCTION = "cost"
 
     def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
-        """Store the options; wish (3, n) [kernel units]: posture, gain towards it [1/s], and an additional velocity."""
+        """Store the options; wish (3, n): posture [rad or arm reaches], gain towards it [1/s], and an additional velocity."""
         self.robot, self.avoid, self.nimble, self.wish, self.sides, self.cost = robot, avoid, nimble, wish, sides, cost
-        # This says whether the cost or the manipulability must be evaluated before every step.
+        # whether the cost or the manipulability must be evaluated before every step
         self.each_step = cost is not None or nimble > 0.0
 
     def confine(self, limits: np.ndarray) -> None:
@@ -168,14 +168,14 @@ class Secondary(Holds):
         limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
 
     def side(self, away: np.ndarray) -> None:
-        """Write to away (n,) to which side joints leave a straight pose.
+        """Write to away (n,) the direction (sign) in which joints leave a straight, singular pose.
 
         Without the option `elbow` it is 1 for all joints. With it, it is 1 or -1 for the joints that are named, and 0 for others.
         """
         away[:] = self.sides if self.sides.any() else 1.0
 
     def look(self, q: np.ndarray) -> None:
-        """Set wish[2] to the joint velocity that lowers cost and raises manipulability, at q (n,) [kernel units]."""
+        """Set wish[2] to the joint velocity that lowers cost and raises manipulability, at q (n,) [rad or arm reaches]."""
         unit = self.robot.chain.unit
         at = q * unit
         slope = np.zeros(len(at))

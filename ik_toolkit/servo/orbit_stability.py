@@ -45,7 +45,7 @@ class Growth(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Matrices of the exact motion, one for each of N steps; D(x) is the derivative of J along joint velocities x.
+    """Matrices of the motion without error, one for each of N steps; D(x) is the derivative of J along joint velocities x.
 
     row: J^+ J; rate: J^+ D(qd); acceleration: J^+ D(qdd); bend: J^+ D(J^+ D(qd) qd); second: J^+ times the second derivative of J
     along qd; each (N, n, n). first, last (m, n): J at the start and at the end.
@@ -158,7 +158,7 @@ def null_rate(method: str, null_damping: float, h: float) -> float:
 def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0) -> np.ndarray:
     """Return the matrices (N, k n, k n) that carry a small disturbance over each step.
 
-    Its k n states are those of `mapping_matrix`. Method aa is taken with its second reading of dJ/dt, the default of `Method`.
+    Its k n states are those of `mapping_matrix`. Method aa is taken with option reading=2 (where dJ/dt is evaluated), the default.
     """
     eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
     null = null_rate(method, null_damping, h) * (eye - m.row)

@@ -36,9 +36,9 @@ class Survey:
 
     t (K,) [s]: times of the poses; q (K, n) [rad or m]: joint values there, as near as the arm gets. along (K,): length
     of the path up to each pose [m], or [rad] if the tip only turns (turning). posed: whether an orientation is asked
-    for. until: index of the first pose out of reach, None if all are reached; stop [m or rad]: length of the path up to
-    the edge of the reach. joints: names of the joints that are at a limit there. pace: largest ratio of a joint's speed to its
-    limit, and the joint's name.
+    for. until: index of the first pose out of reach, None if all are reached; stop [m or rad]: length of the part of the path
+    that can be reached. joints: names of the joints that are at a limit at its end. pace: largest ratio of a joint's speed to
+    its limit, and the joint's name.
     """
 
     robot: Joints
@@ -144,7 +144,7 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
 
 
 def bound_search(robot: Joints, **options: Any) -> Any:
-    """Return the general search bound to a robot, with tolerances fine enough to say what can be reached."""
+    """Return the general-purpose numerical solver for a robot, with tolerances fine enough to say what can be reached."""
     from ..solvers.registry import search_for
     from ..solvers.solve import bound_solver
 
@@ -246,7 +246,7 @@ def singular_sides(robot: Joints, posed: list[bool], path: np.ndarray) -> np.nda
 
 
 def _jacobians(robot: Joints, posed: list[bool], path: np.ndarray) -> np.ndarray:
-    """Return the Jacobians (N, m, n) of tip positions, and orientations where `posed`, lengths in arm reaches."""
+    """Return the Jacobians (N, m, n) of the tips' positions and, where `posed`, orientations; lengths in arm reaches."""
     rows = []
     for arm, place, angular in zip(robot.arms, robot.places, posed, strict=True):
         J = np.zeros((len(path), 6, path.shape[1]))
@@ -292,7 +292,7 @@ def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.nd
 
 
 def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q: np.ndarray, k: int) -> float:
-    """Return the path's length up to the edge of the reach, by bisection between poses k - 1 and k, the first one out of reach.
+    """Return the length of the reachable part of the path, by bisection between poses k - 1 and k, the first one out of reach.
 
     then: bound solver that stays near the joint values given to it; t, along, q: as in `Survey`.
     """

@@ -38,32 +38,32 @@ from .viability import ACCELERATION, NOISE, POSITION, RECOVERING, UNKNOWN, VELOC
 
 TOLERANCE = 1e-5  # [m, rad] tolerance of a posture; the tracker itself comes closer afterwards
 TINY = 1e-300  # least divisor of joint speeds, in case all of them are 0
-REACHED = 1e-3  # [m] error below which a target counts as reached; angles count at the lever arm LEVER
+REACHED = 1e-3  # [m] error below which a target counts as reached; 1 rad counts as LEVER
 
 
 class Taken(NamedTuple):
-    """A step that a tracker has taken, in kernel units except E, T and times; the arrays are the tracker's own."""
+    """A step that a tracker has taken, joints in rad or arm reaches; the arrays are shared with the tracker."""
 
-    code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
+    code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
     singular: bool  # whether the pose was singular
     E: np.ndarray  # (2, m) errors before and after the step [m, rad], base axes
-    left: float  # [m] error after the step as one number, see `Postures.size`
+    left: float  # [m] error after the step as one number, in which 1 rad counts as LEVER
     T: np.ndarray  # (2, F, 4, 4) targets before and after the step
-    stand: np.ndarray  # whether the target stands still, in the layout of `target_stream.Stand`
+    stand: np.ndarray  # whether and for how long the target has stood still; STAND holds the indices
     dt: float  # [s] length of the update
     since: float  # [s] time since the last step that was examined
     q: np.ndarray  # (n,) joint values after the step
     rate: np.ndarray  # (n,) joint rates after the step
     limits: np.ndarray  # (4, n) lower, upper, speed, acceleration
-    law: np.ndarray  # the method and its gains, in the layout of `laws.Law`
+    law: np.ndarray  # the method and its gains, in the order of the fields of `Law`
     error_at: Callable[[np.ndarray], np.ndarray]  # function that returns the errors (m,) at other joint values (n,)
 
 
 class Postures:
-    """Finds joint values [kernel units] that reach targets; `ready` must be told the kinds of the targets first."""
+    """Finds joint values [rad or arm reaches] that reach targets, by single solver attempts. Call `ready` first."""
 
     def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
-        """Prepare the solver; options: say which errors count; speed (n,): joint speed limits [kernel units per s]."""
+        """Prepare the solver; options: which errors count; speed (n,): speed limits [rad/s or arm reaches/s]."""
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to", "priority")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
@@ -73,7 +73,7 @@ class Postures:
         weights = tuple((speed / max(speed.max(), TINY)).tolist())
         self.quick = Plan(robot, row, row.load()(), replace(one_attempt, joint_weights=weights))
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
-        # An error of a lower level is as small as this posture allows, which is no reason to look for another.
+        # Errors of lower priority levels are no reason to look for another posture.
         firm = np.repeat(np.equal(group_levels(robot, options), 0), 3)
         self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips)) * firm
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
@@ -95,12 +95,12 @@ class Postures:
         Args:
             T: Targets (N, F, 4, 4) [m].
             starts: Starts (N, n).
-            q: Joint values (n,) to which the results are brought as near as full turns allow.
+            q: Joint values (n,); results are shifted by multiples of 2 pi to be as near to them as possible.
             limits: Limits (4, n).
             quick: Whether to prefer solutions in which slow joints move less.
 
         Returns:
-            The joint values in the order of the starts, and whether a target is proven out of reach of any posture.
+            The joint values in the order of the starts, and whether a target is proven out of reach for all joint values.
         """
         plan, unit, n = self.quick if quick else self.plan, self.robot.chain.unit, self.robot.n
         rows = np.zeros((len(starts), plan.width))
@@ -116,7 +116,7 @@ class Postures:
         return np.clip(found[inside], limits[0], limits[1]), bool((status == UNREACHABLE).any())
 
     def size(self, E: np.ndarray) -> float:
-        """Return errors (m,) of all tips [m, rad] as one number [m], with angles at the lever arm LEVER."""
+        """Return errors (m,) of all tips [m, rad] as one number [m], in which 1 rad counts as LEVER."""
         return math.hypot(*(self._lever * E).tolist())
 
 
@@ -155,7 +155,7 @@ ON_WAY = (0.25, 0.5, 0.75)  # fractions of a move at which the tip's error is ev
 class Reconfiguration:
     """Decides whether and when a tracker moves to another posture, and takes the steps of the move.
 
-    goal (n,): joint values to which the move under way leads [kernel units], or None; held: indices of the joints whose limits
+    goal (n,): joint values [rad or arm reaches] to which the present move leads, or None; held: indices of the joints whose limits
     caused the move.
     """
 
@@ -169,7 +169,7 @@ class Reconfiguration:
         self.begin()
 
     def begin(self) -> None:
-        """Forget everything, as at the start."""
+        """Reset to the initial state: no goal, no search, no pause."""
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
         self._barred: list[np.ndarray] = []  # postures that collide, or that a collision on the way blocks
@@ -179,7 +179,7 @@ class Reconfiguration:
         self._vain = np.zeros(0)  # target at the last search that found nothing
 
     def forget(self) -> None:
-        """Drop the goal and the search: the target has been reached or left."""
+        """Drop the goal and the search, because the target has been reached or has moved elsewhere."""
         self.goal: np.ndarray | None = None
         # time without progress [s], error summed over time [m s], least error [m]
         self._stood, self._lost, self._least = 0.0, 0.0, math.inf
@@ -246,7 +246,7 @@ class Reconfiguration:
                 self._decide(taken, stood)
 
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
-        """Begin a search at the next step, for targets T (F, 4, 4) that jumped and now stand.
+        """Begin a search at the next step, for targets T (F, 4, 4) that jumped and now stand still.
 
         If the search finds nothing, `goal` stays None.
         """
@@ -330,8 +330,8 @@ class Reconfiguration:
     ) -> bool:  # fmt: skip
         """Step q and rate (n,) in place by h [s] towards the goal; return False, with nothing moved, if there is no goal any more.
 
-        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma, late:
-        as in `travel`. code (n,) receives the bits of the limits that held joints back.
+        If the target T (F, 4, 4) has moved, the goal follows it: joint values for T are solved for near the old goal. gamma: weight
+        of the new rate; late [s]: longest later step. code (n,) receives the bits of the limits that held joints back.
         """
         goal, near = self.goal, ARRIVED
         if goal is None or locked(limits):

@@ -274,7 +274,7 @@ def settling(settle: float | None, at_rest: bool, duration: float) -> float:
 def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
     """Return the status of a run for which `steps` were planned, and a sentence about it.
 
-    stop: why the loop ended (see `laws.State`).
+    stop: why the loop ended (FINE, NOT_FINITE or RUNAWAY).
     """
     done = len(result.t) - 1
     if stop in (laws.RUNAWAY, laws.NOT_FINITE):

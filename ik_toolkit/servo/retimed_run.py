@@ -23,7 +23,7 @@ from .tracker import Tracker
 from .workspace import Samples, new_record
 
 QUICK = 10.0  # [1/s^2] largest d2s/dt2, so that a run starts or stops within a tenth of a second
-SPEED = 0.98  # share of the speed limits that a time law uses, because a run differs a little from its plan
+SPEED = 0.98  # share of the speed limits that a time law uses, because a run differs a little from the planned motion
 # Shares of the acceleration limits that a time law uses, tried in turn; with the first one 31 of 288 runs failed.
 ACCELERATION = (0.95, 0.88, 0.8, 0.6)
 TOLERANCE = 0.8  # share of the tolerances that a time law allows for the error of a step
@@ -59,7 +59,7 @@ class Clock(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A joint path Q (K + 1, n) [kernel units] at reference times s (K + 1,) [s], and its null-space motion."""
+    """A joint path Q (K + 1, n) [rad or arm reaches] at reference times s (K + 1,) [s], and its null-space motion."""
 
     s: np.ndarray
     Q: np.ndarray
@@ -70,7 +70,7 @@ class Way(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """Outcome of one run with one Clock; Q, R, E, S, C are the arrays of a `workspace.Record`."""
+    """Outcome of one run: joint values Q, rates R, errors E, singular directions S and limit bits C at its samples."""
 
     missed: int  # number of samples off the reference; for a solver, which always lags, of steps held back by limits
     Q: np.ndarray
@@ -146,7 +146,7 @@ class Run:
                 return
 
     def _at_rest(self) -> bool:
-        """Return whether the joints stand at the start."""
+        """Return whether the joints are at rest at the start."""
         return self.tracker._state[laws.STATE.start] == laws.GIVEN and not self.tracker._rate.any()
 
     def _slowly(self, way: Way, from_rest: bool) -> None:
@@ -193,7 +193,7 @@ class Run:
             top[here] = np.minimum(top[here], np.sqrt(max(ENOUGH / excess[k], LEAST)) * clock.rate[k])
 
     def _wishes(self) -> tuple[float, np.ndarray]:
-        """Return the secondary motion that the caller asked for: `avoid` and `posture` of a `Way`."""
+        """Return the caller's gain [1/s] of limit avoidance, and posture with its gain (2, n)."""
         secondary = self.tracker.secondary
         return secondary.avoid, secondary.wish[:2].copy()
 
@@ -228,7 +228,7 @@ class Run:
         return self.tracker.robot.n > (self.tracker._settings.counts[0] > 0.0).sum()
 
     def _besides(self, here: Way) -> Iterator[Way]:
-        """Yield variants of a `Way` with stronger avoidance of limits, or the middle of the ranges as posture."""
+        """Yield variants of a joint path: with stronger avoidance of limits, or drawn to the middle of the joint ranges."""
         lower, upper = self.tracker._limits[:2]
         bounded = np.isfinite(upper - lower)
         for avoid in HARDER:
@@ -324,7 +324,7 @@ class Run:
         return np.interp(way.s, way.s[some], rates[some])
 
     def _begin(self, way: Way) -> None:
-        """Reset the tracker to the start of the run, with the secondary motion of `way`."""
+        """Reset the tracker to the start of the run, with limit avoidance and posture as in `way`."""
         self.tracker.put_back(self.start)
         secondary = self.tracker.secondary
         secondary.avoid, secondary.wish[:2], secondary.wish[2] = way.avoid, way.posture, 0.0
@@ -347,7 +347,7 @@ class Run:
         return self.made[-1]
 
     def _steps(self, samples: Samples, way: Way, made: list, pairs: Counter) -> None:
-        """Take one step per sample, and append records of them to `made`; pairs: counts of the parts that nearly touched.
+        """Take one step per sample, and append the recorded arrays to `made`; pairs: counts of the parts that nearly touched.
 
         If way.led, the steps follow the joint path of `way`, which is then given at the samples.
         """

@@ -72,7 +72,7 @@ def by_difference(task, s):
 
 @inner
 def forget_default(state, away):
-    """Set away (n,) to zero before the first singular pose, because it then holds a default and not a known side."""
+    """Set away (n,), the side from which joints came, to zero before the first singular pose, where it is only a default."""
     if state[STATE.near] == 0.0:
         for i in range(away.shape[0]):
             away[i] = 0.0
@@ -113,7 +113,7 @@ def begin_mode(s, r, free, way, away):
 
 @inline
 def probe_mode(s, r, part, rate, h):
-    """Write to s.x1 and s.x2 the joint motions whose product (dJ/dt along s.x1) s.x2 `bend` is to compute.
+    """Write to s.x1 and s.x2 the joint motions of which the product (dJ/dt along s.x1) s.x2 is needed.
 
     part: ALONG, BESIDE or BOTH of `mode_probe`; or, for the gradient of the singular value, part = i - n < 0 for joint i alone in
     s.x2, while s.x1 stays. Returns the joints' present rate along V_r (column r of V), or 0 for the gradient.
@@ -130,7 +130,7 @@ def probe_mode(s, r, part, rate, h):
 
 @inline
 def note_curve(s, r, part):
-    """Store the component of s.bias along u_r: in s.t for a motion of `mode_probe` (part >= 0), in s.null for a single joint."""
+    """Store the curvature (component of s.bias along u_r): in s.t[part] for part >= 0, or in s.null for a single joint."""
     curved = mode_part(s.U, r, s.bias)
     i = part + s.null.shape[0]
     if part >= 0:
@@ -167,7 +167,7 @@ def fastest_along(V, r, limits):
 
 @inner
 def mode_speed(s, mode, gain, h, limits, near, away):
-    """Decide whether singular direction r leaves the task; if so, write 1 to s.lost[r] and the joint speed along V_r to s.xk[r].
+    """Decide whether to remove singular direction r from the task; if so, set s.lost[r] to 1 and s.xk[r] to the speed along V_r.
 
     u_r and V_r are the task and joint directions of singular direction r. s.t holds the curvature along u_r of each motion of
     `mode_probe`. near: above 0 if the last step was at a singular pose, above 1 for some time after the target was out of reach.
@@ -215,7 +215,7 @@ def mode_speed(s, mode, gain, h, limits, near, away):
 
 @inline
 def judge_modes(law, task, look, s, limits, h, own, heavy):
-    """Choose for each singular direction whether it leaves the task, and the joint rate along it (see `mode_speed`).
+    """Choose for each singular direction whether it is removed from the task, and the joint rate along it (see `mode_speed`).
 
     Returns whether the target is out of reach along one of them.
     """

@@ -31,7 +31,7 @@ SIDE = 0.2
 
 
 class Weak(NamedTuple):
-    """Thresholds for singular directions and motion along them (tests/servo/test_crossings.py, test_out_of_reach.py).
+    """Thresholds for singular directions and motion along them.
 
     Singular values are tip motions in arm reaches (or rad) per rad (or arm reach) of a joint.
     """
@@ -89,7 +89,7 @@ def modes(J, near, W, U, sigma):
 
 @inner
 def begin_anew(slack, near):
-    """Forget the u_k of the last call if an error has slack: an error that leaves the task needs a direction of its own."""
+    """Forget the u_k of the last call if an error has slack: when it leaves the task, its axis must be a direction of its own."""
     some = False
     for k in range(slack.shape[0]):
         some = some or slack[k] > 0.0
@@ -216,7 +216,7 @@ def rest_of(e, part):
 
 @inner
 def mode_moved(U, r, e, ahead, f, h):
-    """Return the component along u_r (row r of U) of the target's motion in a step of h [s].
+    """Return the target's motion along u_r (row r of U) in a step of h [s].
 
     It is the difference between the errors ahead and e. If the error is large, it is h times the twist f instead, since
     large rotations do not add like vectors.

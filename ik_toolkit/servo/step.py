@@ -57,12 +57,12 @@ class StepStatus(Enum):
 
 
 class Judged(NamedTuple):
-    """What the status of a step depends on, as far as it is the same for all steps of a tracker."""
+    """Data for the status of a step that are the same for all steps of a tracker."""
 
     robot: Any
     settings: Callable[[float], dict[str, float]]  # gains of the method by sample time [s]
     posed: tuple[bool, ...]  # whether the orientation of each tip counts
-    firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the first level of priority
+    firm: np.ndarray  # (F, 2) whether position and orientation of each tip are of the highest priority level
     jump: float  # [rad or arm reaches] joint move in one step that is reported as a jump
     speed: np.ndarray  # (n,) speed limits [rad/s or m/s]
 
@@ -71,14 +71,14 @@ class Outcome(NamedTuple):
     """What the status of one step is computed from; the arrays are not shared with the tracker."""
 
     by: Judged
-    code: np.ndarray  # (n,) bits of the limits that were active, see viability.py
-    before: np.ndarray  # (n,) previous command, in kernel units
+    code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
+    before: np.ndarray  # (n,) previous command [rad or arm reaches]
     errors: np.ndarray  # (2, m) errors before and after the step [m, rad]
     targets: np.ndarray  # (2, F, 4, 4) targets before and after the step [m]
-    told: np.ndarray  # (m,) how far the target was going to move by its twist before the step [m, rad]
+    told: np.ndarray  # (m,) motion of the target during the step as predicted by its twist before the step [m, rad]
     h: float  # length of the step [s]
     lost: float  # number of singular directions, in which the tip can hardly move
-    down: bool  # whether the step was a damped descent towards the closest pose nearby (servo/damped_descent.py)
+    down: bool  # whether the step was a damped least-squares step of an arm that is stuck near its target
     finite: bool  # whether all numbers of the target were finite
     lag: float  # largest difference between measured and commanded joints, as a share of the allowed difference
     resynced: bool  # whether the tracker restarted from the measured joints
@@ -88,7 +88,7 @@ class Outcome(NamedTuple):
     way: tuple[str, ...] | Choice | None
 
 
-make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as in solvers/outcome.py
+make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...)
 
 
 class Step:
@@ -179,13 +179,13 @@ class Step:
         return self._size(self._outcome.errors)
 
     def _size(self, errors: np.ndarray) -> np.ndarray:
-        """Return the size (K,) of errors (K, m) of the first level, with lengths in arm reaches."""
+        """Return the norms (K,) of errors (K, m) of the first priority level, with lengths in arm reaches."""
         by = self._outcome.by
         parts = errors.reshape(len(errors), -1, 2, 3) * by.firm[:, :, None] * [[1.0 / by.robot.reach], [1.0]]
         return np.linalg.norm(parts.reshape(len(errors), -1), axis=1)
 
     def _swerve(self) -> float:
-        """Return how far the target moved otherwise than its twist said, which no method could foresee, as `_size` measures it."""
+        """Return the difference between the target's motion and the one predicted by its twist, which no method can foresee."""
         T, told = self._outcome.targets, self._outcome.told
         turns = [log(after[:3, :3] @ before[:3, :3].T) for before, after in zip(*T, strict=True)]
         turns = np.array(turns) * np.array(self._outcome.by.posed)[:, None]
@@ -193,7 +193,7 @@ class Step:
         return float(self._size(moved.reshape(1, -1) - told)[0])
 
     def _away(self) -> bool:
-        """Return whether the first level's error left exceeds JUDGE.position or JUDGE.angle, so that it is worth saying why."""
+        """Return whether the remaining error of the first priority level exceeds JUDGE.position or JUDGE.angle."""
         by = self._outcome.by
         left = np.linalg.norm(self._outcome.errors[1].reshape(-1, 2, 3), axis=2) * by.firm
         return bool(left[:, 0].max() > JUDGE.position or (left[:, 1] * by.posed).max() > JUDGE.angle)
@@ -261,7 +261,10 @@ class Step:
 
 
 def _on_the_way(way: tuple[str, ...] | Choice) -> str:
-    """Return words on where the joints go, and why; way: see `Outcome`."""
+    """Return words on where the joints go, and why.
+
+    way: for a move to another posture, the joints whose limits caused it; else the way chosen to a target that jumped.
+    """
     if not isinstance(way, Choice) or way.ratio == math.inf:
         where = f": the limit of {', '.join(way)} ended the last one" if way and not isinstance(way, Choice) else ""
         return f"moving to another posture that reaches the target{where}"

@@ -1,4 +1,4 @@
-"""A target that jumped and stands: the tip moves there in a straight line, or the joints move together if faster.
+"""A target that jumped and stands still: the tip moves there in a straight line, or by a direct joint move if much faster.
 
 The feedback of a method closes an error in proportion to its size. Inside joint limits that loses time twice: the tip slows down
 long before its target, and a straight line of the tip can be a long way for the joints, or end where no joint can go
@@ -28,7 +28,7 @@ STRAIGHT = 1.2
 POINTS = 24
 # A line that takes this many times as long as a joint move must contain a change of posture.
 TORN = 4.0
-NEAR = 2e-3  # [m] A smaller error (angles at the lever arm LEVER) is left to the tracking method.
+NEAR = 2e-3  # [m] A smaller error (in which 1 rad counts as LEVER) is left to the tracking method.
 # A method that leaves more than this share of an error after a step is hindered; its best gains leave a third at most.
 SLOW = 0.5
 SOONER = 0.5  # The posture that moves slow joints less is taken if its move takes less than this share of the time.
@@ -36,7 +36,7 @@ CLOSE = 1e-3  # [s] time left at full joint speed below which a move counts as f
 
 
 class Route(NamedTuple):
-    """A joint motion through K points, cubic in between, in kernel units.
+    """A joint motion through K points, cubic in between [rad or arm reaches].
 
     t (K,) [s]: times of the points; q (K, n) and rate (K, n): joint values and rates there.
     """
@@ -69,7 +69,7 @@ class Choice(NamedTuple):
 class Leap:
     """Leads a tracker to a target that jumped.
 
-    goal (n,): joint values to which the move under way leads [kernel units], or None; why: the way chosen.
+    goal (n,): joint values [rad or arm reaches] to which the present move leads, or None; why: straight line or joint move.
     """
 
     def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:
@@ -168,7 +168,7 @@ class Leap:
     ) -> bool:  # fmt: skip
         """Step q and rate (n,) in place by h [s] towards the goal; return False, with nothing moved, if there is no goal any more.
 
-        gamma, late: as in `travel`. code (n,) receives the bits of the limits that held joints back.
+        gamma: weight of the new rate; late [s]: longest later step; code (n,): receives bits of the limits that held joints back.
         """
         goal, left = self.goal, -1.0
         self._time += h
@@ -191,8 +191,8 @@ def ways(
 ) -> list[Leap | Reconfiguration]:
     """Return the objects that lead a tracker's joints where its method fails or is slow; none if postures is None.
 
-    chosen: as for `Leap`; straight, reconfigure: options of `Tracker`; world: a CollisionModel or None. Raises
-    InvalidOption.
+    chosen: whether the caller chose the method's gains; straight, reconfigure: options of `Tracker`; world: a CollisionModel or
+    None. Raises InvalidOption.
     """
     elsewhere = switch(reconfigure, "reconfigure")
     longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")

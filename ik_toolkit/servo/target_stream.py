@@ -21,8 +21,8 @@ from ..solvers.task import read_one, read_target
 from .workspace import Samples, new_samples, samples_of
 
 TIGHT = 1e-9  # Rotation matrices with smaller errors are accepted here; the full check corrects or refuses others.
-READ, CHECK, REFUSED = range(3)  # state of a target given to the kernel: fully read, still to be checked, or refused
-# results of `arrive`: accepted, to be read in full, or not finite (the last target stays)
+READ, CHECK, REFUSED = range(3)  # state of a target given to `arrive`: checked, still to be checked, or refused
+# results of `arrive`: accepted, to be checked in full by Python, or not finite (the last target is kept)
 TAKEN, DOUBTFUL, HELD = range(3)
 STILL = 2e-3  # [m, or rotation matrix entries] largest change of a standing target in WAIT: 20 mm/s, or 0.014 rad/s
 WAIT = 0.1  # [s] time within which a target that stands still may not move by more than STILL
@@ -33,7 +33,7 @@ JUMP = 0.05
 
 
 class Stand(NamedTuple):
-    """Layout of an array that says whether a target stands still; STAND holds the indices.
+    """Names for the entries of an array that says whether a target stands still; STAND.seconds etc. are the indices.
 
     Before its first motion a target counts as having jumped.
     """
@@ -59,7 +59,7 @@ def finite(A):
 
 @inline
 def axes_of(T):
-    """Return the rotation of a pose (4, 4) as an M3."""
+    """Return the rotation of a pose (4, 4) as an M3, a 3x3 matrix of scalars."""
     return M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
 
 
@@ -103,7 +103,7 @@ def gap(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """Update whether the target stands still: stand (5 + 16 F,), see `Stand`; T (2, F, 4, 4): targets dt [s] apart."""
+    """Update `stand` (5 + 16 F,), which says whether the target stands still; T (2, F, 4, 4): last two targets, dt [s] apart."""
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
     if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:
@@ -121,11 +121,11 @@ def look(T, stand, dt):
 def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceleration, dt):
     """Write a new target into sample `slot` of `samples`: 0 is the last target, 1 the next one.
 
-    samples, given: blocks as in workspace.py, of two targets and of the new target; stand (5 + 16 F,): array in the layout of
-    `Stand`. how: READ, CHECK or REFUSED. posed: bit f says that tip f has an orientation. first: there was no target before.
-    moved: the former next target becomes the last one. twist, acceleration: whether they are given; if not, the twist follows
-    from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN, DOUBTFUL (the caller has to read the
-    target in full and call again) or HELD.
+    samples, given: arrays that hold the fields of Samples, of two targets and of the new one; stand (5 + 16 F,): see `Stand`. how:
+    READ, CHECK or REFUSED (the target is checked, to be checked, or not finite). posed: bit f is set if tip f has an orientation.
+    first: there was no target before. moved: the former next target becomes the last one. twist, acceleration: whether they are
+    given; if not, the twist follows from the last two targets, dt [s] apart, and the acceleration is 0. Returns TAKEN, DOUBTFUL
+    (the caller must check the target in full and call again) or HELD (not finite, the last target is kept).
     """
     (_, T, V, A), (_, Ts, Vs, As) = samples_of(view(samples)), samples_of(view(given))
     if moved:
@@ -170,7 +170,7 @@ KIND = {(4, 4): POSE, (3,): POSITION}  # kind of target by the shape of its arra
 
 
 class Stream(CopiesViews):
-    """The targets of a tracker: the last and the next one (`samples`), and whether the next one stands (`stand`).
+    """The targets of a tracker: the last and the next one (`samples`), and whether the next one stands still (`stand`).
 
     kinds: kind of target of each tip, None before the first target. pace [s]: the longest recent time between targets.
     unseen [s]: time since the tracker last examined a step.
@@ -187,7 +187,7 @@ class Stream(CopiesViews):
         self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
         for one in (self.samples, self._given, self._last):
             one.T[:] = np.eye(4)
-        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # array in the layout of `Stand`
+        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # whether the target stands still, see `Stand`
         self._cut()
         self.unseen = 0.0
         self._posed = 0  # Bit f says that tip f has an orientation.
@@ -238,7 +238,7 @@ class Stream(CopiesViews):
             self.pace, self._second, self._count = self._second, 0.0, 0
 
     def step_on(self) -> None:
-        """Let the next target become the last one as soon as a new target arrives."""
+        """Note that the step is taken, so that the next target becomes the last one as soon as a new target arrives."""
         self._moved = 1
 
     def divided(self, parts: int) -> list[Samples]:
@@ -261,7 +261,7 @@ class Stream(CopiesViews):
         return last
 
     def _arrive(self, slot: int, kinds: tuple | None, how: int, twist: bool, acceleration: bool, dt: float) -> int:
-        """Pass a target on to `arrive`, and return its outcome.
+        """Pass a target to the compiled `arrive`; return TAKEN, DOUBTFUL or HELD.
 
         Raises InvalidTarget if the kind of target has changed.
         """
@@ -282,7 +282,7 @@ class Stream(CopiesViews):
         return done
 
     def _as_it_is(self, target: Any) -> tuple[tuple | None, int] | None:
-        """Copy a target made of arrays, and return its kinds and CHECK; None if it has to be read in full."""
+        """Copy a target given as arrays; return its kinds and CHECK (values not yet checked), or None if it has another form."""
         if not self.robot.by_tip:
             kind = self._copy(0, target)
             return None if kind is None else ((kind,), CHECK)
@@ -300,7 +300,7 @@ class Stream(CopiesViews):
         return self.kinds, CHECK
 
     def _copy(self, f: int, target: Any) -> int | None:
-        """Copy the array of tip f's target; return its kind, or None if it has to be read in full."""
+        """Copy the array of tip f's target; return its kind (POSE or POSITION), or None if it is no such array."""
         raw = target if type(target) is np.ndarray else getattr(target, "homogeneous", None)
         if type(raw) is not np.ndarray or raw.dtype is not FLOAT:
             return None
@@ -312,7 +312,7 @@ class Stream(CopiesViews):
         return kind
 
     def _read_in_full(self, target: Any) -> tuple[tuple | None, int]:
-        """Read and correct a target; return its kinds and READ, or None and REFUSED if it is not finite.
+        """Check and correct a target of any form; return its kinds and READ, or None and REFUSED if it is not finite.
 
         Raises InvalidTarget.
         """
@@ -374,7 +374,7 @@ class Stream(CopiesViews):
 
 
 def _finite(one: Any) -> bool:
-    """Return whether all numbers of a tip's target are finite; True if it is no target at all, which reading it will refuse."""
+    """Return whether all numbers of a tip's target are finite; True if it is no target at all, which is refused later."""
     try:
         return bool(np.isfinite(np.asarray(getattr(one, "T_base_tip", as_array(one)), dtype=float)).all())
     except (TypeError, ValueError):

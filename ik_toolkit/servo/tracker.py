@@ -127,7 +127,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._observer, self._rows = JointObserver(n, delay, noise), 0
         self._laws: dict[float, np.ndarray] = {}
-        self._ordered: tuple = ()  # arguments with which `_order` last wrote the settings
+        self._ordered: tuple = ()  # arguments of the last call of `_order`
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what led the last step; None: the tracking method
         self.reset(q0, rate0=rate0)
@@ -284,7 +284,7 @@ class Tracker(CopiesViews, ReadOnly):
         self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
-        """Let all of `_ways` examine the step just taken, as they may lead the joints elsewhere; left [m]: error after the step."""
+        """Examine the step just taken, which may start a move to another posture or to a target that jumped; left [m]: error."""
         out, unseen, self.stream.unseen = self._out, self.stream.unseen, 0.0
         taken = Taken(
             self._code, out.S[0] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
@@ -294,12 +294,12 @@ class Tracker(CopiesViews, ReadOnly):
             way.watch(taken)
 
     def _now(self, samples: Samples, h: float, **how: Any) -> Record:
-        """Return a Record of the present state, without a step; it is valid until the next call."""
+        """Return the present joints and errors as a Record, without a step; it is valid until the next call."""
         self.run(samples, h, self._here, **how)
         return self._here
 
     def error_at(self, q: np.ndarray, samples: Samples, h: float) -> np.ndarray:
-        """Return the error (m,) [m, rad] to a target at q (n,) [kernel units], valid until the next call."""
+        """Return the error (m,) [m, rad] to a target at joint values q (n,) [rad or arm reaches], valid until the next call."""
         self._settings.measured[:] = q
         return self._now(samples, h, measured=True).E[0]
 
@@ -339,7 +339,7 @@ class Tracker(CopiesViews, ReadOnly):
         self, samples: Samples, h: float, out: Record, *, brake: bool = False, measured: bool = False,
         runaway: float = math.inf,
     ) -> int:  # fmt: skip
-        """Take as many steps of h [s] as `out` has room for (see servo/loop.py); return how many were taken."""
+        """Take as many steps of h [s] as `out` has room for; return how many were taken."""
         # If gains were chosen for the length of each single step, method ca would oscillate where step lengths differ.
         pace = max(h, min(self.stream.pace, self._late))
         ordered = h, pace, brake, measured, runaway, self._late, self._rows, self.secondary.avoid

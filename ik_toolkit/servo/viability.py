@@ -27,7 +27,7 @@ from ..compile.jit import cached_small, compiled, dual, inline, inner, jit, shar
 from ..kernel.clearance import speed_and_growth, travelled
 from ..kernel.records import Array
 
-# Bits of `code`: why a joint did not move as commanded. HELD: the command was unusable.
+# Bits of `code`: why a joint did not move as commanded. HELD: the command was not finite.
 # RECOVERING: the joint was outside its limits. ROW: an inequality limits it, such as that of an obstacle.
 # CALMED: it oscillated, so that its acceleration was limited.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
@@ -62,7 +62,7 @@ class RateBox(NamedTuple):
 
 @inline
 def box_of(s):
-    """Return the rate bounds kept in a tracker's scratch arrays `s` (a `Bench`)."""
+    """Return the bounds on the joint rates, views of the scratch arrays `s` of a step."""
     return RateBox(s.floor, s.roof, s.why_low, s.why_top)
 
 
@@ -284,7 +284,7 @@ UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # an empty motion for
 
 @cached_small
 def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, code):
-    """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n); kernel units.
+    """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n) [all rad or arm reaches].
 
     The joints first follow a known motion to its end: joint values `points` and rates (K, n) at times (K,) [s], cubic in between;
     `time` is the place on it after this step. Then, or if times is empty, they move straight to the goal. The limits also hold for

@@ -1,8 +1,8 @@
-"""Memory of a tracker's loop: four blocks of numbers that Python and the kernel share, and scratch for a step.
+"""Memory of a tracker's loop: four arrays ("blocks") that Python and compiled code share, and scratch for a step.
 
-Passing an array from Python to compiled code takes 0.1 microseconds, so all arrays of one record are parts of one block. Python
-and the kernel divide a block in the same way: Python once, into arrays, and the kernel at every call, into views. The first
-number of a block says for `cut` how much of it is used; the next numbers are sizes, from which all lengths follow. To copy a
+Passing an array from Python to compiled code takes 0.1 microseconds, so all arrays of one record are views of one flat array, its
+block. Python and compiled code divide a block in the same way: Python once, compiled code at every call. The first number of a
+block says how much of it is already divided (used by `cut`); the next ones are sizes, from which all lengths follow. To copy a
 record, copy its block and divide the copy. The scratch of a step is in a block of its own.
 """
 
@@ -25,8 +25,8 @@ class Settings(NamedTuple):
     """Inputs of a tracker that stay the same during a call, for n coordinates and m errors."""
 
     block: Array
-    law: Array  # the method and its gains, in the layout of `laws.Law`
-    counts: Array  # (3, m) weights of the errors, slack in kernel units, slack in m and rad
+    law: Array  # the method and its gains, in the order of the fields of `Law`
+    counts: Array  # (3, m) weights of the errors, slack (dead band) in arm reaches or rad, slack in m or rad
     limits: Array  # (4, n) rows lower, upper, speed, acceleration
     wish: Array  # (3, n) null-space motion: posture, gain towards it [1/s], additional joint velocity
     lines: Array  # (rows, n) collision inequalities lines x <= level on joint rates; the first law.rows apply
@@ -43,11 +43,11 @@ class Carried(NamedTuple):
 
     block: Array
     motion: Array  # (2, n) joint values and rates
-    memory: Array  # memory of the tracking method or of the solver's rule
-    swings: Array  # (3, n) detection of oscillating joints, see `viability.watch`
+    memory: Array  # internal state of the tracking method or of the solver's iteration
+    swings: Array  # (3, n) reversals of each joint, to detect oscillation (see `viability.watch`)
     away: Array  # (n,) direction in which joints leave a singular (straight) pose
     basis: Array  # (m, m) task directions u_k at the last singular pose (singular_step.py); zeros until there is one
-    state: Array  # numbers kept between steps, in the layout of `laws.State`
+    state: Array  # numbers kept between steps; STATE holds the indices
     active: Array  # (n,) int8: joints in the active set of `constrain`
     kept: Array  # (rows,) int8: inequalities in the active set of `constrain`
 
@@ -70,13 +70,13 @@ class Samples(NamedTuple):
 
 @compiled
 class Record(NamedTuple):
-    """Arrays that N - 1 steps fill with the state at N samples; with N = 1 no step is taken and the present state is stored."""
+    """Results of N - 1 steps: the state at N samples. With N = 1 no step is taken and the present state is stored."""
 
     block: Array
     Q: Array  # (N, n) joint values
     R: Array  # (N, n) joint rates
     E: Array  # (N, m) errors [m, rad], base axes
-    # (N,) number of singular directions removed from the task in each step (1 in a descent near a singular pose)
+    # (N,) number of singular directions removed from the task in each step (1 in a damped descent near a singular pose)
     S: Array
     C: Array  # (N - 1, n) uint8: bits of the limits that held joints back in each step
 
@@ -86,45 +86,45 @@ class Record(NamedTuple):
 
 @shared
 def settings_shapes(n, m, rows):
-    """Return the shapes of the arrays of `Settings`."""
+    """Return the shapes of the arrays in Settings for n coordinates, m errors and `rows` inequalities."""
     return LAW, (3, m), (4, n), (3, n), (rows, n), rows, n
 
 
 @shared
 def carried_shapes(n, memory, rows, m):
-    """Return the shapes of the arrays of `Carried`; arrays of bytes are counted in floats of eight bytes."""
+    """Return the shapes of the arrays in Carried (state between steps); int8 arrays are counted in floats of eight bytes."""
     return (2, n), memory, (3, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8
 
 
 @shared
 def samples_shapes(N, F):
-    """Return the shapes of the arrays of `Samples`."""
+    """Return the shapes of poses, twists and accelerations of F targets at N samples."""
     return (N, F, 4, 4), (N, 6 * F), (N, 6 * F)
 
 
 @shared
 def record_shapes(N, n, m):
-    """Return the shapes of the arrays of `Record`; the array of bytes is counted in floats."""
+    """Return the shapes of the result arrays for N samples, n joints and m errors; the uint8 array is counted in floats."""
     return (N, n), (N, n), (N, m), N, ((N - 1) * n + 7) // 8
 
 
 @shared
 def head(block):
-    """Return the three sizes at the head of a block, and mark the block as unused for `cut`."""
+    """Return the first three sizes at the head of a block, and mark the block as not yet divided."""
     block[0] = 0.0
     return int(block[1]), int(block[2]), int(block[3])
 
 
 @shared
 def settings_of(block):
-    """Divide a block (K,) with the sizes n, m, rows into `Settings`."""
+    """Return views of a flat array (K,), whose head holds n, m, rows, as the fields of Settings."""
     n, m, rows = head(block)
     return Settings(block, *cut(block, np.float64, settings_shapes(n, m, rows)))
 
 
 @shared
 def carried_of(block):
-    """Divide a block (K,) with the sizes n, memory, rows, m into `Carried`."""
+    """Return views of a flat array (K,), whose head holds n, memory, rows, m, as the fields of Carried."""
     n, memory, rows = head(block)
     shapes = carried_shapes(n, memory, rows, int(block[4]))
     motion, own, swings, away, basis, state, active, kept = cut(block, np.float64, shapes)
@@ -135,14 +135,14 @@ def carried_of(block):
 
 @shared
 def samples_of(block):
-    """Divide a block (K,) with the sizes N, F into `Samples`."""
+    """Return views of a flat array (K,), whose head holds N, F, as the fields of Samples."""
     N, F, _ = head(block)
     return Samples(block, *cut(block, np.float64, samples_shapes(N, F)))
 
 
 @shared
 def record_of(block):
-    """Divide a block (K,) with the sizes N, n, m into `Record`."""
+    """Return views of a flat array (K,), whose head holds N, n, m, as the fields of Record."""
     N, n, m = head(block)
     Q, R, E, S, codes = cut(block, np.float64, record_shapes(N, n, m))
     return Record(block, Q, R, E, S, fold(codes, np.uint8, N - 1, n))
@@ -150,7 +150,7 @@ def record_of(block):
 
 # -------------------------------------------------------------------------------------------------------- from Python
 def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
-    """Make a block of zeros with room for arrays of these shapes, write the sizes, and divide it with `of`."""
+    """Allocate a flat array of zeros for arrays of these shapes, write the sizes into its head, and return its views by `of`."""
     sizes = [math.prod(one) if isinstance(one, tuple) else one for one in shapes]
     block = np.zeros(LINE + sum(-(-size // LINE) * LINE for size in sizes))
     block[1 : 1 + len(counts)] = counts
@@ -163,7 +163,7 @@ def new_settings(n: int, m: int, rows: int) -> Settings:
 
 
 def new_carried(n: int, memory: int, rows: int, m: int) -> Carried:
-    """Make a state for n coordinates, m errors, `memory` numbers of the method, and `rows` inequalities."""
+    """Allocate a Carried state for n coordinates, m errors, `memory` numbers of the method, and `rows` inequalities."""
     return _made(carried_of, carried_shapes(n, memory, rows, m), n, memory, rows, m)
 
 
@@ -173,7 +173,7 @@ def new_samples(N: int, F: int) -> Samples:
 
 
 def new_record(N: int, n: int, m: int) -> Record:
-    """Make a Record (arrays to fill) for N - 1 steps of n joints and m errors."""
+    """Allocate a Record for N - 1 steps of n joints and m errors."""
     return _made(record_of, record_shapes(N, n, m), N, n, m)
 
 
@@ -202,7 +202,7 @@ class Bench(NamedTuple):
     lost: Array  # (m,) 1 if the singular direction is removed from the task
     xk: Array  # (m,) joint speed along a direction removed from the task
     pull: Array  # (m,) rates per unit of slope for `down_slopes`
-    flip: Array  # (F, 3) normals of the mirrors for free turns, see `reflect`
+    flip: Array  # (F, 3) normals of the mirror planes for free rotations, see `reflect`
     move: Array  # (n,) joint move that closes the error
     null: Array  # (n,) present null-space velocity
     x1: Array  # (n,) joint rates along which dJ/dt is taken
@@ -215,7 +215,7 @@ class Bench(NamedTuple):
     before: Array  # (n,) rates before the step
     at: Array  # (n,) joint values at which error and Jacobian are evaluated
     size: Array  # (n,) speed limit of each joint, or UNLIMITED
-    even: Array  # (n,) ones, in place of `size` in a damped descent
+    even: Array  # (n,) ones, in place of `size` in a damped least-squares step of a stuck arm
     floor: Array  # (n,) lower rate bounds
     roof: Array  # (n,) upper rate bounds
     planes: Array  # (rows, n) inequalities planes x <= edges, including those of slack
@@ -224,13 +224,13 @@ class Bench(NamedTuple):
 
 @inline
 def bench_space(n, m, rows):
-    """Return the number of floats that `bench_on` needs; the matrices of `Bench` need less than 3 (n + m)^2."""
+    """Return the number of floats of the scratch arrays of a step; its matrices need less than 3 (n + m)^2."""
     return 3 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
 
 
 @spliced
 def bench_on(block, n, m, rows):
-    """Divide a block of zeros into the arrays of `Bench`."""
+    """Return views of a flat array of zeros as the scratch arrays of a step."""
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 # Limit on the bytes of a message. The page sends numbers and short texts, and messages are buffered until complete.
 LARGEST = 2**20
-# Each header in ONCE may occur only once, because viser and the checks here read only one of a name.
+# These headers may occur only once in a request, because viser and the checks here read only one of each.
 ONCE = ("Host", "Origin", "Upgrade", "Accept-Encoding")
 LOG = logging.getLogger(__name__)
 # Messages of the web socket are not logged, because a port scan would fill the terminal with tracebacks.
@@ -72,7 +72,7 @@ def refused_request(headers: Any, host: str) -> str:
 
 @contextlib.contextmanager
 def guarded(host: str, token: str) -> Iterator[None]:
-    """Make the server started inside check Host, Origin and token, and survive bad input.
+    """Context manager: a server started in the `with` block checks Host, Origin and token, and survives invalid messages.
 
     Without the check of Origin any web page could connect. Page, files and socket are below /token. A message that
     cannot be read or is too large closes its connection with a reason; a message with invalid values is dropped.

@@ -1,4 +1,4 @@
-"""What a result draws in the scene: a solve, a run, a path or a trajectory, along which the robot moves, and its obstacles."""
+"""Drawing of results in a scene: solves, runs, paths and trajectories, along which the robot moves, and their obstacles."""
 
 import base64
 import copy
@@ -42,9 +42,9 @@ SECONDS = 12.0  # [s] duration of the animation of a motion without times
 class ShownMotion(NamedTuple):
     """A path or a trajectory to show: N configurations, and a value for each.
 
-    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit;
-    targets (N', F, 3) [m] in base axes, or None; breaks, the places after which the motion is interrupted; lines of
-    text for the page; collision, the CollisionModel whose obstacles are drawn, or None.
+    q (N, n) [rad or m]; t (N,) [s] or None; labels (N,); values (N,) that colour the path, NaN where there is none, with name
+    and unit; targets (N', F, 3) [m] in base axes, or None; breaks: indices of rows after which the motion is interrupted; lines:
+    text for the page; collision: the CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -60,7 +60,7 @@ class ShownMotion(NamedTuple):
 
 
 def of_path(result: Any) -> ShownMotion:
-    """ShownMotion of a PathResult, with the bound on its deviation from the poses."""
+    """Convert a PathResult to a ShownMotion; its values are the bounds on the deviation from the poses."""
     finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
     deviation = np.append(result.continuity.deviation, np.nan)[finite]
     values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
@@ -75,7 +75,7 @@ def of_path(result: Any) -> ShownMotion:
 
 
 def of_trajectory(trajectory: Any) -> ShownMotion:
-    """ShownMotion of a Trajectory, with the speed of its fastest tip."""
+    """Convert a Trajectory to a ShownMotion; its values are the speeds of the fastest tip."""
     speeds = []
     for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
         J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
@@ -115,7 +115,7 @@ def motion_from_file(robot: Joints, file: str | Path) -> ShownMotion:
 
 
 def motion_of(what: Any) -> ShownMotion | None:
-    """ShownMotion of a PathResult or a Trajectory; None for anything else."""
+    """Convert a PathResult or a Trajectory to a ShownMotion; return None for anything else."""
     if isinstance(what, ShownMotion):
         return what
     if hasattr(what, "curve") and hasattr(what, "continuity"):
@@ -134,7 +134,7 @@ def numbered(word: str, k: int) -> str:
 
 
 def thin_rows(count: int, most: int) -> np.ndarray:
-    """Return the numbers of at most `most` (2 or more) of `count` rows, evenly spread, with the first and the last."""
+    """Return the indices of at most `most` (2 or more) of `count` rows, evenly spread, including the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
@@ -169,7 +169,7 @@ def shown_rows(robot: Joints, what: Any) -> tuple[np.ndarray, ShownMotion | None
 
 
 def model_of(what: Any, motion: ShownMotion | None) -> Any:
-    """Return the CollisionModel whose shapes a result kept clear of, or None."""
+    """Return the CollisionModel with which a result avoided collisions, or None."""
     if motion is not None:
         return motion.collision
     asked = what._of.plan.options.avoid_collisions if hasattr(what, "_of") and hasattr(what._of, "plan") else False
@@ -190,7 +190,7 @@ def draw_result(scene: Any, what: Any, motion: ShownMotion | None) -> None:
 
 
 def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
-    """Draw the shapes around the robot of a CollisionModel as NAME/SHAPE; those in its hand move with the tip."""
+    """Draw the obstacles of a CollisionModel at the scene paths NAME/SHAPE; shapes held by the robot move with the tip."""
     for one, placed in model._placed.items():
         if placed.arm is None:
             scene.add(placed.shape, placed.T, f"{name}/{one}")
@@ -201,7 +201,7 @@ def draw_obstacles(scene: Any, model: Any, name: str = "obstacle") -> None:
 
 
 def draw_solve(scene: Any, result: Any) -> None:
-    """Animate a solve as `Scene.converge` says."""
+    """Animate the iterations of a solve (see `Scene.converge`)."""
     Q, position, angle, others = iterates(result)
     rows = thin_rows(len(Q), MAX_FRAMES)
     between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
@@ -229,7 +229,7 @@ def draw_solve(scene: Any, result: Any) -> None:
 
 
 def draw_run(scene: Any, result: Any) -> None:
-    """Show a tracking run as `Scene.follow` says."""
+    """Animate a tracking run (see `Scene.follow`)."""
     rows = thin_rows(len(result.t), MAX_FRAMES)
     wide = 0.005 * scene._extent()
     ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))

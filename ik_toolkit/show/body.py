@@ -1,6 +1,6 @@
-"""The look of a robot: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
+"""Drawing of a robot: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
 
-Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. Parts that cannot
+Meshes are read by trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. Parts that cannot
 be drawn are reported. Links between base and tip that have no drawable part are drawn as sticks, so that every model can be seen.
 """
 
@@ -43,7 +43,7 @@ class DrawnShape:
 
 
 class ChainPoint(NamedTuple):
-    """A point of a robot: its joint in the model (0: the world), and its place (3,) [m] in the joint's axes."""
+    """A point of a robot: its joint in the model (0: the world), and its position (3,) [m] in the joint's frame."""
 
     joint: int
     place: np.ndarray
@@ -52,8 +52,8 @@ class ChainPoint(NamedTuple):
 def chain_points(arm: Any) -> list[ChainPoint]:
     """Return the points from the base of a Robot to its tip: the base, two for every joint in between, and the tip.
 
-    The two of a joint, on its parent and on itself, are apart only where it slides, so that the distance of all other
-    neighbours never changes. Joints that mimic others and locked ones are included.
+    A joint has a point on its parent and one on its child link. They differ only for a prismatic joint, so that the distance of
+    all other neighbours is constant. Joints that mimic others and locked ones are included.
     """
     model, path = arm.model, arm._path
     base, tip = (model.frames[i] for i in arm._ids)
@@ -70,8 +70,8 @@ def chain_points(arm: Any) -> list[ChainPoint]:
 def joint_frames(robot: Any, q: Any, data: Any = None) -> np.ndarray:
     """Return the poses (njoints, 4, 4) [m] of all joints of the model in the base frame at q (n,) [rad or m], by Pinocchio.
 
-    Joints that mimic others and locked ones are included; number 0 is the world. Everything that is drawn stands on these
-    frames. data: Pinocchio's workspace, by default a new one.
+    Joints that mimic others and locked ones are included; index 0 is the world. All drawn parts are placed relative to these
+    frames. data: the pin.Data to use, by default a new one.
     """
     data = robot.model.createData() if data is None else data
     pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
@@ -80,17 +80,17 @@ def joint_frames(robot: Any, q: Any, data: Any = None) -> np.ndarray:
 
 
 def skeleton(arm: Any, q: np.ndarray) -> np.ndarray:
-    """Return the chain of a Robot at q (n,) [rad or m] as points (K, 3) [m] in the base frame; the last one is that of fk(q)."""
+    """Return base, joints and tip of a Robot at q (n,) [rad or m] as points (K, 3) [m] in the base frame."""
     frames = joint_frames(arm, q)
     return np.array([frames[joint, :3, :3] @ place + frames[joint, :3, 3] for joint, place in chain_points(arm)])
 
 
 @dataclass(frozen=True)
 class BodyPart:
-    """One piece of a robot: its name, its shapes in its own axes, and its pose in a joint of the model.
+    """One drawn piece of a robot: its name, its shapes in its own axes, and its pose in the frame of a joint of the model.
 
-    A bar ends at a point, which may belong to another joint: its shapes, of unit length and radius along z, are stretched
-    from the origin of the pose to there, `thick` [m] wide.
+    A bar also has an end point, which may belong to another joint: its shapes, of unit length and radius along z, are stretched
+    from the origin of the pose to this point, `thick` [m] wide.
     """
 
     name: str
@@ -166,7 +166,7 @@ class Body:
     def bounds(self, q: Any, still: bool = False, world: np.ndarray | None = None) -> np.ndarray:
         """Return the corners (2, 3) [m] of the robot's bounding box at q, in world axes; `still`: of parts that never move only.
 
-        `world` is the pose (4, 4) [m] of the robot's world in another in whose axes the box is.
+        `world`: pose (4, 4) [m] of the robot's world frame in another frame; the box is then in the axes of that frame.
         """
         world = np.eye(4) if world is None else world
         points = [np.zeros((0, 3))]
@@ -203,7 +203,7 @@ def _read(robot: Any) -> tuple[list[BodyPart], str]:
     except ModelError as error:
         return [], str(error)
     pieces = [_pieces(shape) for shape in shapes]
-    # A mesh may have only points and lines. Of the geometry only the placements are used.
+    # A mesh that has only points and lines is left out. Only the placements of the geometry model are used.
     drawn = [(shape, own) for shape, own in zip(shapes, pieces, strict=True) if sum(len(one.faces) for one in own)]
     placed = geometry_model(
         robot.model, [shape for shape, _ in drawn], [coal.Sphere(1e-3)] * len(drawn)
@@ -215,7 +215,7 @@ def _read(robot: Any) -> tuple[list[BodyPart], str]:
 
 
 def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
-    """Triangles of a link's shape, one DrawnShape per material; () if none are left."""
+    """Return the triangles of a link's shape, one DrawnShape per material; () if there are none."""
     *rgb, opacity = shape.color or (*GREY, 1.0)
     color = (rgb[0], rgb[1], rgb[2])
     if shape.kind == "mesh":
@@ -233,7 +233,7 @@ def _pieces(shape: LinkShape) -> tuple[DrawnShape, ...]:
 
 
 def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float) -> DrawnShape:
-    """Triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
+    """Return the triangles of a collision shape in its own axes. Raises InvalidConfiguration if its mesh cannot be read."""
     if shape.kind != "mesh":
         return DrawnShape(*primitive(shape.kind, shape.sizes), color, opacity)
     form = shape.form()
@@ -242,7 +242,7 @@ def drawn_shape(shape: Shape, color: tuple[float, float, float], opacity: float)
 
 
 def primitive(kind: str, sizes: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
+    """Return vertices [m] and faces of a box (sides), sphere (radius), cylinder or capsule (radius, length) about the origin."""
     creation = need_trimesh().creation
     scale = np.array(sizes) if kind == "box" else np.full(3, sizes[0])
     if kind == "box":
@@ -294,7 +294,7 @@ def split_sharp_edges(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarr
 def _sticks(robot: Joints, clothed: set[int]) -> list[BodyPart]:
     """Build sticks for the joints that have no shapes: a ball at each, a bar for its link, and one for its stroke if it slides.
 
-    The links on either side get a bar, too, so that nothing hangs in the air.
+    The links on either side get a bar, too, so that the drawing is connected.
     Where other parts of the robot have shapes, the coordinates of a moving base get no sticks.
     """
     make, model, data = need_trimesh().creation, robot.model, robot.model.createData()

@@ -1,4 +1,4 @@
-"""What has changed in a window and is not yet sent: to an open page of ours, or to a viewer of the caller's."""
+"""Changes of a scene that are not yet sent to an open page, or to a viewer of the caller (meshcat, Pinocchio)."""
 
 import base64
 import json
@@ -29,7 +29,7 @@ def meshcat_module() -> Any:
 
 
 def scene_command(command: dict[str, Any]) -> bytes:
-    """Return a command of meshcat, whose path is one of our scene's, as bytes."""
+    """Pack a meshcat command as bytes, after its path in the scene is prefixed for meshcat."""
     import umsgpack
 
     return umsgpack.packb({**command, "path": ROOT + command["path"]})
@@ -38,8 +38,8 @@ def scene_command(command: dict[str, Any]) -> bytes:
 class Feed:
     """Updates not yet sent to one open page.
 
-    It notes which paths changed, not how often, so an unread page accumulates no frames. `wake` is called when there is
-    an update. Callers of `changed`, `deleted` and `told` hold the window's lock.
+    It stores which paths changed, not how often, so that nothing accumulates for a page that does not read. `wake` is called when
+    there is an update. The methods `changed`, `deleted` and `told` may be called only with the window's lock held.
     """
 
     def __init__(self, window: Any, wake: Callable[[], None]) -> None:
@@ -86,10 +86,10 @@ class Feed:
 
 
 class Guest:
-    """Draws a window in the caller's viewer too: meshcat's, or Pinocchio's, whose own drawing of the robot then moves."""
+    """Draws a scene in the caller's viewer, too: a meshcat viewer, or Pinocchio's, in which the robot drawn there then moves."""
 
     def __init__(self, window: Any, viewer: Any, parts: Iterable[str]) -> None:
-        """Replace what was drawn there before; parts: names of the robot's parts. Raises InvalidOption."""
+        """Clear earlier drawings of this package in the viewer; parts: names of the robot's parts. Raises InvalidOption."""
         meshcat, group = getattr(viewer, "viewer", viewer), getattr(viewer, "viewerVisualGroupName", "")
         if not isinstance(meshcat, meshcat_module().Visualizer) or (meshcat is not viewer and not group):
             known = "a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer after initViewer() and loadViewerModel()"
@@ -111,7 +111,7 @@ class Guest:
         self.update()
 
     def update(self) -> None:
-        """Send what has changed; a title, lines, a legend and the camera stay with our own pages."""
+        """Send what has changed in the scene, but no title, text, legend or camera."""
         import umsgpack
 
         for data in self._feed.take() if self._feed is not None else ():
@@ -122,7 +122,7 @@ class Guest:
 
     def _send(self, command: dict[str, Any]) -> None:
         path = command["path"].removeprefix(ROOT)
-        if command["type"] == "copy":  # which only our own page understands
+        if command["type"] == "copy":  # a command that only this package's own page understands
             made, color = self._drawn[command["source"]], {key: command[key] for key in ("color", "opacity")}
             made = {**made, "materials": [{**made["materials"][0], **color, "transparent": True}]}
             command = {"type": "set_object", "object": made}

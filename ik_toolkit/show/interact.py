@@ -17,21 +17,21 @@ from .scene_state import css
 
 
 class Interaction:
-    """Solvers that follow the target of a live scene, each from where it is; `results` are the last ones, by label."""
+    """Solvers that follow the target of a live scene, each from its last solution; `results`: the last results, by label."""
 
     def __init__(self, scene: Scene, solvers: dict[str, Solver], target: Any, q0: np.ndarray) -> None:
         """Solve once for the first target, and then whenever the target is dragged."""
         self.scene, self.solvers, self.q0 = scene, solvers, q0
         self.results: dict[str, Result] = {}
         for one in solvers.values():
-            one(target, q0)  # compiles, which is no part of the time that is shown
+            one(target, q0)  # compiles, so that the displayed time does not include it
         self.follow(target)
         scene.on_drag(self.follow)
         scene.look()
         eye, to, *rest = scene.window.about["camera"]
         away = [
             b + 1.5 * (a - b) for a, b in zip(eye, to, strict=True)
-        ]  # further than that, so that there is room to drag
+        ]  # move the camera away, so that there is room to drag
         scene.window.say(camera=[away, to, *rest])
 
     def follow(self, target: Any) -> None:
@@ -49,7 +49,7 @@ class Interaction:
             self.scene.window.say(curves=[_curve(label, result, css(color)) for (label, result), color in curves])
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
-        """Return the outputs of a cell."""
+        """Return the outputs that a notebook cell displays: scene, curves and text."""
         return self.scene._repr_mimebundle_(include, exclude)
 
 
@@ -59,8 +59,8 @@ def interact(
     """Show a robot with a target to drag in a cell of a notebook: one or several solvers follow it, and curves show their errors.
 
     Drag the ball in the plane of the picture, the end of an arrow along it, and with the shift key the end of an arrow to turn
-    the target. Each solver starts where its last answer was. The first moves the robot, the others translucent copies. Without a
-    channel to a kernel (a file, a saved notebook) the first answers are shown.
+    the target. Each solver starts from its last solution. The first solver moves the robot, the others move translucent copies.
+    Without a connection to a notebook kernel (a file, a saved notebook) the first solutions are shown.
 
     Args:
         robot: The Robot or Tree.
@@ -71,7 +71,7 @@ def interact(
         **options: Options of the solvers, as for `solve`.
 
     Returns:
-        What a cell displays; `.results` are the last results by solver, `.scene` is the Scene.
+        An object that a notebook cell displays; `.results` are the last results by solver, `.scene` is the Scene.
 
     Raises:
         UnknownSolver, InvalidOption, InvalidTarget, InvalidConfiguration: An argument is wrong.
@@ -95,7 +95,7 @@ def interact(
 
 
 def _curve(label: str, result: Result, color: str) -> tuple[str, str, list[tuple[int, float]], str]:
-    """Return label, colour, position errors [m] over the iterations of the attempt that found the result, and words."""
+    """Return label, colour, position errors [m] over the iterations of the attempt that found the result, and a summary."""
     errors = iterates(result)[1] if result.history else np.array([result.position_error])
     rows = thin_rows(len(errors), 200)
     found = (

@@ -23,7 +23,7 @@ from ..robot.probe import screw
 from ..text import plain
 from .body import THINNEST, Body, DrawnShape, grid_cell, need_trimesh, split_sharp_edges
 
-Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # Vertices (N, 3) [m], normals (N, 3) and faces (M, 3).
+Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3) and faces (M, 3)
 
 MODULES = ("robot", "solve", "draw", "hand", "main")  # The page's modules, in order of dependence.
 # Limit on a page's triangles. Full meshes have up to 100 times as many and look the same on a page.
@@ -51,7 +51,7 @@ def page_html(robot: Joints, body: Body, title: str) -> str:
         "CODE": code,
     }
     page = (files / "page.html").read_text(encoding="utf-8")
-    # One pass replaces all marks, so that inserted text is not searched for marks.
+    # One pass replaces all placeholders @NAME@, so that inserted text is not searched for them.
     return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)
 
 
@@ -102,7 +102,7 @@ def describe_robot(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
 
 
 def view_room(bounds: np.ndarray, height: float) -> dict[str, Any]:
-    """Return size and centre [m] of a box (2, 3), and of the floor its height [m] and the grid's cell and extent [m]."""
+    """Return size and centre [m] of a box (2, 3), the height [m] of the floor, and cell width and extent [m] of its grid."""
     size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
     floor = {"z": height, "cell": grid_cell(size), "wide": 2.5 * size}
     return {"size": size, "centre": centre.tolist(), "floor": floor}
@@ -111,8 +111,7 @@ def view_room(bounds: np.ndarray, height: float) -> dict[str, Any]:
 def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:
     """Return the joints that move with q (nodes), parents first, and each model joint's node and pose in that node.
 
-    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); fixed joints are
-    part of the placements.
+    A joint's pose in its parent is its pose at 0 times the exponential of its screw; fixed joints are merged into the poses.
     """
     model = robot.model
     data, zero = model.createData(), robot.to_pinocchio(np.zeros(robot.n))

@@ -1,7 +1,7 @@
-"""A meshcat scene inside this process: a self-contained page, or a live one served on loopback by our own thread.
+"""A meshcat scene inside this process: a self-contained page, or a live one served on loopback by a thread.
 
 The stock meshcat server is a second process that survives a SIGTERM, and its page cannot set the camera or show an
-animation's frames. Here the same viewer script draws, and nothing outlives the program.
+animation's frames. Here the same viewer script is used, but the server ends with the program.
 """
 
 import asyncio
@@ -40,7 +40,7 @@ def _packed(data: bytes) -> str:
 
 
 class Window:
-    """Contents of a drawing: commands by path in the scene, transforms for tests, and the page's text (`about`)."""
+    """Contents of a scene: meshcat commands by path, transforms (read by tests), and the page's text and camera (`about`)."""
 
     def __init__(self) -> None:
         """Start with an empty scene."""
@@ -102,7 +102,7 @@ class Window:
                 feed.changed(path)
 
     def pose(self, path: str) -> np.ndarray:
-        """Return the pose (4, 4) [m] of a path in the world: those of the paths above it, one in the other."""
+        """Return the pose (4, 4) [m] of a path in the world: the product of the poses of all paths above it and its own."""
         words, T = path.split("/"), np.eye(4)
         for k in range(len(words)):
             T = T @ self.transforms.get("/".join(words[: k + 1]), np.eye(4))

@@ -1,7 +1,7 @@
 """Scenes and pages in the cells of a notebook: a still picture everywhere, the scene itself where its script may run.
 
-What cells have in common (the viewer, the page around it, the meshes of a robot) stands once in a notebook, in the cell that needed
-it first; the script of every cell (cell/cell.js) waits for it. A live scene also has a `Channel` to the kernel.
+Parts that cells share (the viewer, the page around it, the meshes of a robot) are written once per notebook, into the first cell
+that needs them; the script of every cell (cell/cell.js) waits for them. A live scene also has a `Channel` to the kernel.
 """
 
 import base64
@@ -30,11 +30,11 @@ from .live_page import thin
 from .meshcat_server import Window, _packed, viewer_script
 from .picture import picture, shapes_of
 
-_standing: dict[str, Any] = {}  # the cell in which each shared part stands, as far as this kernel has put it there
+_standing: dict[str, Any] = {}  # the cell into which this kernel has written each shared part
 
 
 class InCell:
-    """What a scene does in a notebook: it displays itself, moves while it is displayed, and passes on dragged targets."""
+    """Notebook methods of a scene: it displays itself, moves while it is displayed, and passes on dragged targets."""
 
     robot: Joints
     body: Body
@@ -44,9 +44,9 @@ class InCell:
     look: Callable[..., None]
 
     def on_drag(self, call: Callable[[Any], Any]) -> None:
-        """Let the targets be dragged in the cells of a live scene; `call` gets what they are then, in the form of `solve`.
+        """Let the targets be dragged in the cells of a live scene; `call` is called with the new targets.
 
-        That is a pose (4, 4) or a position (3,) [m] in the base frame; of several tips a dict by tip. Drag the ball in the plane
+        They are a pose (4, 4) or a position (3,) [m] in the base frame, for several tips a dict by tip. Drag the ball in the plane
         of the picture, the end of an arrow along it, and with the shift key the end of an arrow to turn the target.
         """
         self._call = call
@@ -77,7 +77,7 @@ class InCell:
             self.say(f"{type(error).__name__}: {error}")
 
     def connect(self) -> None:
-        """Keep the cells that show the scene up to date; where that is not possible the scene stays still, and says why."""
+        """Keep the cells that show the scene up to date; if that is not possible, the scene stays still and its text says why."""
         if _shell() is None:
             return
         try:
@@ -86,7 +86,7 @@ class InCell:
             self.say(f"not live: {error}")
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
-        """Return the outputs of a cell: the scene, which lives as long as the notebook, a picture, and words."""
+        """Return the outputs of a cell: the scene as HTML, which is kept in the saved notebook, a picture, and text."""
         if self.window.about["camera"] is None:
             self.look()
         self._inline = self.channel is None
@@ -103,19 +103,19 @@ class PageInCell:
     """A live page that displays itself in the cell of a notebook, over a picture of the robot."""
 
     def __init__(self, page: str, window: Window) -> None:
-        """Keep the page and the Window that is its picture."""
+        """Store the page, and the Window from which its still picture is drawn."""
         self.page, self.window = page, window
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
-        """Return the outputs of a cell."""
+        """Return the outputs that a notebook cell displays: the page, a picture and text."""
         what = f"Live page of {self.window.about['title']}: page('robot.html') writes it as a file"
         return _bundle([_part(self.page)], {"id": uuid.uuid4().hex}, what, self.window, 620)
 
 
 def _missing(key: str) -> bool:
-    """Return whether a shared part has to be written into the cell that runs now, and note that it is.
+    """Return whether a shared part has to be written into the cell that runs now; if so, note that this cell has it.
 
-    A cell that runs again loses its output, so what stood in it is forgotten. In Colab each cell is a page of its own.
+    A cell that runs again loses its output, so its parts must be written again. In Colab each cell is a page of its own.
     """
     shell, here = _shell(), None
     if shell is not None:
@@ -129,7 +129,7 @@ def _missing(key: str) -> bool:
 
 
 def _forget(info: Any) -> None:
-    """Forget what stood in the cell that is about to run."""
+    """Forget the shared parts in the cell that is about to run, because its output is deleted."""
     for key in [key for key, cell in _standing.items() if cell is not None and cell == info.cell_id]:
         del _standing[key]
 
@@ -141,7 +141,7 @@ def _shell() -> Any:
 
 
 def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) -> dict[str, str]:
-    """Return a Window whose camera is aimed as outputs of a cell: text/html, image/png (with matplotlib) and text/plain."""
+    """Return the outputs of a cell for a Window: text/html, image/png (with matplotlib) and text/plain. The camera must be set."""
     robots: dict[str, dict[str, bytes]] = {}
     for path, command in window.objects.items():
         if path.count("/") > 1:  # ROBOT/PART/NUMBER
@@ -162,7 +162,7 @@ def scene_bundle(window: Window, what: str, channel: "Channel | None" = None) ->
 def _bundle(
     parts: list[tuple[str, str]], told: dict[str, Any], what: str, window: Window, height: int = 460
 ) -> dict[str, str]:
-    """Return the outputs of a cell: the still picture, over which its script puts a frame with the first part in it."""
+    """Return the outputs of a cell: a still picture, over which a script puts a frame (iframe) with the first of the parts."""
     try:
         png = {"image/png": base64.b64encode(picture(window)).decode()}
     except MissingExtra:  # no matplotlib, which the scene itself does not need
@@ -185,7 +185,7 @@ def _literal(value: Any) -> str:
 
 
 def _part(text: str) -> tuple[str, str]:
-    """Return a part under a name that says what is in it."""
+    """Return a shared part of the notebook as (name, text); the name is a hash of the text."""
     return hashlib.sha256(text.encode()).hexdigest()[:12], text
 
 
@@ -198,9 +198,9 @@ def _cell_script() -> str:
 
 
 def _meshes(robot: dict[str, bytes]) -> tuple[str, str]:
-    """Return the drawn parts of a robot as a part named by what is drawn, simpler than in a file of its own (`save`).
+    """Return the meshes of a robot as a shared part of the notebook, simplified more than in a saved file (`save`).
 
-    It has at most 16,000 triangles; vertices are rounded to 1/4096 of its size, which compresses well and is not seen.
+    They have at most 16,000 triangles; vertices are rounded to 1/4096 of the robot's size, which compresses well and is invisible.
     """
     whole, small, digest = Window(), Window(), hashlib.sha256()
     whole.objects = robot
@@ -216,12 +216,12 @@ def _meshes(robot: dict[str, bytes]) -> tuple[str, str]:
 
 
 def _framed(commands: list[bytes]) -> bytes:
-    """Return commands of the viewer in a row, each with its length."""
+    """Concatenate viewer commands, each preceded by its length."""
     return b"".join(len(command).to_bytes(4, "little") + command for command in commands)
 
 
 def _short(about: dict[str, Any]) -> dict[str, Any]:
-    """Return what is written on a page; the poses of an animation are rounded to what is seen, and compress well."""
+    """Return the page's text and animation; poses are rounded to what can be seen, so that they compress well."""
     made = about["animation"]
     if not made:
         return about
@@ -232,9 +232,9 @@ def _short(about: dict[str, Any]) -> dict[str, Any]:
 
 
 class Channel:
-    """Keeps the cells that show a Window up to date over the kernel's own channel, and passes on where a target is dragged to.
+    """Keeps the cells that show a Window up to date over the connection of the kernel, and passes on dragged targets.
 
-    A widget (anywidget) that is not seen carries the messages.
+    An invisible widget (anywidget) carries the messages.
     """
 
     def __init__(self, window: Window, dragged: Callable[[str, np.ndarray], None]) -> None:
@@ -246,17 +246,17 @@ class Channel:
         self.widget, self.handle, self.news = connection(self.id), None, threading.Event()
         self.since, self.feed = Feed(window, lambda: None), Feed(window, self.news.set)
         self.widget.on_msg(self._heard)
-        self.feed.take()  # what is there is written into the cell
+        self.feed.take()  # The present contents are written into the cell, so they need not be sent.
         threading.Thread(target=self._run, daemon=True, name="ik scene channel").start()
 
     def shown(self) -> None:
-        """Note that the Window is being written into a cell as it is now; cells opened later need what changes from here on."""
+        """Note that the present contents are written into a cell, which will need only later changes."""
         self.since.take()
         self.feed.take()
         self.window.feeds |= {self.since, self.feed}
 
     def display(self) -> None:
-        """Display the widget, which is not seen; once a page has it the channel stays, and the saved file has nothing of it."""
+        """Display the invisible widget, which opens the connection in a page; it leaves nothing in the saved notebook."""
         from IPython.display import display
 
         view = {"version_major": 2, "version_minor": 0, "model_id": self.widget.model_id}
@@ -290,7 +290,7 @@ class Channel:
 
 
 def connection(scene: str) -> Any:
-    """Return a widget that connects the cells of a scene, by its name, with this kernel. Raises MissingExtra."""
+    """Return a widget that connects the cells of the scene of this name with the kernel. Raises MissingExtra."""
     try:
         import anywidget
         import traitlets

@@ -1,6 +1,6 @@
-"""A still picture of a scene without a browser: triangles are filled in numpy, words and charts are set by matplotlib.
+"""A still picture of a scene without a browser: triangles are rendered in numpy, text and charts are drawn by matplotlib.
 
-It stands in a notebook where the scene itself cannot run: before it is opened, in a preview, and in a notebook that is not trusted.
+A notebook shows it where the scene's script cannot run: before the notebook is opened, in a preview, or if it is not trusted.
 """
 
 import io
@@ -23,14 +23,14 @@ from .plots import drawing, literal_text
 
 
 class _Layer(NamedTuple):
-    """What is seen through each pixel of a picture: nearness (H, W) [1/m], 0 where there is nothing, and colours (H, W, 3)."""
+    """A rendered image: for each pixel the inverse depth (H, W) [1/m], 0 where nothing is drawn, and the colour (H, W, 3)."""
 
     near: np.ndarray
     color: np.ndarray
 
 
 def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
-    """Draw a Window whose camera is aimed as a PNG of a size [pixels]. Raises MissingExtra without matplotlib."""
+    """Draw a Window (whose camera is set) as a PNG of a size [pixels]. Raises MissingExtra without matplotlib."""
     import PIL.Image  # comes with matplotlib
 
     with drawing() as plt:
@@ -67,7 +67,7 @@ def picture(window: Window, size: tuple[int, int] = (760, 460)) -> bytes:
 
 
 def shapes_of(window: Window) -> dict[str, DrawnShape]:
-    """Return what is drawn in a Window as triangles by path, copies included, with the viewer's colours made ours again."""
+    """Return the triangles drawn in a Window, by path, including copies, with their original colours."""
     import umsgpack  # comes with meshcat
 
     found = {}
@@ -111,7 +111,7 @@ def _color(number: int, shade: float = 1.0) -> tuple[float, float, float]:
 
 
 class _Camera:
-    """The viewer's camera: `turned` brings world axes into camera axes, `project` points [m] into pixels."""
+    """The viewer's camera: `turned` is the rotation from world to camera axes, `project` maps points [m] to pixels."""
 
     def __init__(self, aim: Any, width: float, height: float) -> None:
         """Aim the camera as `Window.about["camera"]` says."""
@@ -124,14 +124,14 @@ class _Camera:
         self.scale, self.middle = 0.5 * height / np.tan(np.radians(37.5)), (0.5 * width, 0.5 * height)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Return pixels and nearness (N, 3) [px, px, 1/m] of points (N, 3) [m] in the world; nearness is 0 behind the eye."""
+        """Return pixels and inverse depth (N, 3) [px, px, 1/m] of world points (N, 3) [m]; inverse depth is 0 behind the camera."""
         x, y, z = self.turned @ (np.asarray(points, dtype=float) - self.eye).T
         near = np.where(-z > 1e-9, 1.0 / np.maximum(-z, 1e-9), 0.0)
         return np.stack([self.middle[0] + self.scale * x * near, self.middle[1] - self.scale * y * near, near], axis=1)
 
 
 def _filled(window: Window, camera: _Camera, width: int, height: int) -> np.ndarray:
-    """Return the triangles of a scene as pixels (H, W, 4); copies and other translucent things are laid over the rest."""
+    """Render the triangles of a scene to pixels (H, W, 4); copies and other translucent objects are blended over the rest."""
     groups: dict[str, list[tuple[DrawnShape, np.ndarray]]] = {"": []}
     for path, shape in shapes_of(window).items():
         group = "" if shape.opacity >= 1.0 else path.partition("/")[0]
@@ -140,15 +140,15 @@ def _filled(window: Window, camera: _Camera, width: int, height: int) -> np.ndar
     cover = (near > 0)[..., None].astype(float)
     for group in groups.values():
         layer = _layer(group, camera, width, height)
-        before = layer.near > 1.002 * near  # what coincides with something solid does not flicker on it
+        before = layer.near > 1.002 * near  # a tolerance, so that surfaces that coincide with a solid one are hidden
         share = np.where(before, group[0][0].opacity, 0.0)[..., None]
         color, cover = share * layer.color + (1.0 - share) * color, share + (1.0 - share) * cover
     return np.dstack([color / np.maximum(cover, 1e-9), cover])
 
 
 def _layer(shapes: list[tuple[DrawnShape, np.ndarray]], camera: _Camera, width: int, height: int) -> _Layer:
-    """Fill the triangles of shapes at their poses (4, 4), the nearest of each pixel."""
-    sharp = 2  # pixels are drawn so many times finer than they are shown, for smooth edges
+    """Render the triangles of shapes at their poses (4, 4); for each pixel the nearest one is visible."""
+    sharp = 2  # supersampling in each direction, for smooth edges
     light_from = np.array((-0.35, 0.55, 0.76))  # in camera axes: right, up, towards the eye
     W, H = sharp * width, sharp * height
     near, owner = np.zeros(H * W), np.full(H * W, -1)
@@ -166,13 +166,13 @@ def _layer(shapes: list[tuple[DrawnShape, np.ndarray]], camera: _Camera, width: 
     P, tint = P[keep], tint[keep]
     planes = _planes(P)
     for faces, pixel in _candidates(P, W, H):
-        for k in range(3):  # the share of each corner must be positive: what one excludes is not looked at by the next
+        for k in range(3):  # all three barycentric coordinates must be positive; excluded pixels are not tested again
             at = _plane(planes[k], faces, pixel, W) >= 0.0
             faces, pixel = faces[at], pixel[at]
         depth = _plane(planes[3], faces, pixel, W)
         at = depth > near[pixel]
         faces, pixel, depth = faces[at], pixel[at], depth[at]
-        order = np.argsort(depth, kind="stable")  # of the candidates of a pixel the nearest is written last
+        order = np.argsort(depth, kind="stable")  # The nearest candidate of a pixel is written last.
         near[pixel[order]], owner[pixel[order]] = depth[order], faces[order]
     pixel = np.flatnonzero(owner >= 0)
     color, faces = np.zeros((H * W, 3), dtype=np.float32), owner[pixel]
@@ -182,7 +182,7 @@ def _layer(shapes: list[tuple[DrawnShape, np.ndarray]], camera: _Camera, width: 
 
 
 def _planes(P: np.ndarray) -> np.ndarray:
-    """Return a + b x + c y (4, N, 3), in pixels, for triangles P (N, 3, 3): the shares of the three corners, and nearness."""
+    """Return coefficients (4, N, 3) of a + b x + c y [pixels] for triangles P (N, 3, 3): barycentric coordinates, inverse depth."""
     x, y = P[:, :, 0], P[:, :, 1]
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (y[:, 1] - y[:, 0]) * (x[:, 2] - x[:, 0])
     area = np.where(np.abs(area) < 1e-9, np.nan, area)  # a triangle seen from its edge covers no pixel
@@ -195,13 +195,13 @@ def _planes(P: np.ndarray) -> np.ndarray:
 
 
 def _plane(plane: np.ndarray, faces: np.ndarray, pixel: np.ndarray, W: int) -> np.ndarray:
-    """Return the value of a plane (N, 3) of each of some triangles in the middle of a pixel."""
+    """Return a + b x + c y at the middle of a pixel, for pairs of triangles (`faces`) and pixels; plane (N, 3): a, b, c."""
     a, b, c = plane[faces].T
     return a + b * (pixel % W + 0.5) + c * (pixel // W + 0.5)
 
 
 def _candidates(P: np.ndarray, W: int, H: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield triangles and pixels, flat and paired, of the boxes around triangles P (N, 3, 3) in pixels."""
+    """Yield pairs of triangle and pixel indices, for all pixels in the bounding boxes of triangles P (N, 3, 3) [pixels]."""
     low = np.clip(np.ceil(P[:, :, :2].min(axis=1) - 0.5), 0, (W, H)).astype(int)
     high = np.clip(np.floor(P[:, :, :2].max(axis=1) - 0.5) + 1, 0, (W, H)).astype(int)
     wide, tall = np.maximum(high - low, 0).T
@@ -209,7 +209,7 @@ def _candidates(P: np.ndarray, W: int, H: int) -> Iterator[tuple[np.ndarray, np.
     some = np.flatnonzero(count)
     first = np.searchsorted(
         np.cumsum(count[some]), np.arange(0, count.sum(), 2_000_000)
-    )  # at a time, which bounds the memory
+    )  # the triangles are divided into chunks, which bounds the memory
     for chunk in np.split(some, np.unique(first)[1:]) if len(some) else ():
         faces = np.repeat(chunk, count[chunk])
         k = np.arange(len(faces)) - np.repeat(np.cumsum(count[chunk]) - count[chunk], count[chunk])
@@ -273,7 +273,7 @@ def encoder() -> str:
 
 
 def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
-    """Return pictures (PIL) as an MP4 file in H.264; lasts (N,) [ms]: how long each is shown, but for the last all about equally.
+    """Encode pictures (PIL) as an MP4 file in H.264; lasts (N,) [ms]: times for which they are shown, similar except for the last.
 
     Raises InvalidOption if ffmpeg fails, with what it says.
     """
@@ -282,7 +282,7 @@ def film(ffmpeg: str, frames: Sequence[Any], lasts: np.ndarray) -> bytes:
     rgb += rgb[-1:] * max(0, round(float(lasts[-1]) / 1000.0 * rate) - 1)
     with tempfile.TemporaryDirectory() as folder:  # an MP4 file is not written from front to back
         made = Path(folder) / "film.mp4"
-        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # which this form of colour needs
+        even = "pad=ceil(iw/2)*2:ceil(ih/2)*2"  # The pixel format needs even width and height.
         words = [
             "-f",
             "rawvideo",

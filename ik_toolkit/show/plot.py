@@ -40,7 +40,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
             configuration q (n,) [rad or m] or a dict label -> q for the arm as
             lines from the side and from above.
         robot: The Robot or Tree, which a TrackResult, a Workspace and configurations need.
-        target: Pose or position [m] in the base frame, drawn as a cross beside configurations.
+        target: Pose or position [m] in the base frame, drawn as a cross in a chart of configurations.
         file: File to which the chart is also written (.png, .pdf, .svg).
 
     Returns:
@@ -176,7 +176,7 @@ def plot_batch(batch: BatchResult) -> Any:
 
 
 def plot_calibration(found: Calibration) -> Any:
-    """Draw the distance of every measurement from the arm as drawn and as corrected, and the errors with their 95 % intervals."""
+    """Draw the residuals of all measurements for the nominal and the corrected arm, and the errors with their 95 % intervals."""
     turns = {one.name: one.turns for one in found.unknowns}
     with drawing() as plt:
         height = 1.0 + 0.17 * max(12, *(sum(turns[name] == kind for name in found.errors) for kind in (False, True)))

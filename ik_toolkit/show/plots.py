@@ -1,6 +1,6 @@
 """Charts in one style, readable in print, in grey and with colour blindness. Each returns a matplotlib Figure.
 
-They are of solves, of tracking runs (the arm along its path, errors, joints and speeds in shares of their limits), of paths and of
+There are charts of solves, tracking runs (the arm along its path, errors, joints and speeds relative to their limits), paths and
 trajectories. Lines differ in dashes as well as in colour, so that nothing depends on colour alone; `save` writes a file.
 """
 
@@ -26,7 +26,7 @@ COLUMNS = 5  # largest number of columns of the legend of joints
 
 @contextmanager
 def drawing(style: Any = STYLE) -> Iterator[Any]:
-    """Yield matplotlib's pyplot in our style; figures made inside are not kept open. Raises MissingExtra."""
+    """Yield matplotlib's pyplot with this package's style; figures made inside are not kept open. Raises MissingExtra."""
     try:
         import matplotlib.pyplot as plt
     except ImportError:
@@ -327,7 +327,7 @@ def _lines(ax: Any, x: np.ndarray, values: np.ndarray, names: Sequence[str]) -> 
 def _joints(
     ax: Any, robot: Joints, names: Sequence[str], x: np.ndarray, Q: np.ndarray, breaks: Sequence[float]
 ) -> None:
-    """Draw joints relative to their limits, and those without limits in half turns."""
+    """Draw joints relative to their limits; those without limits in units of 180 degrees."""
     bounded = np.isfinite(robot.upper - robot.lower)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))

@@ -17,7 +17,8 @@ from .scene_state import css
 def plot_map(found: ReachabilityMap) -> Any:
     """Draw the planes through the middle of a map's reached cells, coloured by share of orientations or by manipulability.
 
-    White is proven out of reach, grey is neither found nor proven; the title has the answers and the audit.
+    White is proven out of reach; grey means that no configuration was found and nothing is proven. The title gives the counts and
+    the audit.
     """
     counts, total = found.counts(), found.states.size
     words = [
@@ -159,7 +160,7 @@ def ramp(values: np.ndarray) -> np.ndarray:
 
 
 def plot_places(found: Placements) -> Any:
-    """Draw the floor from above: the best share of the poses that a base in each square reached (grey: none), and the places."""
+    """Draw the floor from above: for each square the largest share of poses reached from it (grey: none), and the places."""
     bases, shares = found.candidates, found.shares
     at = found.poses if found.poses.ndim == 2 else found.poses[:, :3, 3]
     low, high = bases[:, :2].min(axis=0), bases[:, :2].max(axis=0)

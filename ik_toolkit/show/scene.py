@@ -35,9 +35,9 @@ class Scene(InCell, SceneState):
 
     # -------------------------------------------------------------------------------------------------- what is shown
     def update(self, what: Any = None, target: Any = None, *, cloud: Any = None, obstacles: Any = None) -> None:
-        """Show something else, as `view` does: robot, tips, target, caption and all that belonged to a result change together.
+        """Show another configuration or result, as `view` does; robot, tips, target, caption and drawings of a result are replaced.
 
-        A target or a cloud that is not given stays, and so do the camera and what was added by name. Bad input raises, as in
+        A target or a cloud that is not given stays, and so do the camera and what was added by name. Invalid input raises, as in
         `view`, and changes nothing.
         """
         rows, motion = animation.shown_rows(self.robot, what)
@@ -90,8 +90,8 @@ class Scene(InCell, SceneState):
     ) -> None:
         """Draw a robot at q (n,) [rad or m], or move it there, and give it a colour or an opacity, which it keeps.
 
-        The scene's robot takes its tip axes along; target, trail, caption and animation of a result that was shown go. Under
-        another name it is a copy, without parts that others have in the same place, or a robot that was added.
+        With the scene's robot its tip axes move; target, trail, caption and animation of an earlier result are removed. Another
+        name stands for a copy, whose parts that coincide with those of other copies are not drawn, or for a robot that was added.
 
         Args:
             q: Joint values of the robot of this name.
@@ -119,7 +119,7 @@ class Scene(InCell, SceneState):
             self._say(name, (css(self._looks[name][0] or SLATE), label))
 
     def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
-        """Draw the robot translucent at the rows of Q (N, n), at most the first 12, in eight alternating colours."""
+        """Draw translucent copies of the robot at the rows of Q (N, n), at most the first 12, in eight alternating colours."""
         rows, names = animation.shown_rows(self.robot, Q)[0][:MAX_GHOSTS], [*labels]
         for name in [one for one in self._placed if one.startswith("ghost_")][len(rows) :]:
             self._drop(name)
@@ -136,7 +136,7 @@ class Scene(InCell, SceneState):
 
         Args:
             what: A Robot or Tree, a Shape, or a CollisionModel of the scene's robot.
-            at: Of a robot q (n,) [rad or m], by default home; of a shape its pose (4, 4), pin.SE3 or position (3,) [m].
+            at: For a robot its q (n,) [rad or m], by default home; for a shape its pose (4, 4), pin.SE3 or position (3,) [m].
             name: Name for `show` (a robot), `move` (a shape) and `remove`; by default one is made, of a model "obstacle".
             T_base: Pose of the other robot's base; by default that of the scene's robot.
             color: Red, green and blue in 0..1.
@@ -336,7 +336,7 @@ class Scene(InCell, SceneState):
         self.window.close()
 
     def _target(self, T_base: Any) -> tuple[np.ndarray, bool]:
-        """Return a pose (4, 4) or position (3,) [m], and whether it leaves the turn about an axis free. Raises InvalidTarget."""
+        """Return a pose (4, 4) or position (3,) [m], and whether rotation about an axis is free. Raises InvalidTarget."""
         free = isinstance(T_base, AxisTarget)
         return T_base.T_base_tip if free else check_target(T_base)[0], free
 
@@ -377,8 +377,8 @@ def view(
         cloud: Points (N, 3) [m] in the base frame, or a pair (points, success).
         obstacles: CollisionModel whose obstacles and held shapes are drawn; by default that of the result.
         title: Title of the page, by default the robot's name.
-        live: Whether the cells of a notebook that show the scene follow `Scene.update` and all other changes, over the kernel's
-            own channel (extra 'notebook'), and targets can be dragged (`Scene.on_drag`); without a channel the scene stays still.
+        live: Whether notebook cells that show the scene follow `Scene.update` and all other changes, over the connection to the
+            kernel (extra 'notebook'), and targets can be dragged (`Scene.on_drag`). Without a connection the scene stays still.
         viewer: A meshcat.Visualizer, or Pinocchio's MeshcatVisualizer, in which the scene is drawn as well.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What a scene has drawn, by name: robots and their copies, the box and the legend of everything, and what belongs to a result."""
+"""Contents of a scene by name: robots and their copies, bounding boxes, legend entries, and the drawings of a result."""
 
 import logging
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,7 @@ from ..validate import number
 from .body import Body, grid_cell
 from .meshcat_server import Window
 
-FAR = 3.0  # [scene sizes] what is farther away or larger does not shrink the picture
+FAR = 3.0  # [scene sizes] The camera does not move back for objects that are farther away or larger than this.
 
 
 Color = tuple[float, float, float]  # red, green and blue in 0..1
@@ -55,16 +55,16 @@ def read_text(text: Any, what: str) -> str:
 
 
 class SceneState(Unique):
-    """The things of a scene by name, and the page's text and camera."""
+    """Everything drawn in a scene, by name, and the page's text and camera."""
 
     def __init__(self, robot: Joints, title: str | None = None) -> None:
         """Start with nothing drawn of a Robot or a Tree."""
         self.robot = robot
         self.body = Body(robot)
         self.window = Window()
-        # Robots with triangles of their own, and the pose (4, 4) of their world in this one; others are copies of the first.
+        # Robots with their own meshes, and the pose (4, 4) of their world frame in the scene's; all others are copies of "robot".
         self._bodies = {"robot": (self.body, np.eye(4))}
-        # Poses (F, P, 4, 4) of the parts of each robot: as it is seen first, then those of an animation.
+        # Poses (F, P, 4, 4) of the parts of each robot: first the initial one, then those of an animation.
         self._placed: dict[str, np.ndarray] = {}
         self._looks: dict[str, tuple[Color | None, float]] = {}  # colour and opacity of each robot
         self._parts: dict[str, np.ndarray] = {}  # which parts (P,) of each robot are drawn
@@ -72,10 +72,10 @@ class SceneState(Unique):
         self._legend: dict[str, list[tuple[str, str]]] = {}
         self._names: list[tuple[str, str, int]] = []
         self._grid: list[tuple[str, str]] = []
-        self._shown: set[str] = set()  # what was drawn with the result shown, and goes with it
-        self._marks: dict[str, tuple[Any, ...]] = {}  # what the drawing of a frame depends on, its size last
+        self._shown: set[str] = set()  # names of what was drawn for a result, and is removed with it
+        self._marks: dict[str, tuple[Any, ...]] = {}  # properties of each drawn frame, its size last
         self._around: Any = None  # the CollisionModel whose obstacles belong to the result, and its version
-        self._inline = False  # whether a cell of a notebook shows the scene as it was then
+        self._inline = False  # whether a notebook cell shows an earlier state of the scene
         self._captioned = False  # whether the lines under the title are those of a result
         self.window.say(title=read_text(robot.name if title is None else title, "title"))
         self.say()
@@ -108,7 +108,7 @@ class SceneState(Unique):
             raise InvalidOption(f"no frame or shape named '{name!s:.60}' is drawn.{near_match(name, movable)}")
 
     def _clear(self, name: Any) -> None:
-        """Make way for something that is drawn under a name. Raises InvalidOption for the scene's own robot."""
+        """Remove what is drawn under a name, before it is drawn anew. Raises InvalidOption for the scene's own robot."""
         if read_text(name, "name") == "robot":
             raise InvalidOption("'robot' is the name of the scene's robot: give another name")
         self._drop(name)
@@ -118,7 +118,7 @@ class SceneState(Unique):
         moved = name in self._placed
         for kept in (self._placed, self._looks, self._parts, self._boxes, self._legend, self._marks):
             kept.pop(name, None)
-        if name == "robot":  # its copies had its triangles
+        if name == "robot":  # Its copies used its meshes, so they are drawn anew.
             for one in self._placed.keys() - self._bodies.keys():
                 self._put(one, self._placed[one], self._looks.pop(one))
         elif moved:
@@ -130,7 +130,7 @@ class SceneState(Unique):
 
     # ------------------------------------------------------------------------------------------------------- robots
     def _body(self, name: str) -> tuple[Body, np.ndarray]:
-        """Return what a robot of a name looks like, and the pose (4, 4) of its world in this one."""
+        """Return the drawn parts of the robot of a name, and the pose (4, 4) of its world frame in the scene's."""
         return self._bodies.get(name, self._bodies["robot"])
 
     def _poses(self, name: str, Q: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ class SceneState(Unique):
         return np.array([T @ body.placements(q) for q in Q])
 
     def _put(self, name: str, poses: np.ndarray, look: tuple[Any, Any]) -> None:
-        """Draw a robot at the first of some poses (F, P, 4, 4), in a colour and opacity, or those it has (None)."""
+        """Draw a robot at the first of F sets of part poses (F, P, 4, 4); look: colour and opacity, None keeps the present ones."""
         if self._inline and not self.window.feeds:
             self._inline = False
             told = "the scene in the cell does not move: view(..., live=True) makes one that does, or end a cell with it again"
@@ -158,7 +158,7 @@ class SceneState(Unique):
             self.window.place(f"{name}/{part.name}", T)
 
     def _refresh(self) -> None:
-        """Draw the parts of each copy that no robot before it has in the same places, now and in the whole animation."""
+        """Draw of each copy only the parts that do not always coincide with those of an earlier robot, also in the animation."""
         earlier: list[np.ndarray] = []
         for name in sorted(self._placed, key=lambda name: name != "robot"):
             body, _ = self._body(name)
@@ -183,7 +183,7 @@ class SceneState(Unique):
             self._parts[name] = wanted
 
     def _stop(self) -> None:
-        """End the animation: robots stay where they are seen first."""
+        """End the animation: robots stay at their initial poses."""
         if self.window.about["animation"] is not None:
             self.window.say(animation=None)
         for name, poses in self._placed.items():
@@ -192,7 +192,7 @@ class SceneState(Unique):
     # ---------------------------------------------------------------------------------------------- results and text
     @contextmanager
     def _with_result(self) -> Iterator[None]:
-        """Note the names of what is drawn inside."""
+        """Record the names of what is drawn in the `with` block as belonging to a result."""
         before = {*self._boxes}
         yield
         self._shown |= {*self._boxes} - before
@@ -215,7 +215,7 @@ class SceneState(Unique):
         self._captioned = False
 
     def _say(self, name: str, *entries: tuple[str, str]) -> None:
-        """Set the colours and labels of something in the legend, which go when it is removed."""
+        """Set the legend entries (colour, label) of a drawn object; they are removed with it."""
         self._legend[name] = [*entries]
         self._tell()
 
@@ -256,7 +256,10 @@ class SceneState(Unique):
         return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
 
     def _see(self, name: str, points: np.ndarray) -> bool:
-        """Note the box of points (N, 3) [m], world axes; it counts if it is neither far away nor much larger than the rest."""
+        """Store the bounding box of points (N, 3) [m], world axes, for aiming the camera; return whether it is used.
+
+        It is not if it is far away or much larger than everything else.
+        """
         low, high = points.min(axis=0), points.max(axis=0)
         near, size = [*self._boxes.values()], self._extent()
         centre = np.mean(near, axis=(0, 1)) if near else 0.5 * (low + high)

@@ -6,8 +6,9 @@ With the Jacobian J at a configuration and the error e = target - actual, one st
     x(k+1) =           B e(k) + A x(k)
 
 to first order, so near a solution errors vanish if the spectral radius of [[I - J D, -J C], [B, A]] is below 1. Summed over a
-run whose state dies out, the joints have moved by S (e(0) + e(1) + ...) with the static map S = C (I - A)^-1 B + D. A run that no
-limit touches therefore ends on the slice q0 + S w, whatever A is; A decides how fast. J S is the loop gain.
+run whose state dies out, the joints have moved by S (e(0) + e(1) + ...) with the static gain S = C (I - A)^-1 B + D. If no joint
+limit is active, a run therefore ends on the affine subspace ("slice") q0 + S w, whatever A is; A decides how fast. J S is the loop
+gain.
 
 One step of IK-PID (`PID`) moves one joint by K_p |e|. To first order that lowers the error along the unit vector u if
 K_p < 2 |J_i . u| / |J_i|^2. The gain margin is the largest K_p for which some joint does so whatever u is.
@@ -29,23 +30,23 @@ from ..solvers.batch.solve_batch import solve_batch
 from ..solvers.protocol import Asked
 from ..solvers.rules.state_space import HEAD, StateSpace
 
-# Iterations of the run that predicts outcomes: it makes no overshoot, and the slowest direction of the published gains falls by a
-# twentieth in a step.
+# Iterations of the run that predicts outcomes. It does not overshoot; with the published gains, the error in the slowest direction
+# falls by a twentieth in each iteration.
 ITERATIONS = 3000
 FLAT = 1e-9  # a joint whose Jacobian column is below this share of the largest does not move the tip
-ROUND = 1e-9  # share by which rounding may put a vertex of `gain_margins` outside a facet
+ROUND = 1e-9  # relative tolerance of the test whether a vertex of a polytope is inside its facets
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """A state-space solver in base axes, metres and radians; M is its number of maps.
+    """Matrices of a state-space solver in base axes, metres and radians. Each of its M starts has a map: its own B and D.
 
     Attributes:
         A: (m, m) state matrix.
         B: (M, m, r) input matrices; r is 3 for positions, 6 for poses.
         C: (n, m) output matrix.
         D: (M, n, r) feedthrough.
-        starts: (M, n) the start [rad or m] at which each map is used.
+        starts: (M, n) the start [rad or m] for which each pair B, D is used.
     """
 
     A: np.ndarray
@@ -55,18 +56,18 @@ class Matrices:
     starts: np.ndarray
 
     def nearest(self, robot: Robot, q: np.ndarray) -> np.ndarray:
-        """Return the index of the map that is used at each configuration q (N, n): that of the nearest start, full turns apart."""
+        """Return for each configuration q (N, n) the index of the nearest start, with joint angles compared modulo 2 pi."""
         apart = (q[:, None] - self.starts) / robot.chain.unit
         apart -= 2.0 * np.pi * np.rint(apart / (2.0 * np.pi)) * (robot.chain.turns > 0.0)
         return (apart**2).sum(axis=2).argmin(axis=1)
 
     def static_maps(self) -> np.ndarray:
-        """Return S = C (I - A)^-1 B + D for each map, (M, n, r)."""
+        """Return the static gains S = C (I - A)^-1 B + D (M, n, r), one for each start."""
         return self.C @ np.linalg.solve(np.eye(len(self.A)) - self.A, self.B) + self.D
 
 
 def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
-    """Return the matrices that a state-space rule uses for a robot. Raises InvalidOption as the solver does."""
+    """Return the matrices that a state-space solver uses for a robot. Raises InvalidOption if they do not fit the robot."""
     made = rule.resolve(robot, position_only)
     numbers = made.pack(robot, Asked(robot, (POSITION if position_only else POSE,)))
     n, m, count = robot.n, int(numbers[0]), int(numbers[1])
@@ -77,7 +78,7 @@ def matrices(robot: Robot, rule: StateSpace, position_only: bool) -> Matrices:
         D = table[:, n + 6 * m :].reshape(count, n, 6)
     axes, unit = robot.chain.ends[:9].reshape(3, 3).T, robot.chain.unit[:, None]
 
-    def plain(maps: np.ndarray) -> np.ndarray:  # The kernel's errors are in its own axes, with lengths over the scale.
+    def plain(maps: np.ndarray) -> np.ndarray:  # The solver's errors are in its own axes, with lengths over the scale.
         linear = maps[:, :, :3] @ axes / robot.chain.scale
         return linear if position_only else np.concatenate([linear, maps[:, :, 3:] @ axes], axis=2)
 
@@ -120,10 +121,10 @@ class LoopAnalysis:
             return np.where(self.stable, -1.0 / np.log10(np.minimum(self.spectral_radius, 1.0)), np.inf)
 
     def predict(self, targets: Any, q0: Any = None, tolerance: float = 1e-3) -> np.ndarray:
-        """Return whether the solver is expected to reach each target, from its static maps and the joint limits alone.
+        """Return whether the solver is expected to reach each target, from its static gains S and the joint limits alone.
 
-        The static map is run as a solver of its own, without the state: what it misses lies off the slice within the limits.
-        What the solver reaches and this does not, it reaches because its state overshoots into a limit, which shifts the slice.
+        The iteration q += S e, which has no state, is run. Targets that it misses are not reached by any configuration q0 + S w
+        within the limits. If the solver reaches such a target, its state has overshot into a limit, which shifts q0.
 
         Args:
             targets: As for `solve_batch`, N of them.
@@ -140,9 +141,9 @@ class LoopAnalysis:
         return solve_batch(self.robot, targets, made, q0=q0, **options).success
 
     def off_slice(self, q: Any, q0: Any) -> np.ndarray:
-        """Return how far configurations q (N, n) are from the slice q0 + S w of the solver's only map [norm, rad or m].
+        """Return the distance of configurations q (N, n) from the subspace q0 + S w of a solver with one start [norm, rad or m].
 
-        Raises InvalidOption if the solver has several maps.
+        Raises InvalidOption if the solver has several starts.
         """
         if len(self.matrices.starts) > 1:
             raise InvalidOption(
@@ -176,14 +177,14 @@ def analyse(
 
     Args:
         robot: A robot with one tip.
-        rule: A `StateSpace`; default: the one that is designed for the robot.
+        rule: The solver, a `StateSpace`; default: the one that is designed for the robot.
         q: (n,) or (N, n) configurations [rad or m]; default: `count` random ones within the limits, drawn with `seed`.
         count: Number of random configurations.
         seed: Seed of the random configurations.
         position_only: Whether targets are positions; default: True if B or D has three columns.
 
     Returns:
-        The analysis. With several maps each configuration takes the map of the start nearest to it.
+        The analysis. If the solver has several starts, each configuration is analysed with the B and D of the nearest one.
 
     Raises:
         InvalidOption: The rule is no StateSpace, or does not fit the robot.

@@ -29,7 +29,7 @@ TASKS = ("pose", "position")
 
 @dataclass(frozen=True)
 class BenchmarkRow:
-    """What a benchmark found for one solver on one robot.
+    """Results of a benchmark for one solver on one robot.
 
     Attributes:
         robot: Name of the robot.
@@ -48,7 +48,7 @@ class BenchmarkRow:
         worst_orientation_error: Largest error of all successes and tips [rad], None without successes or for positions.
         seconds: (N,) time of each call [s], solved targets first.
         iteration_counts: (N,) iterations of each call, in the same order.
-        once: The BenchmarkRow of the same targets with one attempt each; None in that row itself.
+        once: The BenchmarkRow of the same targets with one attempt each (no restarts); None in that row itself.
     """
 
     robot: str
@@ -80,7 +80,7 @@ class BenchmarkRow:
 
 @dataclass(frozen=True, repr=False)
 class Benchmark:
-    """What a benchmark found for all robots and solvers.
+    """Results of a benchmark for all robots and solvers.
 
     Attributes:
         rows: A row for each robot and solver, robot by robot.
@@ -245,7 +245,7 @@ def benchmark(
 
 
 def label(robot: str, tips: tuple[str, ...], always: bool = False) -> str:
-    """Return the name of a robot, with its tips if it has several (or always)."""
+    """Return the name of a robot, with the names of its tips if it has several (or if `always`)."""
     return f"{robot} ({' + '.join(tips)})" if always or len(tips) > 1 else robot
 
 
@@ -284,7 +284,7 @@ def _measure(
     executor: Executor | None,
     parts: dict[tuple[str, bool], list[np.ndarray]],
 ) -> Iterator[tuple[int, int]]:
-    """Give blocks of targets to all solvers in turn and put the tables of `run_block` into `parts`; yields (done, all)."""
+    """Let all solvers in turn solve a block of targets, and append the result tables to `parts`; yields (blocks done, all)."""
     edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
     jobs = [
         (key, solver, T[a:b], None if Q0 is None else Q0[a:b])
@@ -300,7 +300,7 @@ def _measure(
 
 
 def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Draw targets (N, 4, 4) or (N, 3) [m], for a Tree (N, F, ...), and starts (N, n) [rad or m] or None, see `benchmark`."""
+    """Draw random reachable targets (N, 4, 4) or (N, 3) [m], for a Tree (N, F, ...), and starts (N, n) [rad or m] or None."""
     rng = np.random.default_rng(seed)
     Q = robot.random_q(rng, count)
     T = robot.chain.forward(Q)[0]

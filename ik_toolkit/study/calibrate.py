@@ -1,4 +1,4 @@
-"""`ik.calibrate`: where the arm really goes, from measured poses, positions, distances or touches."""
+"""`ik.calibrate`: kinematic calibration from measured poses, positions or distances of the tip, or from its contacts."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,9 +13,9 @@ from .calibration_fit import UNTOLD, ArmFit, first_guess, joint_signs, reversibl
 from .drawn_arm import GROUPS, DrawnArm, read_groups
 from .measurements import TOUCHED, Measurements, prior_spread, read_noise
 
-ELSEWHERE = 0.2  # measurements that lie this share of the reach away from the drawn arm are in a frame of their own
-DOUBTFUL = 4.0  # typical errors of so many times NOISE let the signs of the joints be tried again
-SAMPLES = 200  # random configurations that show what poses measured elsewhere could tell
+ELSEWHERE = 0.2  # Measurements farther than this share of the reach from the nominal arm are in another frame.
+DOUBTFUL = 4.0  # If the median error exceeds this many times NOISE, reversed joints are looked for once more.
+SAMPLES = 200  # number of random configurations from which the identifiability over the whole range is computed
 
 
 def calibrate(
@@ -32,27 +32,27 @@ def calibrate(
 ) -> Calibration:
     """Find the errors of an arm's joints, links, tool and base from measurements of where its tip goes.
 
-    A wrong sign of a joint is found first. Then all errors are fitted by least squares with a robust loss, outliers are named and
-    left out, and what the measurements cannot tell is fixed as drawn and named. A numerical outcome (untold errors, no convergence)
-    is said in `notes`.
+    A wrong sign of a joint is found first. Then all errors are fitted by least squares with a robust loss. Outliers are reported
+    and left out; errors that the measurements do not determine are reported and fixed at 0, the nominal value. The `notes` of the
+    result are sentences on such errors and on missing convergence.
 
     Args:
-        robot: The robot as drawn, with one tip; with_tool says where on the tip is measured.
-        q: Joint values (N, n) [rad or m] at which was measured.
+        robot: The nominal robot (as drawn), with one tip; use with_tool if the measured point is not the tip's origin.
+        q: Joint values (N, n) [rad or m] of the measurements.
         measured: For 'pose' (N, 4, 4), for 'position' (N, 3) [m], in the base frame unless parameters has base. For 'distance'
-            lengths (N,) [m] from a fixed end, or (N, 2) with the number of the end first. For 'socket' and 'plane' the number (N,),
+            lengths (N,) [m] from a fixed end, or (N, 2) with the index of the end first. For 'socket' and 'plane' the index (N,),
             from 0, of the socket or plane that the tip touches.
         what: What was measured.
-        parameters: What may be wrong: 'joints' (their offsets), 'frames' (where each moving link's joint stands on the link
-            before), 'tool' (where the measured point is), 'base' (the measurements are in a frame of their own, such as a laser
-            tracker's).
-        places: Known places (K, 3) [m] of the sockets, or of the fixed ends, in the base frame.
+        parameters: What may be wrong: 'joints' (their offsets), 'frames' (the placement of each moving link's joint on its parent
+            link), 'tool' (the measured point), 'base' (the measurements are in another frame, such as a laser tracker's).
+        places: Known positions (K, 3) [m] of the sockets, or of the fixed ends, in the base frame.
         distances: Known distances between sockets: one number [m] for two sockets, or {(0, 1): metres}.
         noise: Standard deviation of the measurements (length [m], angle [rad]), or a length; by default estimated.
-        prior: How far links and joints may be off, (length [m], angle [rad]); default (0.01, 0.035), ten times that for the tool.
+        prior: Expected size (standard deviation) of the errors of links and joints, (length [m], angle [rad]), by default
+            (0.01, 0.035). It is ten times as large for the tool.
 
     Returns:
-        The errors with 95 % intervals, the corrected robot, residuals, outliers, and what the data left open.
+        The errors with 95 % intervals, the corrected robot, residuals, outliers, and what the data do not determine.
 
     Raises:
         InvalidOption: An argument is unknown or does not fit, or robot has several tips.
@@ -108,7 +108,7 @@ def _configurations(robot: Robot, q: Any, count: int) -> np.ndarray:
 
 
 def _require_enough(arm: DrawnArm, data: Measurements) -> None:
-    """Raise InvalidTarget unless the numbers measured outnumber what they have to tell: about two thirds of the arm's unknowns."""
+    """Raise InvalidTarget if there are too few measured numbers: they must determine about two thirds of the arm's unknowns."""
     unknowns = (
         (2 * len(arm.unknowns) + 2) // 3
         + data.size
@@ -124,7 +124,7 @@ def _require_enough(arm: DrawnArm, data: Measurements) -> None:
 
 
 def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> None:
-    """Raise InvalidTarget if the measurements fit the drawn arm only after a motion of its base, which is no parameter."""
+    """Raise InvalidTarget if the measurements fit the nominal arm only after its base is moved, which is not a parameter here."""
     if "base" in arm.groups:
         return
     off = np.median(np.linalg.norm(arm.poses(np.zeros(len(arm.unknowns)), Q)[:, :3, 3] - data.positions, axis=1))
@@ -139,9 +139,9 @@ def _require_same_frame(arm: DrawnArm, data: Measurements, Q: np.ndarray) -> Non
 
 
 def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
-    """Return the fit, or where it is poor that with one more joint reversed, and to which share the errors fall by it.
+    """Return the fit, or if it is poor a better one with one more joint reversed, and the ratio of the errors after to before.
 
-    It finds what offsets alone do not show: a reversed roll of a tip that is drawn on the axis.
+    This finds reversals that a fit of offsets alone cannot show, such as that of a last joint on whose axis the tip is drawn.
     """
     left = fit.typical()
     found, least = fit, 1.0
@@ -154,14 +154,17 @@ def _with_last_sign(fit: ArmFit, sigma: Any) -> tuple[ArmFit, float]:
         if other.typical() < least * left:
             found, least = other, other.typical() / left
     found = found if least < 0.5 else fit
-    fit.measured.start(found.arm.poses(found.x, found.Q))  # planes have their normals from the last start
+    fit.measured.start(found.arm.poses(found.x, found.Q))  # This sets the reference normals of the planes.
     if found is not fit:
         found.settle()
     return found, least if found is not fit else 1.0
 
 
 def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int, int]]:
-    """Fix what the data do not tell, and fit again; return what was fixed, and the rank here, as drawn, and of poses all over."""
+    """Fix the unknowns that the data do not determine, and fit again.
+
+    Returns the fixed unknowns, and the number of identifiable ones: here, at the nominal arm, and with poses all over its range.
+    """
     names = [one.name for one in fit.arm.unknowns]
     _, N = fit.untold(fit.x, fit.z, fit.kept)
     drawn = could = len(names) - N.shape[1]
@@ -182,7 +185,7 @@ def _settle_convention(fit: ArmFit) -> tuple[list[FixedUnknown], tuple[int, int,
 
 
 def _could_tell(fit: ArmFit) -> int:
-    """Return how many directions as many measurements all over the arm's range would tell."""
+    """Return how many parameter directions the same number of measurements, spread over the arm's range, would determine."""
     Q = fit.arm.robot.random_q(np.random.default_rng(0), SAMPLES)
     T, J = fit.arm.evaluate(fit.x, Q)
     taken = fit.measured.taken(np.zeros(SAMPLES, dtype=int))

@@ -1,4 +1,4 @@
-"""What a calibration found: errors with intervals, the corrected robot, residuals, and which poses to measure next."""
+"""Result of a calibration: errors with intervals, the corrected robot, residuals, and which poses to measure next."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ from .calibration_report import open_points, page
 from .drawn_arm import DrawnArm, Unknown
 from .suggest_poses import chosen_poses
 
-UNSURE = 0.7  # of the prior's spread: an error known no better is mostly assumed
+UNSURE = 0.7  # An error whose standard deviation exceeds this share of the prior's is hardly determined by the data.
 
 
 class FixedUnknown(NamedTuple):
-    """An unknown that was fixed as drawn, because the data do not tell it from the others named, if any."""
+    """An unknown that was fixed at its nominal value, because the data cannot separate it from the others named, if any."""
 
     fixed: str
     shared: tuple[str, ...]
@@ -30,43 +30,43 @@ class FixedUnknown(NamedTuple):
 
 @dataclass(repr=False, eq=False)
 class Calibration:
-    """How an arm differs from its drawing.
+    """Result of `calibrate`: how an arm differs from its nominal model ("as drawn").
 
     Lengths in metres, angles in radians; each error is in the axes of its joint's own frame (of the URDF), before the joint moves.
     """
 
-    drawn: Robot  # the robot as it was given
+    drawn: Robot  # the nominal robot, as it was given
     what: str  # what was measured
     parameters: tuple[str, ...]  # groups of unknowns: joints, frames, tool, base
     unknowns: tuple[Unknown, ...]  # names, groups and kinds of all P unknowns
     x: np.ndarray  # (P,) the errors; 0 for those fixed
     spread: np.ndarray  # (P, P) their covariance, zero for those fixed
-    fixed: tuple[FixedUnknown, ...]  # unknowns fixed as drawn, and what they cannot be told from
-    rank: int  # number of unknowns that the data tell
-    rank_drawn: int  # the same, evaluated at the drawn arm
-    rank_anywhere: int  # the same, of as many poses all over the arm's range
+    fixed: tuple[FixedUnknown, ...]  # unknowns fixed at their nominal values, and those they cannot be separated from
+    rank: int  # number of unknowns that the data determine
+    rank_drawn: int  # the same, evaluated at the nominal arm
+    rank_anywhere: int  # the same, for as many poses spread over the arm's range
     noise: tuple[float, float]  # standard deviation of the measurements [m, rad], as given or estimated
     before: (
         np.ndarray
-    )  # (N,) distance of each measurement from the drawn arm [m], an unknown base put where it fits best
-    after: np.ndarray  # (N,) the same from the corrected arm
-    turned: np.ndarray  # (2, N) angles [rad] before and after, of measured poses; else empty
-    held_out: float | None  # root mean square distance [m] of measurements left out of the fit, each fifth in turn
+    )  # (N,) residual of each measurement for the nominal arm [m]; an unknown base is placed where it fits best
+    after: np.ndarray  # (N,) residuals for the corrected arm [m]
+    turned: np.ndarray  # (2, N) orientation residuals [rad] before and after, of measured poses; else empty
+    held_out: float | None  # RMS residual [m] of measurements left out of the fit (5-fold cross-validation)
     outliers: tuple[int, ...]  # rows of measurements that were left out
     reversed: dict[
         str, float
-    ]  # joints that count against the drawing; to which share errors fall with all of them reversed
-    width: float  # standard deviations that the half of a 95 % interval takes
+    ]  # joints whose sign is opposite to the model's; ratio of the errors with all of them reversed to those before
+    width: float  # half width of a 95 % interval, in standard deviations
     observability: float  # index O1 of Borm and Menq (1989) of the free unknowns, in units of prior and noise
     condition: float  # ratio of the largest to the least singular value of the free unknowns
-    touched: np.ndarray  # (K, 3) places found of sockets or fixed ends [m], base frame
+    touched: np.ndarray  # (K, 3) estimated positions of sockets or fixed ends [m], base frame
     prior: tuple[float, float]  # prior spread [m, rad]
     T_world_base: np.ndarray  # (4, 4) the base in the frame of the measurements
-    notes: tuple[str, ...]  # sentences on what the data leave open
+    notes: tuple[str, ...]  # sentences on what the data do not determine and on what is unusual
     converged: bool  # whether the last fit ended by its tolerances
     spread_all: np.ndarray  # (P, P) covariance of all unknowns, as if none were fixed
     signs: np.ndarray  # (n,) factors 1 or -1 of the joint values
-    q: np.ndarray  # (N, n) where was measured
+    q: np.ndarray  # (N, n) joint values of the measurements
 
     @classmethod
     def of(
@@ -78,7 +78,7 @@ class Calibration:
         prior: Any,
         against: Mapping[str, Any],
     ) -> "Calibration":
-        """Make the result of a finished fit; before: errors (N, per) as drawn."""
+        """Make the result of a finished fit; before: residuals (N, per) of the nominal arm."""
         arm, data = fit.arm, fit.measured
         after, converged = fit.errors(fit.x, fit.z), fit.converged
         A = fit.weighted(fit.x, fit.z, fit.kept)[1][:, : len(fit.x)][:, fit.free]
@@ -123,26 +123,26 @@ class Calibration:
     # ---------------------------------------------------------------------------------------------------- what it says
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the errors that the data tell."""
+        """Names of the errors that the data determine."""
         fixed = {one.fixed for one in self.fixed}
         return tuple(one.name for one in self.unknowns if one.name not in fixed)
 
     @property
     def unsure(self) -> tuple[str, ...]:
-        """Names of errors whose interval is about as wide as was assumed before."""
+        """Names of errors whose interval is about as wide as that of the prior."""
         loose = np.sqrt(np.diag(self.spread)) > UNSURE * self._arm().scales(*self.prior)
         return tuple(one.name for one, is_loose in zip(self.unknowns, loose, strict=True) if is_loose)
 
     @property
     def errors(self) -> dict[str, tuple[float, float]]:
-        """Each error [m or rad] by name, with the half width of its 95 % interval, but for those fixed."""
+        """Each error [m or rad] by name, with the half width of its 95 % interval; fixed unknowns are left out."""
         half = self.width * np.sqrt(np.diag(self.spread))
         every = {one.name: (float(x), float(h)) for one, x, h in zip(self.unknowns, self.x, half, strict=True)}
         return {name: every[name] for name in self.names}
 
     @property
     def rms(self) -> tuple[float, float]:
-        """Root mean square distance [m] of the measurements, outliers left out, from the arm as drawn and as corrected."""
+        """Root mean square residuals [m], without outliers, of the nominal and of the corrected arm."""
         kept = np.setdiff1d(np.arange(len(self.after)), self.outliers)
         return float(np.sqrt((self.before[kept] ** 2).mean())), float(np.sqrt((self.after[kept] ** 2).mean()))
 
@@ -172,7 +172,7 @@ class Calibration:
     # ------------------------------------------------------------------------------------------------ corrected robot
     @property
     def robot(self) -> Robot:
-        """The corrected robot: as drawn, with the errors written into its description. Its base is its own (see T_world_base).
+        """The corrected robot: its description with the errors included, except that of the base (see T_world_base).
 
         Raises ModelError if the robot has no URDF.
         """
@@ -185,13 +185,13 @@ class Calibration:
         return corrected_robot(self.drawn, joints, against, tool)
 
     def write(self, path: str | Path) -> Robot:
-        """Write the corrected robot as one plain URDF; return it, whose tip is the tip to load the file with."""
+        """Write the corrected robot as one plain URDF. Returns the robot; load the file with the name of its tip."""
         made = self.robot
         made.write(path)
         return made
 
     def suggest(self, count: int, *, avoid_collisions: Any = True, seed: int = 0) -> np.ndarray:
-        """Choose configurations (count, n) [rad or m] whose measurement would tell most in addition, as `suggest_poses` does."""
+        """Choose configurations (count, n) [rad or m] whose measurement would reduce the remaining uncertainty most."""
         known = np.linalg.inv(self.spread_all + np.diag(1e-18 * np.ones(len(self.x))))
         return chosen_poses(
             self._arm(), self.x, known, count, self.what, self.noise, self.prior, avoid_collisions, seed
@@ -199,7 +199,7 @@ class Calibration:
 
     # ----------------------------------------------------------------------------------------------------------- text
     def table(self) -> TextTable:
-        """Return the errors as a table, those that the data tell."""
+        """Return the errors that the data determine, as a table."""
         kinds = {one.name: one.turns for one in self.unknowns}
         rows = [
             (
@@ -255,7 +255,7 @@ class Calibration:
         }
 
     def save(self, path: str | Path) -> Path:
-        """Write all of it as one HTML page that needs no network: residuals before and after, errors, what the data leave open."""
+        """Write a self-contained HTML page: residuals before and after, errors, and what the data do not determine."""
         file = as_path(path, "path")
         write_whole(file, page(self))
         return file

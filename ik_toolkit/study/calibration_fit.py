@@ -1,9 +1,9 @@
 """The least-squares fit of an arm's errors to measurements, by SciPy's `least_squares` with derivatives from `DrawnArm`.
 
-Every unknown has a weak prior: zero, within the spread that `DrawnArm.scales` gives. What the data tell is far stronger; what they
-do not tell stays as drawn. Which combinations they do not tell is read from the singular values of the derivatives, in units of the
-prior and of the noise (Hollerbach, Wampler 1996): a direction is untold if moving along it by one spread changes all errors
-together by less than UNTOLD standard deviations.
+Every unknown has a weak normal prior with mean 0 (the nominal value, "as drawn") and the standard deviation that `DrawnArm.scales`
+gives. Combinations of unknowns that the data do not determine ("untold") are found from the singular values of the Jacobian, in
+units of prior and noise (Hollerbach, Wampler 1996): a direction is untold if a move along it by one standard deviation of the prior
+changes all residuals together by less than UNTOLD standard deviations of the noise. Such combinations keep their nominal value.
 """
 
 from itertools import product
@@ -17,30 +17,31 @@ from ..robot.rotation import nearest_rotation
 from .drawn_arm import WIDE, DrawnArm
 from .measurements import NOISE, Measurements
 
-UNTOLD = 0.5  # such data narrow a prior by a tenth
-LEAST = 1e-6  # [m, rad] least noise that is assumed, that of no instrument
-OUTLIER = (4.0, 3.0)  # an outlier is off by more than so many standard deviations, and so many medians of all errors
-LOOSE = (0.05, 0.1)  # [m, rad] errors that links may add while only offsets, base and tool are fitted
-# Squared errors over LOOSE below which no sign is tried, and above which all signs of so many joints are.
+UNTOLD = 0.5  # singular value below which a direction counts as not determined; such data narrow a prior by a tenth
+LEAST = 1e-6  # [m, rad] lower bound on the estimated noise, below that of any instrument
+OUTLIER = (4.0, 3.0)  # An outlier exceeds this many standard deviations, and this many times the median of all errors.
+LOOSE = (0.05, 0.1)  # [m, rad] size of the link errors that are neglected while only offsets, base and tool are fitted
+# median squared error, in units of LOOSE, below which no reversed joint is looked for; value above which all sign combinations are
+# tried; largest number of joints for this
 SIGNS = (0.01, 4.0, 7)
 
 
 class ArmFit:
-    """A calibration while it is computed.
+    """A calibration fit in progress.
 
     Attributes:
         arm, measured, Q: The arm, the measurements and the joint values (N, n).
         scales: Prior spread (P,) of the unknowns x [m or rad].
         noise: Standard deviations [m, rad] of the measurements.
         kept: Which measurements (N,) count; the others are outliers.
-        free: Which unknowns (P,) are fitted; the others are fixed as drawn.
-        x, z: The unknowns of the arm and of what is touched.
+        free: Which unknowns (P,) are fitted; the others are fixed at 0, the nominal arm.
+        x, z: The unknowns of the arm, and of the touched sockets, planes or fixed ends.
     """
 
     def __init__(
         self, arm: DrawnArm, measured: Measurements, Q: np.ndarray, scales: np.ndarray, noise: Any = None
     ) -> None:
-        """Begin as drawn, with all measurements; noise None is estimated."""
+        """Begin at the nominal arm, with all measurements; if noise is None, it is estimated."""
         try:
             from scipy.optimize import least_squares
         except ImportError:
@@ -57,8 +58,9 @@ class ArmFit:
 
     # -------------------------------------------------------------------------------------------------------- one fit
     def weighted(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors of some measurements and of known places over their noise (m,), and their derivatives (m, P + Z) by the
-        unknowns: those of the arm in units of the prior, z in metres.
+        """Return the residuals of some measurements and of known places over their noise (m,), and their Jacobian (m, P + Z).
+
+        The Jacobian is with respect to the unknowns of the arm in units of the prior, and z in metres.
         """
         taken = self.measured.taken(rows)
         T, J = self.arm.evaluate(x, self.Q[rows])
@@ -70,7 +72,7 @@ class ArmFit:
         return np.append(E / sigma, known / self.noise[0]), np.vstack([A.reshape(-1, A.shape[2]), part])
 
     def run(self, rows: np.ndarray, robust: bool = False, most: int = 100) -> tuple[np.ndarray, np.ndarray]:
-        """ArmFit x and z to some measurements, from where the fit stands, in at most so many evaluations."""
+        """Fit x and z to some measurements, starting from their present values, in at most `most` evaluations."""
         P, free = len(self.x), self.free
         used = np.append(free, np.ones(len(self.z), dtype=bool))
         start = np.append(self.x, self.z)
@@ -87,7 +89,7 @@ class ArmFit:
                 last[v.tobytes()] = np.append(e, v[: len(prior)]), np.vstack([A[:, used], prior])
             return last[v.tobytes()]
 
-        def soft(squares: np.ndarray) -> np.ndarray:  # soft_l1 of SciPy, but for the prior
+        def soft(squares: np.ndarray) -> np.ndarray:  # SciPy's soft_l1 loss, but quadratic for the prior
             grown = np.sqrt(1.0 + squares)
             rho = np.array([2.0 * (grown - 1.0), 1.0 / grown, -0.5 / grown**3])
             rho[:, -len(prior) :] = squares[-len(prior) :], np.ones(len(prior)), np.zeros(len(prior))
@@ -119,7 +121,7 @@ class ArmFit:
 
     # ------------------------------------------------------------------------------------------------- noise, outliers
     def settle(self) -> None:
-        """ArmFit robustly, estimate the noise, name outliers and fit again without them, until nothing changes."""
+        """Fit robustly, estimate the noise, detect outliers and fit again without them, until nothing changes."""
         every = np.ones(len(self.Q), dtype=bool)
         for _ in range(1 if self.given else 3):
             self.x, self.z = self.run(every, robust=True)
@@ -135,10 +137,9 @@ class ArmFit:
                 break
 
     def _far(self) -> np.ndarray:
-        """Return which measurements (N,) are outliers of the fit: off by more standard deviations than OUTLIER has, lengths or
-        angles.
+        """Return which measurements (N,) are outliers: their length or angle error exceeds both thresholds of OUTLIER.
 
-        What took no part in the fit may be off by the uncertainty of the fit as well.
+        For measurements that took no part in the fit, the uncertainty of the fit is added to the noise.
         """
         every = np.ones(len(self.Q), dtype=bool)
         e, A = self.weighted(self.x, self.z, every)
@@ -155,7 +156,7 @@ class ArmFit:
         return far
 
     def _scatter(self, rows: np.ndarray, robust: bool = False) -> tuple[float, float]:
-        """Estimate the noise [m, rad] from the errors that are left, and from how many numbers the unknowns take up."""
+        """Estimate the noise [m, rad] from the residuals and their degrees of freedom."""
         E = self.errors(self.x, self.z)[rows]
         share = 1.0 - min(0.9, self.taken_up(rows) / E.size)
         found = []
@@ -171,7 +172,7 @@ class ArmFit:
         return found[0], found[1]
 
     def taken_up(self, rows: np.ndarray) -> float:
-        """Return how many of the numbers measured the unknowns take up: the trace of the fit's projection."""
+        """Return the effective number of fitted unknowns: the trace of the fit's projection (hat) matrix."""
         A = self.weighted(self.x, self.z, rows)[1]
         Z = len(self.z)
         A = A[:, np.append(self.free, np.ones(Z, dtype=bool))]
@@ -181,9 +182,9 @@ class ArmFit:
 
     # ------------------------------------------------------------------------------------------------------ what is told
     def untold(self, x: np.ndarray, z: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the singular values of the derivatives by all unknowns of the arm, those of what is touched eliminated, and a
-        basis
-        (P, k) of the directions that the data do not tell.
+        """Return singular values of the Jacobian, and a basis (P, k) of the directions that the data do not determine.
+
+        The Jacobian is with respect to all unknowns of the arm; the unknowns z of touched objects are eliminated from it.
         """
         A = self.weighted(x, z, rows)[1]
         P = len(x)
@@ -195,7 +196,7 @@ class ArmFit:
         return told_directions(A)
 
     def fix(self, N: np.ndarray) -> dict[int, list[int]]:
-        """Choose an unknown for each direction of a basis N (P, k) to stay as drawn; return those that share its motion.
+        """Fix one unknown at 0 for each direction of a basis N (P, k); return for each the unknowns it cannot be separated from.
 
         Offsets of joints, tool and base are kept free where a link's frame can be fixed instead.
         """
@@ -207,7 +208,7 @@ class ArmFit:
             0.25,
             0.1,
             1e-3,
-        ):  # far from dependent ones first, so that the choice depends little on the data
+        ):  # Rows far from linear dependence are taken first, so that the choice depends little on the data.
             for p in order:
                 size = float(np.linalg.norm(left[p]))
                 if size > least and len(fixed) < N.shape[1]:
@@ -216,13 +217,13 @@ class ArmFit:
                     fixed.append(p)
         equal = N * np.array(
             [[WIDE.get(group, 1.0)] for group in groups]
-        )  # so that a millimetre counts alike everywhere
+        )  # so that a length counts alike in all groups
         B = np.abs(equal @ np.linalg.pinv(equal[fixed]))
         self.free[fixed], self.x[fixed] = False, 0.0
         return {p: [int(k) for k in np.flatnonzero(B[:, j] > 0.05) if k != p] for j, p in enumerate(fixed)}
 
     def width(self) -> float:
-        """Return how many standard deviations the half of a 95 % interval takes: Student's t where the noise is estimated."""
+        """Return the half width of a 95 % interval in standard deviations (Student's t distribution if the noise is estimated)."""
         from scipy.special import stdtrit
 
         if self.given:
@@ -230,7 +231,7 @@ class ArmFit:
         return float(stdtrit(max(1.0, self.kept.sum() * self.measured.per - self.taken_up(self.kept) + 0.0), 0.975))
 
     def spread(self, every: bool = False) -> np.ndarray:
-        """Return the covariance (P, P) of the unknowns [m, rad], of all as if none were fixed, or with zeros for those that are."""
+        """Return the covariance (P, P) of the unknowns [m, rad]: zero for fixed ones, or if `every` as if none were fixed."""
         A = self.weighted(self.x, self.z, self.kept)[1]
         P = len(self.x)
         used = np.append(np.ones(P, dtype=bool) if every else self.free, np.ones(len(self.z), dtype=bool))
@@ -242,9 +243,9 @@ class ArmFit:
         return C * np.outer(self.scales, self.scales)
 
     def held_out(self, parts: int = 5, seed: int = 0) -> np.ndarray | None:
-        """Return the errors (N,) [m] of measurements that took no part in the fit, each of `parts` left out in turn, or None.
+        """Return cross-validated errors (N,) [m]: each of `parts` parts of the measurements is left out of a fit in turn.
 
-        None stands where too few would be left.
+        It is None if too few measurements would remain.
         """
         rows = np.random.default_rng(seed).permutation(np.flatnonzero(self.kept))
         found = np.full(len(self.Q), np.nan)
@@ -264,19 +265,17 @@ class ArmFit:
 
 
 def told_directions(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the singular values (P,) of derivatives A (m, P) in units of prior and noise, and a basis (P, k) of what they do not
-    tell.
-    """
+    """Return singular values (P,) of a Jacobian A (m, P) in units of prior and noise, and a basis (P, k) of untold directions."""
     squares, V = np.linalg.eigh(A.T @ A)
     S = np.sqrt(np.maximum(squares, 0.0))[::-1]
     return S, V[:, ::-1][:, S < UNTOLD]
 
 
 def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndarray:
-    """Return x (P,) with the base, and the direction of the tool, where measured poses or positions show them; all else as drawn.
+    """Return x (P,) with first estimates of the base, and of the tool's orientation if poses are measured; other unknowns are 0.
 
-    The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool of measured poses is turned by the
-    mean of what is left.
+    The base is the rotation and translation that fits the positions best (Kabsch 1976); the tool is rotated by the mean of the
+    remaining orientation errors.
     """
     x = np.zeros(len(arm.unknowns))
     at = {group: [k for k, one in enumerate(arm.unknowns) if one.group == group] for group in ("base", "tool")}
@@ -295,9 +294,9 @@ def first_guess(arm: DrawnArm, measured: Measurements, Q: np.ndarray) -> np.ndar
 
 
 def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) -> tuple[np.ndarray, float]:
-    """Find joints that count against the drawing: those whose reversal, offsets (and base and tool) fitted, lowers the errors most.
+    """Find joints whose sign is opposite to the model's, by fits of offsets, base and tool with some joints reversed.
 
-    Returns the signs (n,), 1 or -1, and to which share the typical error falls; all 1 unless it is less than half.
+    Returns the signs (n,), 1 or -1, and the ratio of the typical error after to before; all are 1 unless the ratio is below 1/2.
     """
     loose = ("joints", *(group for group in groups if group in ("base", "tool")))
 
@@ -317,7 +316,7 @@ def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) 
         if value > 0.6 * best:
             break
         sign[i], best = -sign[i], value
-    if best > SIGNS[1] and len(asked) <= SIGNS[2]:  # one by one leads nowhere: all together
+    if best > SIGNS[1] and len(asked) <= SIGNS[2]:  # Reversing joints one by one did not help: try all combinations.
         for flips in product((1.0, -1.0), repeat=len(asked)):
             other = np.ones(robot.n)
             other[asked] = flips
@@ -329,6 +328,6 @@ def joint_signs(robot: Any, groups: Any, measured: Measurements, Q: np.ndarray) 
 
 
 def reversible(robot: Any, Q: np.ndarray) -> list[int]:
-    """Return the joints whose sign is tried: those that move, and that no other joint follows."""
+    """Return the joints whose reversal is tried: those that move in the data, and that no mimic joint follows."""
     lead = {robot.joint_names.index(tie.leader) for tie in robot.mimic_joints.values()}
     return [i for i in range(robot.n) if i not in lead and np.ptp(Q[:, i]) > 1e-3]

@@ -1,4 +1,4 @@
-"""What a calibration says of itself: sentences on what the data leave open, and one page of HTML."""
+"""Report of a calibration: sentences on what the data do not determine, and an HTML page."""
 
 import html
 from typing import Any
@@ -9,8 +9,8 @@ from ..style import COLOURS, GREY, PALE
 from ..text import TextTable, figure, length
 from .measurements import WHAT
 
-ROUGH = 0.005  # [m] errors left that no instrument makes
-FEW = 2.2  # numbers measured for each error, below which outliers cannot be told well
+ROUGH = 0.005  # [m] Remaining errors above this are too large to be noise of an instrument.
+FEW = 2.2  # measured numbers per unknown below which outliers cannot be detected well
 TOUCH = {
     "pose": "",
     "position": "the direction in which the tool points is not measured",
@@ -21,7 +21,7 @@ TOUCH = {
 
 
 def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
-    """Return sentences on what the data leave open and on what is unusual.
+    """Return sentences on what the data do not determine and on what is unusual.
 
     placed: whether places are known; pairs: number of known distances; given: whether the noise was given.
     """

@@ -1,10 +1,9 @@
-"""The kinematics of an arm that is not quite as drawn: poses and their derivatives by the errors of its joints, links, base and
-tool.
+"""Kinematics of an arm with errors: poses, and their derivatives with respect to errors of its joints, links, base and tool.
 
-The frame of joint j stands in that of its parent at P_j exp(q_j S_j). An error puts P_j C_j in place of P_j, with C_j = (exp(w), t)
-in the joint's own frame, so it can be written into the <origin> of a URDF. The derivatives are the blocks of Pinocchio's kinematic
-regressor (computeFrameKinematicRegressor), which are formed here, from Pinocchio's placements, because Pinocchio 4.1 refuses it to
-models with mimic joints. A joint's offset is the part of the error along its own axis: the two motions are one.
+The nominal arm ("as drawn") has the frame of joint j at P_j exp(q_j S_j) in its parent's frame. An error replaces P_j by P_j C_j,
+with C_j = (exp(w), t) in the joint's own frame, so it can be written into the <origin> of a URDF. The derivatives are the blocks of
+Pinocchio's kinematic regressor (computeFrameKinematicRegressor). They are formed here, from Pinocchio's placements, because
+Pinocchio 4.1 does not compute it for models with mimic joints. A joint's offset is the part of the error along its own axis.
 """
 
 from collections.abc import Sequence
@@ -21,13 +20,11 @@ GROUPS = ("joints", "frames", "tool", "base")
 WIDE = {
     "tool": 10.0,
     "base": 200.0,
-}  # how many times farther than a link tool and base may be from where they are drawn
+}  # factor on the prior standard deviation for tool and base, relative to that of a link
 
 
 class Unknown(NamedTuple):
-    """One number that a calibration looks for: its name, the group it belongs to, and whether it is an angle [rad], else a length
-    [m].
-    """
+    """One unknown of a calibration: its name, its group, and whether it is an angle [rad] or a length [m]."""
 
     name: str
     group: str
@@ -35,9 +32,7 @@ class Unknown(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """One frame with an error: columns of its unknowns, the joint (0 for the tip, -1 for the base), and the axes of translation and
-    rotation.
-    """
+    """One frame with an error: columns of its unknowns in x, its joint (0: tip, -1: base), its axes of translation and rotation."""
 
     columns: np.ndarray
     joint: int
@@ -46,16 +41,16 @@ class _Place(NamedTuple):
 
 
 class DrawnArm:
-    """An arm whose frames have errors, which it adds to the model of a robot.
+    """A robot whose frames have errors x, relative to its nominal model.
 
     Attributes:
-        robot: The robot as drawn.
-        unknowns: What can be wrong, in the order of x. Groups are joints (offsets), frames, tool and base.
+        robot: The nominal robot.
+        unknowns: The unknown errors, in the order of x. Groups are joints (offsets), frames, tool and base.
         sign: Factor (n,) of 1 or -1 of the joint values.
     """
 
     def __init__(self, robot: Robot, groups: Sequence[str]) -> None:
-        """Copy the model."""
+        """Copy the model; groups: which errors are unknowns (joints, frames, tool, base)."""
         self.robot, self.groups, self.sign = robot, tuple(groups), np.ones(robot.n)
         self.model = pin.Model(robot.model)
         base_id, tip_id = robot._ids
@@ -91,13 +86,11 @@ class DrawnArm:
             self._places.append(_Place(columns, joint, shift, turn))
 
     def scales(self, length: float, angle: float) -> np.ndarray:
-        """Return how far each unknown (P,) may be off: the length [m] or angle [rad] given, and more for tool and base, see
-        WIDE.
-        """
+        """Return the prior standard deviation (P,) of each unknown: `length` [m] or `angle` [rad], times WIDE for tool and base."""
         return np.array([(angle if one.turns else length) * WIDE.get(one.group, 1.0) for one in self.unknowns])
 
     def corrections(self, x: np.ndarray) -> dict[int, pin.SE3]:
-        """Return the error of each frame at x by joint, 0 for the tip and -1 for the base."""
+        """Return the error transforms C for the unknowns x, by joint (0: tip, -1: base)."""
         return {place.joint: _motion(place, x)[0] for place in self._places}
 
     def poses(self, x: np.ndarray, Q: np.ndarray) -> np.ndarray:
@@ -105,9 +98,7 @@ class DrawnArm:
         return self.evaluate(x, Q)[0]
 
     def evaluate(self, x: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the poses (N, 4, 4) and their derivatives J (N, 6, P) by x: velocities in the tip's own axes, linear rows
-        first.
-        """
+        """Return the poses (N, 4, 4), and their derivatives (N, 6, P) by x: tip velocities in the tip's axes, linear rows first."""
         model, data, robot = self.model, self._data, self.robot
         base, tool = pin.SE3.Identity(), pin.SE3.Identity()
         joints, blocks = [place for place in self._places if place.joint > 0], {}
@@ -155,7 +146,7 @@ def _inverse(T: np.ndarray) -> np.ndarray:
 
 
 def read_groups(parameters: Any) -> tuple[str, ...]:
-    """Return the groups of unknowns asked for, in our order. Raises InvalidOption."""
+    """Return the groups of unknowns asked for, in the order of GROUPS. Raises InvalidOption."""
     given = (
         (parameters,)
         if isinstance(parameters, str)
@@ -172,7 +163,7 @@ def read_groups(parameters: Any) -> tuple[str, ...]:
 
 
 def movable(robot: Robot) -> list[int]:
-    """Return the joints between base and tip that move and stand in the description, those of a moving base left out."""
+    """Return the joints between base and tip that can move and are in the robot's description, without those of a moving base."""
     own = [j for j in robot._path.joints if j in robot._path.owner]
     given = (
         None
@@ -185,8 +176,8 @@ def movable(robot: Robot) -> list[int]:
 def _axes(model: pin.Model, joint: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Return axes (3, 3) of the translations and rotations of a joint's error, and the index of its offset among the six.
 
-    They are those of the joint's frame; where its axis is none of them, the third is turned onto it. An offset has the joint's
-    sign.
+    The axes are those of the joint's frame. If none of them is the joint's axis, they are rotated so that the third one is. An
+    offset has the joint's sign.
     """
     S = np.asarray(model.joints[joint].createData().S).reshape(6)
     turns = bool(np.abs(S[3:]).max() > np.abs(S[:3]).max())
@@ -203,7 +194,7 @@ def _axes(model: pin.Model, joint: int) -> tuple[np.ndarray, np.ndarray, int]:
 
 
 def _motion(place: _Place, x: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
-    """Return the error C of a frame at x, and the velocity (6, 6) in the axes of the frame it leads to, by its six unknowns."""
+    """Return the error transform C of a frame at x, and its derivative (6, 6) by six unknowns, as velocity in the moved frame."""
     u = np.where(place.columns >= 0, x[place.columns] if len(x) else 0.0, 0.0)
     w = place.turn @ u[3:]
     C = pin.SE3(pin.exp3(w), place.shift @ u[:3])

@@ -12,13 +12,13 @@ from ..solvers.registry import find_row, make_rule
 from ..solvers.tuning_space import Parameter, Space
 from ..validate import switch
 
-# Ranges of parameters that several rules have: lowest and highest value, and whether the scale is logarithmic.
+# Ranges of parameters that several solvers have: lowest and highest value, and whether the scale is logarithmic.
 RANGES = {"damping": (1e-4, 1.0, True), "gain": (0.05, 1.9, False)}
-MOST_MAPS = 4096  # largest number of maps, so that a mistyped number does not fill the memory
+MOST_MAPS = 4096  # largest number of starts with their own gains, so that a mistyped number does not fill the memory
 
 
 class Swarm:
-    """A particle swarm in the unit box, whose walls stop a particle.
+    """A particle swarm in the unit box; particles stop at its walls.
 
     Its inertia 0.729 and accelerations 1.494 are those of Clerc and Kennedy (2002).
     """
@@ -74,17 +74,17 @@ class Evolution:
 def make_space(
     robot: Robot | Tree, solver: str, position_only: bool, maps: int | None = None, initial: Any = None
 ) -> Space:
-    """Return the space of a solver's parameters on a robot: the one its class defines (`space`), or its damping and gain.
+    """Return the parameter space in which a solver is tuned: the one its class defines (`space`), or its damping and gain.
 
     Args:
         robot: The robot to tune for.
         solver: Name of the solver.
         position_only: Whether targets are positions.
-        maps: Number of maps of a solver that has them. Default: its own choice.
-        initial: The rule that the search starts from. Default: the solver's own.
+        maps: For a state-space solver, the number of starts, each with its own gain matrices. Default: its own choice.
+        initial: The configured solver that the search starts from. Default: the solver's own parameters.
 
     Raises:
-        InvalidOption: The solver has no parameters or maps, or cannot start from that rule.
+        InvalidOption: The solver has no parameters or no maps, or cannot start from `initial`.
         UnknownSolver: There is no such solver.
     """
     switch(position_only, "position_only")

@@ -1,7 +1,7 @@
-"""What a calibration measures: how poses, positions, distances and touches follow from the poses of the tip, with derivatives.
+"""Measurement models of a calibration: residuals of measured poses, positions, distances and contacts, with derivatives.
 
-Lengths are metres and angles radians, in the frame of the measurements. What is touched has unknowns of its own, z: the places of
-sockets and of the fixed end of a distance (3 each), and planes (two tilts of the normal and the distance, 3 each).
+Lengths are in m and angles in rad, in the frame of the measurements. Touched objects have unknowns of their own, z: the positions
+of sockets and of the fixed end of a distance (3 each), and planes (two tilts of the normal and the distance, 3 each).
 """
 
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ from ..robot.pose import as_matrix
 
 WHAT = {"pose": 6, "position": 3, "distance": 1, "plane": 1, "socket": 3}  # numbers that each kind of measurement gives
 TOUCHED = {"socket": "sockets", "plane": "planes", "distance": "fixed ends"}
-NOISE = (5e-4, 1e-3)  # [m, rad] noise of a measurement where nothing is known of it
-PRIOR = (0.01, 0.035)  # [m, rad] how far links and joints of an arm are off, as a standard deviation
-FAR = 10.0  # measured positions spread over more than so many reaches of the arm are not in metres
+NOISE = (5e-4, 1e-3)  # [m, rad] default noise of a measurement
+PRIOR = (0.01, 0.035)  # [m, rad] standard deviation assumed for the errors of links and joints
+FAR = 10.0  # If measured positions spread over more than this many arm reaches, they are not in metres.
 
 
 class Measurements:
@@ -30,11 +30,11 @@ class Measurements:
         labels: For each measurement (N,) the number of the socket, plane or fixed end, from 0; else 0.
         count: Number of sockets, planes or fixed ends.
         places: Known places (count, 3) [m], or None.
-        pairs: Known distances [m] between two sockets, by their numbers.
+        pairs: Known distances [m] between two sockets, by the pair of their indices.
     """
 
     def __init__(self, what: str, measured: Any, places: Any = None, distances: Any = None) -> None:
-        """Read the arguments of `calibrate`. Raises InvalidTarget, InvalidOption."""
+        """Check and convert the arguments of `calibrate`. Raises InvalidTarget, InvalidOption."""
         if not isinstance(what, str) or what not in WHAT:
             raise InvalidOption(f"what must be one of {', '.join(WHAT)}, not {what!r:.60}.{near_match(what, WHAT)}")
         self.what, self.per = what, WHAT[what]
@@ -105,7 +105,7 @@ class Measurements:
         return len(self.lengths if self.what == "distance" else self.labels)
 
     def taken(self, rows: np.ndarray) -> "Measurements":
-        """Return some of the measurements; the places touched stay."""
+        """Return the measurements of some rows; sockets, planes or fixed ends keep their indices."""
         other = Measurements.__new__(Measurements)
         other.__dict__.update(vars(self))
         for name in ("positions", "rotations", "lengths", "labels"):
@@ -141,7 +141,7 @@ class Measurements:
 
     # --------------------------------------------------------------------------------------------------------- errors
     def start(self, T: np.ndarray) -> np.ndarray:
-        """Return a first guess of z, at poses T (N, 4, 4) of the tip."""
+        """Return a first estimate of z (positions of sockets or fixed ends, planes) from tip poses T (N, 4, 4)."""
         p = T[:, :3, 3]
         if self.places is not None:
             return self.places.ravel().copy()
@@ -162,9 +162,9 @@ class Measurements:
         return np.empty(0)
 
     def errors(self, T: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the errors of measurements (N, per) [m, rad] at poses T (N, 4, 4), and their derivatives (N, per, 6) by the
-        velocity of
-        the tip in its own axes and (N, per, Z) by z.
+        """Return the residuals (N, per) [m, rad] of the measurements at tip poses T (N, 4, 4), and their derivatives.
+
+        The derivatives are (N, per, 6) by the velocity of the tip in its own axes, and (N, per, Z) by z.
         """
         p, R = T[:, :3, 3], T[:, :3, :3]
         N, here = len(T), z.reshape(-1, 3)[self.labels] if self.count else p
@@ -203,7 +203,7 @@ class Measurements:
         return E, D, Z
 
     def known(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors (m,) [m] of known places and distances at z, and their derivatives (m, Z)."""
+        """Return the residuals (m,) [m] of known positions and distances at z, and their derivatives (m, Z)."""
         E, D = [], []
         if self.places is not None:
             E, D = [*(z - self.places.ravel())], [*np.eye(len(z))]
@@ -268,7 +268,7 @@ def read_noise(noise: Any) -> tuple[float, float] | None:
 
 
 def prior_spread(prior: Any) -> tuple[float, float]:
-    """Return the prior spread (length [m], angle [rad]) asked for. Raises InvalidOption."""
+    """Return the standard deviation of the prior (length [m], angle [rad]), as given or PRIOR. Raises InvalidOption."""
     if prior is None:
         return PRIOR
     pair = floats(prior, "prior must be (length [m], angle [rad])", InvalidOption)

@@ -1,8 +1,9 @@
-"""Where a robot should stand: base poses from which it reaches the most of given poses.
+"""Search for base poses from which a robot reaches as many of given poses as possible.
 
-An inverse map votes first: sampled tip poses, sorted by what a base on the floor cannot change (the height of the tip, and
-the direction of the vertical in its frame), say from where each pose is reached (Vahrenkamp, Asfour, Dillmann 2013). Bases
-spread over the floor join them, the best are refined, and the last candidates are counted on every pose.
+First an inverse reachability map proposes bases (Vahrenkamp, Asfour, Dillmann 2013): sampled tip poses are sorted by what a motion
+of the base on the floor does not change (height of the tip, direction of the vertical in its frame), and each pose votes for the
+bases from which it is reached. Bases spread over the floor are added, the best are refined, and the poses that the last candidates
+reach are counted.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -31,10 +32,10 @@ class Placement:
 
     Attributes:
         T_world_base: Pose (4, 4) [m] of the base, in the frame of the poses.
-        x, y, height, yaw: The same as numbers [m, rad].
+        x, y, height, yaw: The same pose as numbers [m, rad].
         reached: Which poses are reached (N,), and `count`, how many.
         q: Configurations (N, n) [rad or m], NaN where a pose is not reached.
-        clearance: Least distance [m] found at some of the configurations; NaN without avoid_collisions.
+        clearance: Least distance [m] to obstacles, at a sample of the configurations; NaN without avoid_collisions.
         margin: Mean distance to the nearest limit over half the range, 0 to 1.
         manipulability: Mean manipulability.
         path: For ordered poses the PathResult through those that are reached, or None.
@@ -56,7 +57,7 @@ class Placement:
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """What placements are sorted by, larger first: reconfigurations avoided, poses, clearance, margin, manipulability."""
+        """Sort key, larger is better: poses reached, then fewer reconfigurations, clearance, margin, manipulability."""
         clear = 0.0 if np.isnan(self.clearance) else self.clearance
         breaks = 0 if self.path is None else len(self.path.reconfigurations)
         return (self.count, -breaks, clear, self.margin, self.manipulability)
@@ -64,14 +65,14 @@ class Placement:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Placements(Sequence[Placement]):
-    """Base poses, best first; and the candidates that were counted, for a picture of the floor.
+    """Base poses, best first; and all bases that were examined, for a picture of the floor.
 
     Attributes:
         robot: Name of the robot.
         poses: The poses (N, 4, 4), or positions (N, 3), asked for.
         found: The placements.
-        candidates: Bases (M, 4) that were counted: x, y, yaw, height [m, rad].
-        shares: Share of the poses that each reached (M,), counted on some of them.
+        candidates: Bases (M, 4) that were examined: x, y, yaw, height [m, rad].
+        shares: Share of the poses that is reached from each (M,), estimated from some of the poses.
     """
 
     robot: str
@@ -85,7 +86,7 @@ class Placements(Sequence[Placement]):
         return len(self.found)
 
     def __getitem__(self, k: Any) -> Any:
-        """Return placement k, 0 is the best."""
+        """Return placement k; 0 is the best."""
         return self.found[k]
 
     def __iter__(self) -> Iterator[Placement]:
@@ -150,13 +151,13 @@ def place(
     Args:
         robot: The Robot, whose base goes to the place.
         poses: Poses (N, 4, 4), or positions (N, 3) [m], in a frame whose z is up.
-        where: 'floor', as far around the poses as the robot reaches, or a part of it, ((x, y), (x, y)) [m], lower corner first.
-        yaw: Turn of the base about z [rad]: None for any, a number, or (lower, upper).
+        where: 'floor', as far around the poses as the robot reaches, or a rectangle ((x, y), (x, y)) [m], lower corner first.
+        yaw: Rotation of the base about z [rad]: None for any, a number, or (lower, upper).
         height: Height of the base [m], a number or (lower, upper).
-        ordered: Whether the poses are a path: `solve_path` then follows it from the best places, and the fewest reconfigurations
-            decide between places that reach as many.
+        ordered: Whether the poses are a path. `solve_path` then follows it from the best places, and of places that reach equally
+            many poses, those with fewer reconfigurations come first.
         count: Number of placements to return.
-        progress: Called as progress(done) with the number of candidates counted.
+        progress: Called as progress(done) with the number of candidates examined.
         **options: As for `solve_batch`: tolerances, limits, free_turn, seed, ...; the shapes of a CollisionModel given as
             avoid_collisions are those of the scene, in the frame of the poses.
 
@@ -201,7 +202,7 @@ def place(
 
 
 def _region(robot: Robot, W: np.ndarray, where: Any, yaw: Any, height: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper corner (4,) of the bases x, y, yaw, height [m, rad]."""
+    """Return the lower and upper bounds (4,) of x, y, yaw, height [m, rad] of the base."""
     at = W if W.ndim == 2 else W[:, :3, 3]
     if isinstance(where, str):
         if where != "floor":
@@ -220,7 +221,7 @@ def _region(robot: Robot, W: np.ndarray, where: Any, yaw: Any, height: Any) -> t
 
 
 def _ends(value: Any, what: str) -> tuple[float, float]:
-    """Return a number, or a lower and an upper one, as two."""
+    """Return a range (lower, upper) from such a pair or from a single number."""
     if not isinstance(value, list | tuple | np.ndarray):
         return number(value, what), number(value, what)
     pair = floats(value, f"{what} must be a number or (lower, upper)", InvalidOption)
@@ -230,7 +231,7 @@ def _ends(value: Any, what: str) -> tuple[float, float]:
 
 
 def _scene(robot: Robot, asked: Any) -> CollisionModel | None:
-    """Return a collision model of our own, whose shapes can be moved, of what is to be avoided."""
+    """Return a copy of the collision model to be avoided, whose shapes can be moved; None without avoid_collisions."""
     if (found := avoided(asked)) is False:
         return None
     given = collision_model(robot, found)
@@ -256,7 +257,7 @@ def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> 
     measure = quality(study.robot, position_only=study.W.ndim == 2)
     found = [_placement(study, base, measure) for base in apart[: count + 3]]
     found = sorted(found, key=lambda one: one.rank, reverse=True)[:count]
-    if ordered:  # The first few are followed; those with fewer reconfigurations go before others that reach as many.
+    if ordered:  # Paths are computed for the first few only; `rank` then prefers fewer reconfigurations.
         found = [replace(one, path=_followed(study, one)) for one in found[: place_search.SEARCH.followed]] + found[
             place_search.SEARCH.followed :
         ]
@@ -266,7 +267,7 @@ def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> 
 
 
 def _placement(study: Candidates, base: np.ndarray, measure: Any) -> Placement:
-    """Return what is reached from one base (4,), with many attempts at every pose."""
+    """Return the Placement for one base (4,), from many solver attempts at every pose."""
     good, q = study.solve_beside(base, study.W, place_search.SEARCH.sure)
     q = np.where(good[:, None], q, np.nan)
     clear = np.nan

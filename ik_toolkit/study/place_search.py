@@ -1,4 +1,4 @@
-"""The search for where a robot should stand: votes of an inverse map, bases spread over the floor, refinement, counts."""
+"""Search for base poses: proposals of an inverse reachability map, bases spread over the floor, refinement, final count."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,24 +11,24 @@ from ..solvers.batch.solve_batch import solve_parts
 
 
 class SearchSizes(NamedTuple):
-    """How much is searched. Measured on three edges of a sheet, 800 poses (see `scripts/benchmarks/reach.py`)."""
+    """Sizes of the search, chosen on a benchmark of 800 poses along three edges of a sheet."""
 
-    samples: int = 400_000  # sampled configurations of the inverse map
-    height: float = 1 / 40  # width of its cells along the tip's height, over the reach
-    sides: int = 9  # cells of directions along an edge of the cube around them
-    floor: float = 1 / 24  # width of the cells of floor that are voted for, over the reach
-    yaws: int = 36  # cells of yaw that are voted for
-    voted: int = 300  # candidates from the votes
+    samples: int = 400_000  # sampled configurations of the inverse reachability map
+    height: float = 1 / 40  # width of its cells in the tip's height, over the reach
+    sides: int = 9  # cells of directions along an edge of the cube onto which directions are projected
+    floor: float = 1 / 24  # width of the cells of the floor in which votes are counted, over the reach
+    yaws: int = 36  # number of cells of yaw in which votes are counted
+    voted: int = 300  # candidates proposed by the inverse reachability map
     spread: int = 3000  # candidates spread over the region
-    few: int = 32  # poses at which these are counted
+    few: int = 32  # number of poses on which these candidates are examined
     rounds: int = 4  # rounds of refinement, each with half the width
-    keep: int = 10  # bases that are refined
-    around: int = 20  # new bases around each
-    last: int = 500  # candidates that are counted on all poses
-    near: int = 40  # candidates a round that are counted again beside obstacles
-    attempts: int = 4  # attempts at a pose while counting
-    sure: int = 50  # attempts at a pose for the placements that are returned
-    followed: int = 3  # placements along which ordered poses are followed
+    keep: int = 10  # number of bases that are refined
+    around: int = 20  # number of new bases around each
+    last: int = 500  # candidates that are examined on all poses
+    near: int = 40  # candidates per round that are examined again with obstacles
+    attempts: int = 4  # solver attempts per pose while candidates are examined
+    sure: int = 50  # solver attempts per pose for the placements that are returned
+    followed: int = 3  # placements for which a path through ordered poses is computed
     measured: int = 50  # configurations at which clearance is measured
 
 
@@ -53,7 +53,7 @@ def in_base(bases: np.ndarray, W: np.ndarray) -> np.ndarray:
 
 
 def put_together(counted: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return all bases (M, 4) that were counted in parts, and their shares (M,)."""
+    """Concatenate bases (M, 4) that were examined in parts, and the shares of poses (M,) reached from them."""
     return np.concatenate([bases for bases, _ in counted]), np.concatenate([share for _, share in counted])
 
 
@@ -83,7 +83,7 @@ class Candidates:
         bases = np.concatenate([self.votes(), self.spread(S.spread)])
         bases, score = self.top(bases, self.count(bases, few), 4 * S.keep)
         score = self.count(bases, some)
-        # Widths of the first round: of the region, but no wider than what the arm spans.
+        # widths of the first round of refinement: that of the region, but at most a share of the arm's reach
         width = np.minimum(
             self.high - self.low, np.array([0.15, 0.15, 0.3 / self.robot.reach, 0.15]) * self.robot.reach
         )
@@ -102,7 +102,7 @@ class Candidates:
         return self.best(4 * S.keep)
 
     def best(self, count: int) -> np.ndarray:
-        """Return the best bases (M, 4) so far: of those counted on all poses, if there are any."""
+        """Return the best bases (M, 4) so far; only those examined on all poses are considered, if there are any."""
         found = self.full or self.tried
         if not found:
             return np.empty((0, 4))
@@ -110,25 +110,25 @@ class Candidates:
 
     @staticmethod
     def top(bases: np.ndarray, score: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the best of bases with their scores, best first; of two equal ones the earlier."""
+        """Return the `count` best bases with their scores, best first; equal ones stay in their order."""
         order = np.argsort(-score, kind="stable")[:count]
         return bases[order], score[order]
 
     def near(self, bases: np.ndarray, width: np.ndarray, count: int) -> np.ndarray:
-        """Return random bases around each, inside the region."""
+        """Return `count` random bases around each of `bases`, inside the region."""
         new = np.repeat(bases, count, axis=0) + self.rng.normal(size=(len(bases) * count, 4)) * width
         if self.high[2] - self.low[2] > 2.0 * np.pi - 1e-9:
             new[:, 2] = (new[:, 2] - self.low[2]) % (2.0 * np.pi) + self.low[2]
         return np.clip(new, self.low, self.high)
 
     def spread(self, count: int) -> np.ndarray:
-        """Return bases spread evenly over the region: the additive recurrence of Roberts (2018)."""
+        """Return bases spread evenly over the region, by the additive recurrence (quasi-random sequence) of Roberts (2018)."""
         g = 1.1673039782614187  # root of x^5 = x + 1
         steps = (0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, 5.0))) % 1.0
         return self.low + steps * (self.high - self.low)
 
     def count(self, bases: np.ndarray, W: np.ndarray) -> np.ndarray:
-        """Return the share of poses W that is reached from each of the bases (M,); beside obstacles 0 for those not looked at."""
+        """Return the share of poses W that is reached from each base (M,); with obstacles, bases left unexamined get 0."""
         share = np.zeros(len(bases))
         for a in range(0, len(bases), max(1, 2**15 // len(W))):
             some = bases[a : a + max(1, 2**15 // len(W))]
@@ -153,7 +153,7 @@ class Candidates:
         return np.concatenate([part.success for part in parts]), np.concatenate([part.q for part in parts])
 
     def solve_beside(self, base: np.ndarray, W: np.ndarray, attempts: int) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for poses W from one base, beside the obstacles of the scene if there is one."""
+        """Solve for poses W from one base, with the obstacles of the scene if there is one."""
         T = in_base(base[None], W)[0]
         if self.scene is None:
             return self.solve(T, attempts, check=1.0)
@@ -161,13 +161,13 @@ class Candidates:
         return self.solve(T, attempts, avoid_collisions=self.scene)
 
     def stand(self, base: np.ndarray) -> None:
-        """Move the shapes of the scene to where they are seen from a base (4,)."""
+        """Move the shapes of the scene to their poses relative to a base (4,)."""
         back = np.linalg.inv(base_poses(base[None])[0])
         for name, at in self.shapes:
             self.scene.move(name, back @ at)  # pyright: ignore[reportOptionalMemberAccess]
 
     def votes(self) -> np.ndarray:
-        """Return the bases (M, 4) that the inverse map votes for; none for positions, which any yaw suits."""
+        """Return the bases (M, 4) with most votes of the inverse reachability map; none for positions, as any yaw suits them."""
         S, robot = SEARCH, self.robot
         if self.W.ndim == 2 or self.options.get("free_turn") is not None:
             return np.empty((0, 4))
@@ -195,7 +195,7 @@ class Candidates:
                 ]
                 votes.ravel()[np.unique(np.ravel_multi_index(tuple(at.T), votes.shape))] += 1
             smooth = votes.astype(float)
-            for axis in range(3):  # neighbours vote along, also across the seam of yaw; x and y end beyond the reach
+            for axis in range(3):  # add the votes of neighbouring cells; yaw is periodic, outer x and y cells are empty
                 smooth = smooth + np.roll(smooth, 1, axis) + np.roll(smooth, -1, axis)
             top = np.argsort(-smooth.ravel(), kind="stable")[: S.voted]
             x, y, turn = np.unravel_index(top[smooth.ravel()[top] > 0.0], votes.shape)
@@ -209,7 +209,7 @@ class Candidates:
 
 
 def _keys(T: np.ndarray, height: float, wide: float) -> np.ndarray:
-    """Return cells (N,) of what a base on the floor cannot change: the tip's height, and the direction of z in its frame."""
+    """Return cell numbers (N,) of the tip's height and the direction of z in its frame, which a base on the floor cannot change."""
     z, S = T[:, 2, :3], SEARCH.sides
     side = np.abs(z).argmax(axis=1)
     rows = np.arange(len(z))

@@ -1,7 +1,8 @@
-"""What a robot reaches, cell by cell: yes with a configuration, no with a proof, or nothing found, and how often that is wrong.
+"""What a robot reaches, cell by cell: reached (with a configuration), out of reach (with a proof), or no configuration found.
 
-Few attempts at every answer find most; in a grid the configurations of neighbours are then tried, and many attempts only
-where a no touches a yes. Where a closed form or the elimination decides, there is one pass, and no attempt is needed.
+A few solver attempts per cell find most configurations. In a grid, those of neighbouring cells are then tried as starts, and many
+attempts are made only where a cell without a solution touches a reached one. If a closed form or an algebraic elimination decides
+every cell, one pass is enough.
 """
 
 import json
@@ -44,13 +45,13 @@ class MapNotSaved(IKError):
     """The map was computed, but its file could not be written; `result` is the ReachabilityMap."""
 
     def __init__(self, result: ReachabilityMap, error: OSError) -> None:
-        """Keep the map."""
+        """Keep the map and the error that occurred while it was written."""
         super().__init__(f"{error.strerror or error}: {error.filename}; the map is in the error's `result`")
         self.result = result
 
 
 def proven_rows(batch: BatchResult) -> np.ndarray:
-    """Return which rows (N,) of a batch are proven to be out of reach: by a bound, a closed form or a certificate."""
+    """Return which targets (N,) of a batch are proven to be out of reach: by a bound, a closed form or a certificate."""
     status, excess = batch.table[:, AT.status], batch.table[:, AT.excess]
     decided = excess == DECIDED
     if batch.plan.row.closed:
@@ -59,7 +60,7 @@ def proven_rows(batch: BatchResult) -> np.ndarray:
 
 
 def decides(plan: Plan) -> bool:
-    """Return whether a batch of this plan answers yes or no by itself, so that more attempts are of no use."""
+    """Return whether solving with this plan (choice of solvers) decides every target, so that more attempts are of no use."""
     return plan.row.closed or isinstance(plan, Deciding)
 
 
@@ -79,25 +80,25 @@ def reachability(
 ) -> ReachabilityMap:
     """Answer, for every cell of a region, whether the tip reaches it inside the limits.
 
-    A yes has a configuration that was checked. A no is proven (by a bound, a closed form or a certificate), or no attempt
-    found a configuration; the audit then tries a sample of these noes again and says how often they are wrong.
+    A yes comes with a configuration that was checked. A no is proven (by a bound, a closed form or a certificate), or no attempt
+    found a configuration. The audit tries a sample of these unproven noes again, and estimates how often they are wrong.
 
     Args:
         robot: The Robot.
         region: Lower and upper corner of a box, (3,) each [m] in the base frame; by default the box around the reach. Corners that
-            agree in a coordinate make a plane. Or loose poses (N, 4, 4), each answered as it is.
+            agree in a coordinate make a plane. Or single poses (N, 4, 4), without a grid.
         resolution: Width of a cell [m], by default a fortieth of the longest side. A cell is answered at its centre.
-        orientations: 'any' leaves the orientation free; a number K asks for K tool axes, spread evenly, about which the tip may
-            turn (the tip's z, or `free_turn`); rotations (K, 3, 3) or poses (K, 4, 4) are asked for as they are.
+        orientations: 'any' leaves the orientation free; a number K asks for K directions of the tool axis (the tip's z, or
+            `free_turn`), spread evenly, about which the tip may turn; rotations (K, 3, 3) or poses (K, 4, 4) are asked for exactly.
         audit: How many of the unproven noes are tried again with 1,000 attempts; 'full' for all.
         threads: As for `solve_batch`.
         executor: As for `solve_batch`.
         check: Share of the yeses that Pinocchio verifies; all yeses to positions and poses are checked by forward kinematics.
-        file: An .npz file for the map. What is finished stands in NAME.partial until then, also if the process is killed; the
-            same call goes on from there.
-        progress: Called as progress(done) with the number of answers that were tried.
+        file: An .npz file for the map. Until it is complete, finished parts are in NAME.partial, also if the process is killed; the
+            same call then continues from there.
+        progress: Called as progress(done) with the number of answers computed so far.
         **options: As for `solve_batch`: tolerances, seed, limits, avoid_collisions, priority, free_turn, ...; with `priority`, yes
-            is what CONVERGED means there.
+            means that the solver's status is CONVERGED.
 
     Returns:
         The map.
@@ -125,7 +126,7 @@ def reachability(
     require_memory(grid, robot.n)
     solver = Solver(robot, "auto", **options)
     plan = solver.plan_for((POSITION if grid.rotations is None and grid.poses is None else POSE,))
-    # Limits that the options narrow are those of a variant of the robot.
+    # If the options narrow the limits, the solver has a variant of the robot with these limits.
     robot = solver.robot  # pyright: ignore[reportAssignmentType]
     if grid.free:
         grid = grid_of(robot, region, resolution, orientations, plan.options.free_turn)
@@ -164,7 +165,7 @@ def reachability(
 
 
 def _question(robot: Robot, grid: Grid, options: str) -> str:
-    """Return a text that is the same for the same study only."""
+    """Return a text that identifies a study, to recognise the file of an earlier run."""
     import hashlib
 
     digest = hashlib.sha256()
@@ -203,7 +204,7 @@ class _Study:
             self.q[rows[states == Reach.YES]] = q
 
     def search(self) -> None:
-        """Answer everything."""
+        """Compute all answers."""
         rest = np.flatnonzero(self.states == Reach.UNTRIED)
         if decides(self.plan):
             self.solve(rest, Reach.MANY)
@@ -220,7 +221,10 @@ class _Study:
                 self.flood(tried)
 
     def solve(self, rows: np.ndarray, failed: int, q0: np.ndarray | None = None, **more: Any) -> int:
-        """Solve answers (m,), from q0 (m, n) if given; those without a solution or proof become `failed`. Returns the yeses."""
+        """Solve for answers `rows` (m,), from q0 (m, n) if given; those without solution or proof get the state `failed`.
+
+        Returns the number of new yeses.
+        """
         yes = 0
         for a in range(0, len(rows), EFFORT.chunk):
             end = min(a + EFFORT.chunk, len(rows))
@@ -235,7 +239,7 @@ class _Study:
         return yes
 
     def take(self, rows: np.ndarray, batch: BatchResult, failed: int) -> int:
-        """Keep the answers (m,) that a batch has found; those known to be reached stay so."""
+        """Store the results of a batch for answers `rows` (m,); those already known to be reached stay so."""
         good = batch.success & self.inside(rows, batch)
         states = np.where(
             good, Reach.YES, np.where(proven_rows(batch), Reach.NO, np.maximum(self.states[rows], failed))
@@ -248,7 +252,7 @@ class _Study:
         return int(good.sum())
 
     def inside(self, rows: np.ndarray, batch: BatchResult) -> np.ndarray:
-        """Return whether q is within the limits and, for positions and poses, the tolerances (m,), by forward kinematics."""
+        """Return which solutions (m,) are within the limits and, for positions and poses, the tolerances (forward kinematics)."""
         robot, o, q = self.robot, self.plan.options, batch.q
         good = ((q >= robot.lower) & (q <= robot.upper)).all(axis=1) if o.limits is True else np.ones(len(q), bool)
         if o.in_part or o.priority is not None:
@@ -263,9 +267,9 @@ class _Study:
         return good
 
     def flood(self, tried: np.ndarray) -> None:
-        """Try the configurations of reached neighbours at unproven noes, until that finds no more.
+        """Solve unproven noes from the configurations of reached neighbours, until that finds no more solutions.
 
-        tried: (nx, ny, nz, K) a bit for each of the six neighbours whose configuration has been tried.
+        tried: (nx, ny, nz, K) bits, one for each of the six neighbours whose configuration has been tried as a start.
         """
         open_, found = (Reach.FEW, Reach.MANY), 1
         flat, shape = tried.reshape(-1), tried.shape
@@ -332,10 +336,10 @@ def _dilated(yes: np.ndarray) -> np.ndarray:
 
 
 def quality(robot: Robot, position_only: bool) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that gives manipulability and margin to the limits (2, N) of configurations (N, n).
+    """Return a function that computes manipulability and margin to the limits (2, N) of configurations (N, n).
 
-    Manipulability is the product of as many singular values as the Jacobian has at random configurations (Yoshikawa 1985, for
-    arms that cannot move in all directions, too).
+    Manipulability is the product of the k largest singular values, where k is the rank of the Jacobian at random configurations
+    (Yoshikawa 1985; k allows for arms that cannot move in all directions).
     """
     rows = 3 if position_only else 6
     J = robot.chain.forward(robot.random_q(np.random.default_rng(0), 32), True)[1][:, :rows]

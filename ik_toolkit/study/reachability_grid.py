@@ -13,14 +13,14 @@ from .workspace import envelope
 
 
 class GridEffort(NamedTuple):
-    """How much is computed. `scripts/benchmarks/reach.py` measures what these attempts miss on a Panda."""
+    """Numbers of solver attempts; `scripts/benchmarks/reach.py` measures what they miss on a Panda."""
 
-    few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours
-    touching: int = 40  # attempts at a no that touches a yes, in each round
-    rounds: int = 2  # rounds of these, each with random starts of its own
-    loose: int = 50  # attempts at loose poses, which have no neighbours
-    audited: int = 1000  # attempts at a no of the audit
-    chunk: int = 2**16  # answers computed between two entries of the file
+    few: int = 4  # attempts at each answer of a grid, before the configurations of its neighbours are tried
+    touching: int = 40  # attempts in each round at an unproven no that touches a yes
+    rounds: int = 2  # number of these rounds, each with other random starts
+    loose: int = 50  # attempts at single poses, which have no neighbours
+    audited: int = 1000  # attempts at each no that the audit tries again
+    chunk: int = 2**16  # answers computed between two writes to the file
     cells: int = 40  # cells along the longest side of a region, unless the resolution is given
 
 
@@ -34,10 +34,10 @@ class Grid:
     Attributes:
         low: Lower corner (3,) of the first cell [m], base frame.
         size: Width (3,) of a cell [m]; 0 along an axis of a single plane.
-        shape: Number of cells along x, y and z; (N, 1, 1) for loose poses.
+        shape: Number of cells along x, y and z; (N, 1, 1) for single poses.
         rotations: R_base_tip (K, 3, 3) asked for at every centre; None if the orientation is free.
         free: Whether the tip may turn about its own `axis` at each of the rotations.
-        poses: Loose poses (N, 4, 4), instead of cells; or None.
+        poses: Single poses (N, 4, 4), instead of cells; or None.
         axis: The tip axis (3,) about which it may turn.
     """
 
@@ -65,8 +65,8 @@ class Grid:
         return self.cells * self.turns
 
     def memory(self, n: int) -> int:
-        """Return the memory [bytes] that a study of n joints takes at most, without that of the program."""
-        # An answer has its state, its q, two numbers and two marks of the flood; a cell what is kept of its answers.
+        """Return the largest memory [bytes] of a study with n joints, in addition to that of the program."""
+        # Per answer: its state, its q, two numbers and the bits for neighbours tried. Per cell: the result.
         return self.answers * (8 * n + 1 + 8 + 4) + self.cells * (8 * n + 16) + EFFORT.chunk * 8 * (2 * 16 + 3 * n + 20)
 
     @property
@@ -110,7 +110,7 @@ class Grid:
 def grid_of(
     robot: Robot, region: Any = None, resolution: float | None = None, orientations: Any = "any", axis: Any = None
 ) -> Grid:
-    """Return the cells and poses that `reachability` asks for with these arguments, without computing anything else."""
+    """Return the cells and target poses for these arguments of `reachability`, without solving anything."""
     if (isinstance(region, np.ndarray) and region.ndim == 3) or (isinstance(region, list) and len(region) > 2):
         if resolution is not None or not (isinstance(orientations, str) and orientations == "any"):
             raise InvalidOption("loose poses are answered as they are; omit resolution and orientations")
@@ -150,7 +150,7 @@ def grid_of(
 
 
 def _rotations(orientations: Any) -> tuple[np.ndarray | None, bool]:
-    """Return the rotations (K, 3, 3) asked for, or None, and whether only their z axes count."""
+    """Return the target rotations (K, 3, 3), or None if orientation is free, and whether only their z axes count."""
     if isinstance(orientations, str):
         if orientations != "any":
             raise InvalidOption(

@@ -1,4 +1,4 @@
-"""The map of what a robot reaches: its cells, what is said of them, questions to it, and its file."""
+"""The reachability map of a robot: its cells and their answers, queries, and its file."""
 
 import json
 import os
@@ -30,7 +30,7 @@ class Reach(IntEnum):
 
 
 class Audit(NamedTuple):
-    """A sample of the noes that nothing proves, tried again with many more attempts."""
+    """Check of the unproven noes: a random sample of them is tried again with many more attempts."""
 
     unproven: int = 0  # number of noes without proof before the audit
     tried: int = 0  # how many of them were tried again
@@ -43,7 +43,7 @@ class Audit(NamedTuple):
         return wilson(self.found, self.tried) if self.tried else (0.0, float(self.unproven > 0))
 
     def __str__(self) -> str:
-        """Say what was found in one sentence."""
+        """Return the result of the audit in one sentence."""
         if not self.unproven:
             return "every no is proven"
         if not self.tried:
@@ -68,8 +68,8 @@ class ReachabilityMap:
         grid: The cells.
         states: Answers (cells, K) for K orientations: 1 reached, 2 proven out of reach, 3 and 4 nothing found by few and by all
             attempts, 0 not tried.
-        manipulability: Largest of the reached answers of each cell (cells,), 0 where none is reached. It is the product of as many
-            singular values as the Jacobian has at random configurations, of its linear rows if orientation is free.
+        manipulability: Largest of the reached answers of each cell (cells,), 0 where none is reached: the product of the singular
+            values of the Jacobian (of its linear rows if orientation is free), without those that are always 0.
         margin: Largest of the reached answers (cells,): distance of q to its nearest limit over half the range, 0 to 1.
         q: The configuration (cells, n) [rad or m] of the largest manipulability, NaN where nothing is reached.
         audit: How many of the unproven noes are wrong.
@@ -110,7 +110,7 @@ class ReachabilityMap:
 
     # ------------------------------------------------------------------------------------------------- questions
     def _answers(self, poses: Any) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Return the cells (N,) of poses (N, 4, 4) or positions (N, 3), the nearest orientations (N,), and if these count."""
+        """Return the cells (N,) of poses (N, 4, 4) or positions (N, 3), the nearest orientations (N,), and whether these count."""
         if self.grid.poses is not None:
             raise InvalidOption("this map is about loose poses: map.reached has their answers, in their order")
         T = np.asarray(poses)
@@ -129,19 +129,19 @@ class ReachabilityMap:
         return cell, (T[:, :3, :3].reshape(-1, 9) @ R.reshape(-1, 9).T).argmax(axis=1), True
 
     def contains(self, poses: Any) -> np.ndarray:
-        """Return whether poses (N, 4, 4) or positions (N, 3) [m] lie in cells that are reached (N,), by a look at the map.
+        """Return whether poses (N, 4, 4) or positions (N, 3) [m] lie in cells that are reached (N,); nothing is solved.
 
         A pose is answered by its cell and the nearest orientation of the map, a position by its cell and any orientation. Near
-        the border a cell is partly in reach: `ik.solve` knows about the pose itself. Outside of the map the answer is False.
+        the border only part of a cell is in reach, so use `ik.solve` for an exact answer. Outside the map the answer is False.
         """
         cell, turn, turned = self._answers(poses)
         found = self.states[cell, turn] == Reach.YES if turned else (self.states == Reach.YES).any(axis=1)[cell]
         return found & (cell >= 0)
 
     def score(self, poses: Any, what: str = "manipulability") -> np.ndarray:
-        """Return how good the cells of poses (N, 4, 4) or positions (N, 3) [m] are (N,), 0 to 1, and 0 where `contains` is False.
+        """Return a score (N,) from 0 to 1 of the cells of poses (N, 4, 4) or positions (N, 3) [m]; 0 where `contains` is False.
 
-        what: 'manipulability' over the largest of the map, 'margin' to the limits, or 'share' of the orientations reached.
+        what: 'manipulability' relative to the largest in the map, 'margin' to the limits, or 'share' of the orientations reached.
         """
         cell, values = self._answers(poses)[0], self._values(what)
         if what == "manipulability":
@@ -154,11 +154,11 @@ class ReachabilityMap:
         return self.share.ravel() if what == "share" else getattr(self, what)
 
     def slice(self, axis: str, at: float | None = None, what: str = "share") -> tuple[np.ndarray, float]:
-        """Return a plane of cells across 'x', 'y' or 'z', and where its centres are [m]: by default through the middle.
+        """Return the values of a plane of cells normal to an axis, and the coordinate [m] of their centres on this axis.
 
         Args:
-            axis: The axis that the plane is across.
-            at: Where it is [m]; the nearest plane of cells is taken.
+            axis: Normal of the plane, 'x', 'y' or 'z'.
+            at: Coordinate [m] of the plane, by default the middle; the nearest plane of cells is taken.
             what: 'share' of orientations reached, 'manipulability' or 'margin'.
         """
         values = self._values(what).reshape(self.grid.shape)
@@ -211,7 +211,7 @@ class ReachabilityMap:
 
     # ------------------------------------------------------------------------------------------------------- file
     def save(self, path: str | Path) -> Path:
-        """Write the map as an NPZ file, whole or not at all; see the guide for its arrays. Raises InvalidOption, OSError."""
+        """Write the map to an NPZ file, completely or not at all; the guide lists its arrays. Raises InvalidOption, OSError."""
         path = as_path(path)
         if path.suffix.lower() != ".npz":
             raise InvalidOption(f"a map is written as .npz, not '{path.name}'")
@@ -238,7 +238,7 @@ class ReachabilityMap:
 
     @classmethod
     def load(cls, path: str | Path) -> "ReachabilityMap":
-        """Read a map from a file that `save` wrote, on any machine. Raises InvalidOption if it is none, OSError."""
+        """Read a map from a file that `save` wrote, on any machine. Raises InvalidOption if the file is no map, OSError."""
         path = as_path(path)
         arrays = ("low", "size", "shape", "rotations", "poses", "states", "manipulability", "margin", "q", "audit")
         try:
@@ -278,14 +278,14 @@ class ReachabilityMap:
 
 
 class Log:
-    """The file of a study under way, NAME.partial: what was asked, then what was found, an entry each chunk.
+    """The file of an unfinished study, NAME.partial: a description of the study, then an entry with the answers of each chunk.
 
-    Entries are appended and never changed. A process that is killed loses the chunk it computes; an entry that is cut off (also by
-    a full disk) is dropped when the file is read again.
+    Entries are appended and never changed. A process that is killed loses only the chunk in progress; an incomplete entry (also due
+    to a full disk) is dropped when the file is read again.
     """
 
     def __init__(self, path: Path, asked: str) -> None:
-        """Begin, or go on where a file of the same question ends. Raises InvalidOption if it is of another question, OSError."""
+        """Create the file, or continue one of the same study. Raises InvalidOption if it belongs to another study, OSError."""
         self.path, self.asked, self.good = path, asked, 0
         self.entries: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.broken: OSError | None = None
@@ -300,7 +300,7 @@ class Log:
                 raise self.broken
 
     def _read(self) -> None:
-        """Read the entries that are whole."""
+        """Read the complete entries."""
         end = os.path.getsize(self.path)
         with self.path.open("rb") as stream:
             try:
@@ -321,7 +321,7 @@ class Log:
                 self.good = stream.tell()
 
     def add(self, rows: np.ndarray, states: np.ndarray, q: np.ndarray) -> None:
-        """Append the states (m,) of answers (m,), and q (k, n) of those reached, in order."""
+        """Append an entry: answers `rows` (m,), their states (m,), and q (k, n) of those reached, in the same order."""
         self._append(lambda stream: [np.save(stream, one) for one in (rows, states, q)])
 
     def _append(self, write: Callable[[Any], Any]) -> None:
@@ -338,7 +338,7 @@ class Log:
         """Close the file, and remove it if the map was written."""
         try:
             self.stream.close()
-        except OSError:  # flushing fails again on a full disk
+        except OSError:  # On a full disk, flushing fails again.
             pass
         if finished:
             self.path.unlink(missing_ok=True)

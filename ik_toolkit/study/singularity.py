@@ -18,7 +18,7 @@ STUCK = 1e-9  # A run that never moves a joint farther than this [rad, or share 
 
 @dataclass(frozen=True)
 class Run:
-    """One solve from a start, with what was measured at each of its k evaluations.
+    """One solve from a start, with measures of singularity at each of its k evaluations.
 
     Attributes:
         solver: Name of the solver.
@@ -95,7 +95,7 @@ def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options
 
 @dataclass(frozen=True)
 class Escape:
-    """How often a solver succeeds from a start, and from a start beside it.
+    """How often a solver succeeds from a start, and from a slightly different one.
 
     Attributes:
         solver: Name of the solver.
@@ -128,7 +128,7 @@ class Escape:
 def escapes(
     robot: Robot, targets: np.ndarray, solvers: Sequence[Any], q0: np.ndarray, offset: float = 1e-6, **options: Any
 ) -> list[Escape]:
-    """Count how often solvers succeed from a start that may be singular, without restarts, and from one beside it.
+    """Count how often solvers succeed from a start that may be singular, and from a slightly different one, without restarts.
 
     Args:
         robot: A robot with one tip.

@@ -1,4 +1,4 @@
-"""`ik.suggest_poses`: in which configurations a measurement tells most about an arm's errors."""
+"""`ik.suggest_poses`: configurations whose measurement determines an arm's errors best."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -25,16 +25,16 @@ def suggest_poses(
     avoid_collisions: Any = True,
     seed: int = 0,
 ) -> np.ndarray:
-    """Choose the configurations in which measuring tells most about an arm's errors.
+    """Choose the configurations whose measurement determines an arm's errors best.
 
     They are D-optimal among random ones inside the limits and free of collisions: each in turn enlarges the determinant of the
-    information most (Fedorov 1972), then each is exchanged once; they are in an order of short motions.
+    information matrix most (Fedorov 1972), then each is exchanged once. Their order makes the motions between them short.
 
     Args:
-        robot: The robot as drawn.
+        robot: The nominal robot.
         count: Number of configurations.
-        what: 'pose' or 'position', which will be measured.
-        parameters: As for `calibrate`.
+        what: What will be measured, 'pose' or 'position'.
+        parameters: Which errors are to be found, as for `calibrate`.
         noise: Standard deviation of a measurement (length [m], angle [rad]), or a length; default (0.0005, 0.001).
         avoid_collisions: Whether to leave out self-collisions (where the robot has collision shapes), or a CollisionModel.
         seed: Seed of the random configurations.
@@ -69,7 +69,10 @@ def chosen_poses(
     avoid: Any,
     seed: int,
 ) -> np.ndarray:
-    """Choose configurations (count, n) beside what is known, the inverse covariance (P, P) of the unknowns."""
+    """Choose configurations (count, n) to add to earlier measurements.
+
+    known: inverse covariance (P, P) of the unknowns from these measurements.
+    """
     count = whole(count, "count")
     if what not in ("pose", "position"):
         raise InvalidOption(
@@ -106,7 +109,7 @@ def chosen_poses(
 
 
 def _candidates(robot: Robot, count: int, avoid: Any, seed: int) -> np.ndarray:
-    """Random configurations (m, n), at most `count`, free of collisions where they are tested."""
+    """Return random configurations (m, n), at most `count`; if collisions are to be avoided, without those in collision."""
     Q = robot.random_q(np.random.default_rng(seed), count)
     if avoid is True:
         try:
@@ -121,7 +124,7 @@ def _candidates(robot: Robot, count: int, avoid: Any, seed: int) -> np.ndarray:
 
 
 def _in_short_moves(Q: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Order configurations so that each is the nearest one left."""
+    """Order configurations greedily: each is the nearest remaining one to the one before."""
     left, at, order = list(range(len(Q))), start, []
     while left:
         k = min(left, key=lambda one: float(np.abs(Q[one] - at).max()))

@@ -37,7 +37,7 @@ TRAIN, VALIDATION, HELD_OUT = 1, 2, 3
 
 @dataclass
 class Score:
-    """How well a rule solves sets of targets."""
+    """How well a configured solver (rule) solves sets of targets."""
 
     successes: list[int]  # number of solved targets in each set
     targets: int  # number of targets in each set
@@ -74,7 +74,7 @@ class Score:
         }
 
     def __str__(self) -> str:
-        """Return the successes of a thousand, with their interval and their range over the sets."""
+        """Return the successes per thousand targets, with their interval and their range over the sets."""
         low, high = self.interval
         text = f"{1000 * self.share:.1f} of 1000 [{1000 * low:.1f}, {1000 * high:.1f}]"
         if len(self.successes) > 1:
@@ -87,7 +87,7 @@ def _share(one: Score) -> str:
 
 
 def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
-    """Solve equally large sets of targets with a rule or a solver by name, and count the successes."""
+    """Solve equally large sets of targets with a configured solver (rule) or a solver by name, and count the successes."""
     successes, iterations = [], []
     for targets in sets:
         result = solve_batch(robot, targets, rule, check=0.0, **options)
@@ -99,9 +99,10 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 
 @dataclass
 class TuneResult:
-    """What tuning found.
+    """Result of tuning.
 
-    Three rules are compared on held-out targets: the tuned one, the one that the search started from, and the solver's default.
+    A rule is a solver with given parameters. Three are compared on held-out targets: the tuned one, the one that the search started
+    from, and the solver's default.
     The default cannot be kept if maps= or initial= asked for another structure.
     """
 
@@ -191,7 +192,7 @@ def tune(
     checkpoint: str | Path | None = None,
     progress: Callable[[int, np.ndarray], None] | None = None,
 ) -> TuneResult:
-    """Search the parameters and starts of a solver for the fewest failures, and keep the best rule on fresh targets.
+    """Search the parameters and starts of a solver for the fewest failures; keep the parameters that are best on fresh targets.
 
     The cost of a candidate is its failure rate, plus a tenth of the error that failures leave (over the length scale), plus 0.02
     times mean iterations / max_iterations. A seed gives the same result again, unless `seconds` or Ctrl-C ends the search.
@@ -201,10 +202,10 @@ def tune(
         solver: Name of the solver.
         position_only: Tune for positions instead of poses.
         method: 'cma' (CMA-ES) or 'pso' (particle swarm).
-        maps: Number of starts of a solver with maps (default: its own). With 1, the published structure is tuned: a, B and the
-            start (C is fixed without loss). With more, the starts are tuned, and the map of each is designed.
-        initial: The rule to start from. One with maps keeps its structure (a, B, C, literal delay); with several starts, each B is
-            searched between the given one and the one designed for its start.
+        maps: Number of starts of a state-space solver (default: its own); each has its own gains. With 1, the published structure
+            is tuned: a, B and the start (C is fixed without loss). With more, the starts are tuned, and their gains are designed.
+        initial: The configured solver to start from. A state-space solver keeps its structure (a, B, C, literal delay); with
+            several starts, each B is searched between the given one and the one designed for its start.
         targets: Number of training targets.
         held_out: Number of sets of 1000 fresh targets for the final score.
         generations: Highest number of generations.
@@ -218,7 +219,7 @@ def tune(
         progress: Called as progress(generation, costs) after each generation.
 
     Returns:
-        The kept rule and all scores.
+        The best solver found (rule) and all scores.
 
     Raises:
         InvalidOption: An option is out of range, or the checkpoint is that of another search.
@@ -288,7 +289,10 @@ def tune(
 
 
 def _tunable(robot: Any, solver: str, method: str) -> tuple[Row, Any]:
-    """Return the registry's row and the default rule of a solver that can be tuned; raises as `tune` does."""
+    """Return the registry entry and the default parameters (rule) of a solver that can be tuned.
+
+    Raises UnknownSolver, InvalidOption or MissingExtra as `tune` does.
+    """
     require_robot(robot)
     if one_of(method, METHODS, "tuning method") == "cma" and importlib.util.find_spec("cma") is None:
         raise MissingExtra("cma", "tune")

@@ -27,7 +27,7 @@ from .targets import one_tip, sample_targets, stream_targets
 
 
 class StudySizes(NamedTuple):
-    """How much of a study is looked at and kept."""
+    """Sizes of a workspace study."""
 
     cells: int = 24  # cells along the longest side of the success map
     envelope: int = 100_000  # random configurations whose tip positions give the envelope
@@ -169,7 +169,7 @@ def workspace(
         file: A .csv file that receives every target as it is solved, so that millions need no more memory than a chunk: x, y, z,
             then success, status, iterations, position_error, orientation_error of each solver. If the run ends early, the file
             is named NAME.partial.
-        executor: As for `solve_batch`.
+        executor: Pool of processes (concurrent.futures) for the solves, as for `solve_batch`.
         progress: Called as progress(done) after each chunk of targets.
         **options: As for `solve`.
 

@@ -10,7 +10,7 @@ from ...style import COLOURS
 
 
 def draw_existence(runs: dict[float, np.ndarray], gains: np.ndarray, ends: np.ndarray) -> Callable[[Any], Any]:
-    """Draw the errors [mm] over sweeps for each K_p, and the final error [mm] over gains (k,)."""
+    """Draw the errors [mm] over sweeps (one update of every joint) for each K_p, and the final error [mm] over gains (k,)."""
 
     def draw(plt: Any) -> Any:
         figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained", sharey=True)
@@ -139,7 +139,7 @@ def draw_reach(
 
 
 def draw_stability(gains: Any, bound: float, margins: np.ndarray, swept: list[list[float]]) -> Callable[[Any], Any]:
-    """Draw loop gains (N, r) in the complex plane with their bound, and margins (N,) of IK-PID beside runs (K_p, -, solved [%])."""
+    """Draw loop gains (N, r) in the complex plane, and gain margins (N,) of IK-PID with runs (K_p, -, solved [%]) beside them."""
 
     def draw(plt: Any) -> Any:
         figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained")

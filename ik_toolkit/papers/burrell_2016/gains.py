@@ -1,6 +1,6 @@
-"""The gains of IK-PID in Burrell et al. (2016): how many points poor gains reach, and where the points lie that good ones lose.
+"""The gains of IK-PID in Burrell et al. (2016): how many goals poor gains reach, and which goals the published gains miss.
 
-And Fig. 4, the gain on one goal: the published goal is out of reach, so a search finds a goal that behaves like it.
+Also Fig. 4, the effect of the gain for one goal. The published goal is out of reach, so a goal with the same behaviour is searched.
 """
 
 from typing import Any
@@ -57,7 +57,7 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
 
 
 def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> None:
-    """Add a table of how near the workspace's edge the goals lie that the published gains lose, and those that they reach."""
+    """Add a table of the distances from the workspace's edge, of goals that the published gains miss and of goals they reach."""
     good = _solved(robot, points, PID.preset("burrell-2016"), q0)
     lost = points[~good]
     reached = points[good][: 2 * len(lost)]
@@ -108,7 +108,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         rule = PID(kp=kp, units="mm-deg")
         return solve_batch(robot, points, rule, q0=q0, check=0.0, **PAPER_OPTIONS)
 
-    # As in the paper, a goal must not be reached at the gain 0.0848, but at 0.0847.
+    # As for the paper's goal, a candidate must be reached at the gain 0.0847, but not at 0.0848.
     # The goals that pass are compared with the paper at a coarse grid of gains, and the best of them at every gain.
     left = sample_targets(robot, CANDIDATES, 2016, position_only=True)
     result = solve_batch(robot, left, published, q0=q0, check=0.0)

@@ -52,13 +52,13 @@ def starts(robot: Robot) -> dict[str, np.ndarray]:
 
 
 def undelayed(rule: StateSpace) -> StateSpace:
-    """Return the rule whose output is computed after the update of its state with e(k): dq = C A x + C B e."""
+    """Return the solver whose output is computed after its state is updated with e(k): dq = C A x + C B e."""
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     return rule._replace(C=C @ A, D=C @ B)
 
 
 def planar_rule(B: Any) -> StateSpace:
-    """Return the state-space rule of the planar arm: A = -0.5 I, C = -0.05 I, and B (3, 2) with a column each for x and y."""
+    """Return the state-space solver of the planar arm: A = -0.5 I, C = -0.05 I, and B (3, 2) with a column each for x and y."""
     return StateSpace(
         A=-0.5 * np.eye(3), B=np.column_stack([np.asarray(B, dtype=float), np.zeros(3)]), C=-0.05 * np.eye(3)
     )
@@ -367,7 +367,7 @@ def _other_robots(report: Report) -> None:
 
 
 def _one_map(robot: Robot, position_only: bool) -> StateSpace:
-    """Return a rule of the published structure with gains designed for a robot at its home."""
+    """Return a solver of the published structure (one set of gains), designed for a robot at its home."""
     from ...study.engines import make_space
 
     return make_space(robot, "state-space", position_only, 1).initial

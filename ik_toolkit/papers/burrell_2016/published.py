@@ -1,4 +1,4 @@
-"""Published data of Burrell et al. (2016): its tables, and its misprints with the reading that is used here."""
+"""Published data of Burrell et al. (2016): its tables, and its misprints with the corrections that are used here."""
 
 import math
 from typing import Any
@@ -31,7 +31,7 @@ PLANAR_B = (
     [[2, -2], [-1, 0], [1, -2]],
     [[0, -2], [-1, -1], [-2, -1]],
 )  # B of the planar arm, found by a search over whole numbers, as the paper does not print it
-MISPRINTS = (  # Each misprint has its place in the paper, the problem, and the reading that is used here.
+MISPRINTS = (  # place in the paper, problem, and the correction that is used here
     ("eq. (2), element (2,4)", "+sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit", "minus"),
     (
         "eq. (2), Table I",

@@ -11,11 +11,11 @@ from ..report import Report
 
 
 class Numbers(NamedTuple):
-    """Numbers of solutions of some poses."""
+    """Number of IK solutions of each of N poses."""
 
     all: np.ndarray  # (N,) without limits
     legal: np.ndarray  # (N,) within the limits
-    certified: np.ndarray  # (N,) whether they are certified to be all
+    certified: np.ndarray  # (N,) whether it is certified that there are no others
 
 
 def numbers(robot: Robot, T: np.ndarray) -> Numbers:

@@ -1,4 +1,4 @@
-"""Table II of Burrell et al. (2016): the time for a goal, compiled and interpreted, and the counts that explain it."""
+"""Table II of Burrell et al. (2016): time per goal, in compiled and interpreted code, and the operation counts that explain it."""
 
 import math
 from functools import partial
@@ -42,7 +42,7 @@ SAME_AS = {
     "J+, plain": "J+",
     "DLS, clipped": "DLS",
     "DLS, limits held": "DLS",
-}  # the row of Table II that each of our rows is compared with
+}  # for each of these methods, the method of Table II with which it is compared
 
 Times = dict[str, list[np.ndarray]]  # times [s] of all runs for each tolerance, by method
 

@@ -14,8 +14,8 @@ from ..report import Report
 from .figures import draw_stability
 from .published import PAPER_OPTIONS
 
-SETTLED = 1e-6  # [rad] A run ended on its slice if it is nearer than this.
-NEAR = 1e-9  # [rad] a joint this near a limit is at it
+SETTLED = 1e-6  # [rad] A run ended in the affine subspace q0 + S w (its "slice") if its distance from it is below this.
+NEAR = 1e-9  # [rad] A joint nearer to a limit than this counts as at the limit.
 KP = (
     0.02,
     0.05,
@@ -76,7 +76,7 @@ def stability(report: Report, robot: Robot, starts: dict[str, np.ndarray], sets:
 
 
 def outcomes(found: LoopAnalysis, run: BatchResult, goals: np.ndarray, q0: np.ndarray) -> list[float]:
-    """Return the numbers [%] that the table gives for runs from a start."""
+    """Return a row of the table of predicted and actual outcomes [%], for runs from a start."""
     robot, good = found.robot, run.success
     held = ((run.q <= robot.lower + NEAR) | (run.q >= robot.upper - NEAR)).any(axis=1)
     on_slice = found.off_slice(run.q[good], q0) < SETTLED
@@ -85,7 +85,9 @@ def outcomes(found: LoopAnalysis, run: BatchResult, goals: np.ndarray, q0: np.nd
 
 
 def margin_sweep(robot: Robot, goals: np.ndarray, q0: np.ndarray) -> tuple[np.ndarray, list[list[float]]]:
-    """Return gain margins [degrees per mm] at solutions of the goals, and for each of KP the share above it and that solved [%]."""
+    """Return gain margins [degrees per mm] at solutions of the goals, and for each of KP the share [%] of margins above it, and of
+    goals solved with it.
+    """
 
     def runs(kp: float) -> BatchResult:
         return solve_batch(robot, goals, PID(kp=kp, units="mm-deg"), q0=q0, check=0.0, **PAPER_OPTIONS)

@@ -56,7 +56,7 @@ def all_entries(rule: StateSpace) -> Space:
 
 
 def search(robot: Robot, space: Space, q0: np.ndarray) -> tuple[StateSpace, int]:
-    """Return the best rule of the swarm on training goals that no other section uses, and the number of evaluations."""
+    """Return the best solver found on training goals that no other section uses, and the number of evaluations."""
     train = sample_targets(robot, GOALS, [90, 1], position_only=True)
     engine = Swarm(space.start, space.spread, PARTICLES, 90)
     best, least = space.start, math.inf

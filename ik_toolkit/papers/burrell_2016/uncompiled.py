@@ -1,4 +1,4 @@
-"""The methods timed by Burrell et al. (2016) in plain form: J+ without singular values, and all of them in numpy.
+"""The methods timed by Burrell et al. (2016) in plain form: J+ by a 3x3 inverse instead of an SVD, and all methods in numpy.
 
 The interpreted versions (4x4 products, one goal at a time) exist to compare costs in an interpreter, as the paper did in
 MATLAB; the toolkit's solvers do not use them.
@@ -24,15 +24,15 @@ NEAR_SINGULAR = 1e-8
 
 @rule
 class PlainPinv(NamedTuple):
-    """Pseudo-inverse for positions: dq = J'(JJ')^-1 e, eq. (8), and by singular values near a singularity.
+    """Pseudo-inverse for positions: dq = J'(JJ')^-1 e, eq. (8); near a singularity it is computed by an SVD.
 
-    There, singular values below the share `rcond` of the largest count as zero.
+    In the SVD, singular values below the share `rcond` of the largest count as zero.
     """
 
     rcond: float = 1e-8
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve the task, '' if it can."""
+        """Return why the method cannot solve the task, '' if it can."""
         return "" if asked.rows == 3 else f"is for positions in space, and this task has {asked.rows} rows"
 
     def step(self, p, e):
@@ -57,7 +57,7 @@ class Interpreted:
     """The solvers that the paper times, in interpreted numpy, for a robot with a table of D-H parameters."""
 
     def __init__(self, robot: Robot) -> None:
-        """Read the D-H parameters of the robot, and the matrices of the tuned state-space solver with one map."""
+        """Read the D-H parameters of the robot, and the matrices of the tuned state-space solver with a single start."""
         path = find(robot.name).path
         assert path is not None
         rows = read_dh_table(path.parent / "dh" / f"{robot.name}.toml").rows

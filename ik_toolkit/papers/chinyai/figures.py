@@ -9,7 +9,7 @@ import numpy as np
 from ...style import COLOURS
 from ..report import cell
 
-KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # numbers of the variants of Newton's step, see formulas.py
+KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # variants of Newton's step: full, line search, LM, limited
 
 
 def _outcome(rows: np.ndarray) -> np.ndarray:

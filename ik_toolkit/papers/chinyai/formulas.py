@@ -7,7 +7,7 @@ import numpy as np
 
 from ...compile.jit import cached
 
-PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # variants of Newton's step, see `newton`
+PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # Newton's step: full, with line search, Levenberg-Marquardt, limited length
 LONGEST = 0.5  # largest step of a joint in the variant STEP [rad]
 LIMIT = math.radians(150.0)  # joint limit [rad] of the toolkit's robot planar_2r, because the paper gives none
 TOLERANCE = 1e-10

@@ -178,7 +178,7 @@ def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str,
 
 
 def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Add the table of times. Returns the time of Newton over that of the closed form in each round.
+    """Add the table of times. Returns the ratios of Newton's time to that of the closed form, one for each round of timing.
 
     There is one array of ratios each for compiled code, Python, numpy, and compiled code from a warm start.
     """

@@ -1,4 +1,4 @@
-"""The systems, gains and paths of Patko and Zelei (2019), and what is measured of a run on them."""
+"""The systems, gains and paths of Patko and Zelei (2019), and the error measures of runs."""
 
 import functools
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from ...servo.orbit_stability import Motion, step_matrices
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-MEASURED = ("aa1", "aa2")  # readings 1 and 2 of method aa, whose error growth is measured on runs
+MEASURED = ("aa1", "aa2")  # method aa with interpretations 1, 2 of dJ/dt; its error growth is measured by runs
 # Tracking methods (name, options) by their names in the report; aad is our own, the others are the paper's.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
@@ -97,7 +97,7 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system on a path: number of steps of a run, function from a task position to q, initial error (actual - target)."""
+    """A system and a path to follow, with number of steps, initial error (actual - target), and `start`: q at a task position."""
 
     system: System
     path: Path
@@ -162,14 +162,14 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
     """Return the largest factor by which a small disturbance changes in one lap [s] of the moving target (Floquet multiplier).
 
     It is the spectral radius of the product of the matrices that carry a disturbance over each step of the exact
-    motion; h is adjusted to divide the lap. The first two readings of method aa zigzag about that motion, so their
-    factor comes from disturbed runs (`measured_growth`).
+    motion; h is adjusted to divide the lap. Method aa with interpretation 1 or 2 of dJ/dt zigzags about that motion, so the
+    factor is then measured by disturbed runs (`measured_growth`).
     """
     if key in MEASURED:
         return measured_growth(case, gains, key, lap)
     steps = round(lap / gains.h)
     h = lap / steps
-    # The third reading of method aa is method aad without its damping.
+    # Method aa with interpretation 3 of dJ/dt is method aad without its damping.
     known = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}, "aa3": {"gamma": 0.5, "share": 1.0}}
     of_key = known.get(key) or {**METHODS[key][1], "share": 1.0}
     method = "aad" if key == "aa3" else METHODS[key][0]
@@ -178,7 +178,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float) -> float:
 
 
 def exact_motion(case: Case, times: np.ndarray) -> Motion:
-    """Return what `step_matrices` needs of the motion without error at some times [s]; J is square and has an inverse."""
+    """Return J^+ J, J^+ dJ/dt etc. along the motion without error at some times [s]; J is square and has an inverse."""
     system, rows = case.system, []
     near = 1e-5  # [s] step of the difference quotient for dJ/dt; its error is about 1e-10
     jacobians = [system.jacobian(case.start(case.path(t)[0])) for t in times]
@@ -187,7 +187,7 @@ def exact_motion(case: Case, times: np.ndarray) -> Motion:
         q = case.start(p)
 
         def along(x: np.ndarray, at: np.ndarray = q) -> np.ndarray:
-            """Derivative of J along joint velocities x (n,)."""
+            """Return the derivative of J along joint velocities x (n,)."""
             return np.column_stack([system.rate(at, x, y) for y in np.eye(len(x))])
 
         qd = np.linalg.solve(J, v)

@@ -27,7 +27,7 @@ def gallery(robot: Robot) -> Any:
         q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
         goal = robot.fk(q)
         found = solve_all(robot, goal, Inspection(lift=0.22), q0=q, limits=False)
-        # Each row of pictures has one elbow shape (up or down); within a row joints differ by half turns only.
+        # Each row of pictures has one elbow posture (up or down); within a row, joints differ only by 180 degrees or a sign change.
         found = sorted(found, key=lambda x: (-_skeleton(robot, x)[0][1, 2].round(6), len(robot.outside(x))))
         figure, axes = plt.subplots(2, 4, figsize=(9.5, 4.8), subplot_kw={"projection": "3d"}, layout="constrained")
         names = ("axis of joint 3", "axis of joint 4", "axis of joint 6")
@@ -69,7 +69,7 @@ def gallery(robot: Robot) -> Any:
 def self_motion(
     p: np.ndarray, goal: np.ndarray, exact: np.ndarray, lift: float, published: float, origin: float
 ) -> Any:
-    """Draw theta_1 over the lift for the pose of Table 2, and near the published lift for the exact pose, too.
+    """Draw theta_1 over the lift (prismatic joint 2) for the pose of Table 2, and near the published lift for the exact pose, too.
 
     p: parameters of the closed form; goal, exact: the two poses (4, 4) [m]; lift [mm], published and true theta_1 [deg].
     """

@@ -39,7 +39,7 @@ def pose_matrix(printed: dict[str, str]) -> np.ndarray:
 
 
 def printed_fk(q: np.ndarray, lift: float) -> np.ndarray:
-    """Return the paper's matrix (4, 4) of section 3.1 at theta_1, theta_3 to theta_7 [rad] and a lift [mm].
+    """Return the paper's matrix (4, 4) of section 3.1 at theta_1, theta_3 to theta_7 [rad] and a lift (prismatic joint) [mm].
 
     n_y, o_y and p_y are printed only in part, n_z and o_z only inside the equations; they follow the printed pattern.
     """
@@ -78,7 +78,7 @@ def fig4(
 
     Args:
         T: Pose of the tip (4, 4) [mm].
-        lift: Lift of the arm [mm].
+        lift: Value of the prismatic joint d2 [mm].
         theta_1: First angle [rad]. Default: the printed 2 atan2(py, px).
         height: Value used for d1 + d2 [mm]. Default: the sum itself.
         signs: Signs of theta_45, theta_3, theta_6, theta_4, theta_67.

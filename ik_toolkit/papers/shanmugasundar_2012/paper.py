@@ -195,7 +195,8 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
     every = list(itertools.product((1, -1), repeat=5))
     # The paper gives theta_3, theta_4 and theta_6 both signs.
     given = [signs for signs in every if signs[0] == signs[4] == 1]
-    # Each variant: true theta_1, d1 counted twice, complementary branches (each True or False), and the signs tried.
+    # For each variant: whether the true theta_1 is used, whether d1 is counted twice, whether pi - theta is used for a negative
+    # sign, and the combinations of signs.
     variants: dict[str, tuple[bool, bool, bool, list]] = {
         "as printed: theta_1 = 2 atan2(py, px), d1 + d1, all signs +": (False, True, False, every[:1]),
         "the same with d1 + d2": (False, False, False, every[:1]),

@@ -1,4 +1,4 @@
-"""The sample pose of Shanmugasundar and Sivaramakrishnan (2012), solved, and why its published angle looks right."""
+"""The sample pose of Shanmugasundar and Sivaramakrishnan (2012): its solutions, and why the published angle looks right."""
 
 import math
 from typing import Any
@@ -78,7 +78,7 @@ def sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nda
 
 
 def _lift_of(p: np.ndarray, T: np.ndarray, theta_1: float) -> float:
-    """Return the lift [mm], just above the least feasible one, at which the upper of the two nearest branches has theta_1 [rad]."""
+    """Return the lift (prismatic joint) [mm], just above the least feasible one, at which one of two branches has theta_1 [rad]."""
     box = np.vstack([np.full(7, -np.inf), np.full(7, np.inf), np.zeros(7), np.ones(7)])
     out, broken = np.empty((8, 7)), np.empty(8)
     low = inspection.feasible_lifts(p, T)[0][0]

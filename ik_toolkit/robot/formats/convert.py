@@ -1,5 +1,5 @@
-"""Writes any description that `Robot.load` reads as a plain URDF, also a corrected one: macros are expanded, meshes get their
-paths.
+"""Writes any robot description that `Robot.load` reads as a plain URDF, with macros expanded, mesh paths resolved and, on request,
+corrections from a calibration.
 """
 
 import xml.etree.ElementTree as ET
@@ -51,7 +51,7 @@ def convert(
 def write_urdf(robot: Any, path: str | Path) -> Path:
     """Write the robot's description as one plain URDF, as `ik convert` does; return the path.
 
-    Base, tip, limits and joints held that were set since loading are not part of it. Raises ModelError if the robot was made
+    Changes of base, tip and limits, and joints locked since loading, are not written. Raises ModelError if the robot was made
     without a URDF, InvalidOption, OSError.
     """
     file = as_path(path, "path")
@@ -63,9 +63,9 @@ def write_urdf(robot: Any, path: str | Path) -> Path:
 def corrected_robot(robot: Any, joints: Mapping[str, np.ndarray], against: Iterable[str], tool: np.ndarray) -> Any:
     """Return a robot whose URDF has corrections written into it.
 
-    joints: C (4, 4) [m] by joint, which is put behind its <origin>; against: joints whose <axis> is reversed; tool: a motion (4, 4)
-    of the tip, put behind the fixed joint of the tip's link, or, where there is none or the robot has a tool, at a link that is
-    added. Raises ModelError if the robot has no URDF.
+    joints: transforms C (4, 4) [m] by joint, by which its <origin> is multiplied from the right; against: joints whose <axis> is
+    reversed; tool: transform (4, 4) of the tip, applied in the same way to the fixed joint of the tip's link. If there is no such
+    joint, or the robot has a tool, a link is added. Raises ModelError if the robot has no URDF.
     """
     root = ET.fromstring(_text_of(robot), ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
@@ -111,7 +111,7 @@ def _child(joint: ET.Element) -> str:
 
 
 def _move(joint: ET.Element, C: np.ndarray) -> None:
-    """Put a motion C (4, 4) behind the <origin> of a joint."""
+    """Multiply the <origin> of a joint by a transform C (4, 4) from the right."""
     T = np.eye(4)
     for given in joint.findall("origin"):
         numbers = plain_origin(given.attrib)
@@ -124,7 +124,7 @@ def _move(joint: ET.Element, C: np.ndarray) -> None:
 def _plain(
     name: str, urdf: str, path: Path | None, package_dirs: Iterable[str | Path], folder: str | Path | None
 ) -> Converted:
-    """Make the plain URDF of a description that lies at `path`, for a file in `folder`."""
+    """Make the plain URDF of a description read from `path`, to be saved in `folder`."""
     home = None if folder is None else Path(folder).expanduser().resolve()
     root = ET.fromstring(urdf, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))  # noqa: S314 - read safely
     for place in root.iter("origin"):

@@ -12,7 +12,7 @@ LEAST = 1e-6  # A joint is expressed by another one only if its coefficient is a
 class Equation(NamedTuple):
     """The linear equation sum(c q_j) = value between joint values; `terms` maps the number of a joint to its coefficient.
 
-    `first` is the joint that is meant to follow the others, or -1.
+    `first` is the joint that should be expressed by the others (the follower), or -1.
     """
 
     name: str
@@ -24,9 +24,9 @@ class Equation(NamedTuple):
 class Solved(NamedTuple):
     """The solution of a set of linear equations between joints, which are given by their numbers.
 
-    `tied` maps a follower to (leader, ratio, offset), `held` a joint that stands still to its value. `against` has the
-    equations that contradict earlier ones. `left` has the equations that tie several free joints, the contradicting
-    ones, and all that share joints with those, directly or through others.
+    `tied` maps a follower to (leader, ratio, offset), `held` a joint that cannot move to its value. `against` lists the
+    equations that contradict earlier ones. `left` lists the equations that are not solved: those that still couple several
+    free joints, the contradicting ones, and all that share joints with those, directly or through others.
     """
 
     tied: dict[int, tuple[int, float, float]]
@@ -35,7 +35,7 @@ class Solved(NamedTuple):
     against: list[Equation]
 
     def free(self, terms: dict[int, float]) -> tuple[dict[int, float], float]:
-        """Express a linear form of joint values by leaders alone; return its coefficients that are not 0 and its constant."""
+        """Express a linear combination of joint values by leaders alone; return its nonzero coefficients and its constant."""
         found: dict[int, float] = {}
         constant, size = 0.0, 0.0
         for joint, c in terms.items():
@@ -50,12 +50,12 @@ class Solved(NamedTuple):
 
 
 def solve_linear(equations: Sequence[Equation]) -> Solved:
-    """Solve the equations by elimination: a joint that one other joint or a constant can express is expressed by it."""
+    """Solve the equations by elimination: express joints by one other joint (followers) or by a constant (held joints)."""
     first = list(dict.fromkeys(one.first for one in equations if one.first >= 0))
     others = sorted({joint for one in equations for joint in one.terms} - set(first), reverse=True)
-    columns = [*first, *others]  # A joint that comes first is expressed by those after it.
+    columns = [*first, *others]  # Each joint is expressed by joints of later columns.
     place = {joint: i for i, joint in enumerate(columns)}
-    # This maps each pivot to its row of coefficients, followed by the right-hand side.
+    # row of coefficients, followed by the right-hand side, by pivot column
     rows: dict[int, np.ndarray] = {}
     against: list[Equation] = []
     for one in equations:
@@ -80,7 +80,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
         rows[pivot] = row
     tied: dict[int, tuple[int, float, float]] = {}
     held: dict[int, float] = {}
-    # A group has a joint that depends on several others at once, its coefficients and its offset.
+    # joints that depend on several others at once, each with its coefficients and its offset
     groups: list[tuple[int, np.ndarray, float]] = []
     for pivot, row in rows.items():
         joint, offset = columns[pivot], float(row[-1])
@@ -105,7 +105,7 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
 
 
 def set_apart(equations: Sequence[Equation], some: Sequence[Equation]) -> Solved:
-    """Solve without the equations in `some`, which no configuration satisfies, and all connected with them: `left` has these."""
+    """Solve without the equations in `some`, which no configuration satisfies, and all connected with them; these go to `left`."""
     bad = _connected(equations, some)
     rest = solve_linear([one for one in equations if one not in bad])
     return rest._replace(left=[*rest.left, *bad])

@@ -26,10 +26,9 @@ class Tie(NamedTuple):
 class Followers(NamedTuple):
     """The mimic joints of a robot, and the order in which Pinocchio can read them.
 
-    `tied` maps a follower to its relation, `loose` a joint that cannot be tied, and stays fixed, to the reason. `order`
-    has the names of all joints; it is empty if Pinocchio's own order already has every leader before its followers.
-    Where a leader took the place of the file's, `rest` maps it to the value [rad or m] at which the file's leader is at
-    0.
+    `tied` maps a follower to its relation, `loose` a mimic joint that cannot follow, and stays fixed, to the reason. `order`
+    lists the names of all joints; it is empty if Pinocchio's own order already has every leader before its followers.
+    If another joint leads than in the file, `rest` maps it to the value [rad or m] at which the file's leader is at 0.
     """
 
     tied: dict[str, Tie]
@@ -61,7 +60,7 @@ def followers(text: str) -> Followers:
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
     """Map each follower joint to (leader, multiplier, offset, lower, upper) [rad or m], where q = multiplier q_leader + offset.
 
-    The limits are the follower's own, or ENDLESS where it has none (see `span`); Pinocchio drops them.
+    The limits are the follower's own, which Pinocchio drops, or 1e16 (ENDLESS) where it has none.
     """
     tied = followers(text).tied
     found = {}
@@ -149,7 +148,9 @@ def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]
 
 
 def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[str], dict[str, str]]:
-    """Order all joints depth-first with leaders before followers; the second result says why some followers cannot come later.
+    """Order all joints depth-first with leaders before followers.
+
+    Also returns the reason for each follower that cannot come after its leader.
 
     The branches of a link are in the order of the joint names, as in Pinocchio, unless a leader requires another order.
     """
@@ -162,7 +163,7 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
     branches: dict[str, list[str]] = {}
     for name in sorted(joints):
         branches.setdefault(ends[name][0], []).append(name)
-    # Each branch maps to the branches of the same link that must come before it.
+    # for each branch, the branches of the same link that must come before it
     before: dict[str, set[str]] = {}
     loose: dict[str, str] = {}
 

@@ -28,9 +28,9 @@ from .urdf_write import numbers_text, origin, to_text
 WORKER = Path(__file__).with_name("mjcf_worker.py")
 MEMORY = 2_000_000_000  # Memory cap [bytes] of the process. A humanoid takes 0.2 GB, most of it for MuJoCo itself.
 SECONDS = 4  # Cap on processor time [s]. A large robot takes 1 s.
-ENDLESS = "1e16"  # This effort and velocity mean "no limit" (see NO_LIMIT in probe.py).
+ENDLESS = "1e16"  # An effort or velocity limit of this size means "no limit".
 HIDDEN = 3  # Shapes of this group and above are not drawn, as in MuJoCo's viewer.
-# A ball joint with a limited range becomes five joints, whose names end in the words of AXIS_ANGLE.
+# A ball joint with a limited range becomes five joints, whose names end in these words.
 AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
@@ -103,7 +103,7 @@ class _Writer:
         self.links: set[str] = set()
         self.names: set[str] = set()
         self.values: list[Any] = []  # Each function turns the qpos of a keyframe into (joint, value) pairs.
-        # In a ball joint written as five joints the last two mimic the first two; each maps to (leader, ratio, offset).
+        # A ball joint written as five joints: the last two mimic the first two, by (leader, ratio, offset).
         self.back: dict[str, tuple[str, float, float]] = {}
         self.left_out: set[str] = set()
 
@@ -240,10 +240,10 @@ class _Writer:
         return name, "revolute" if limits else "continuous", T, axis, limits
 
     def _ball(self, name: str, joint: dict[str, Any], steps: list, T: np.ndarray) -> None:
-        """Write a ball joint as revolute joints: as Rz Ry Rx, or, if it has a range, as one turn about an axis in any direction."""
+        """Write a ball joint as revolute joints: as Rz Ry Rx, or, if it has a range, as a rotation about a variable axis."""
         most = joint["range"][1] if joint["range"] else math.inf
         place = joint["place"]
-        if most < math.pi:  # Two rotations are at most half a turn apart.
+        if most < math.pi:  # A range of pi or more allows every rotation.
             self._limited_ball(name, most, place, steps, T)
             return
         names = [_free(f"{name}_{turn}", self.names) for turn in TURNS]

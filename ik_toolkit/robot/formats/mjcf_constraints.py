@@ -19,11 +19,11 @@ JOINT, PULLEY, SITE, SPHERE, CYLINDER = 1, 2, 3, 4, 5  # MuJoCo gives the parts 
 
 
 class Ties(NamedTuple):
-    """What the equalities and tendons of a model mean for its joints.
+    """The equalities and tendons of a model, converted to mimic joints, fixed joints, limits and constraints.
 
-    `tied` maps a follower's name to (leader, ratio, offset), `held` a joint's number to the value at which it stands,
-    `ranges` a joint's number to its limits [rad or m]. `constraints` has what no mimic joint expresses, `notes` a
-    sentence on everything that is not kept, or kept in another form.
+    `tied` maps a follower's name to (leader, ratio, offset), `held` a joint's index to the value at which it is fixed,
+    `ranges` a joint's index to its limits [rad or m]. `constraints` lists what no mimic joint can express, `notes` has a
+    sentence on everything that is ignored or converted to another form.
     """
 
     tied: dict[str, tuple[str, float, float]]
@@ -180,7 +180,7 @@ class _Reader:
 
 
 def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | None:
-    """Return a relation as a linear equation between joint values, or None; first: whether the first joint follows."""
+    """Return a relation as a linear equation between joint values, or None; first: whether the first joint is the follower."""
     x = one.x or LinearLength(())
     constant, ratio, *higher = one.curve
     if one.x is not None and any(higher):
@@ -199,7 +199,7 @@ def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | N
 
 
 def _with_held(one: Constraint, held: dict[str, float]) -> Constraint:
-    """Put the values of joints that stand still into a constraint, because the URDF does not have them as joints."""
+    """Substitute the values of fixed joints in a constraint, because the URDF does not have them as joints."""
     if isinstance(one, Loop):
         return one
 

@@ -21,7 +21,7 @@ from .urdf import source_text
 from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
-BESIDE = ("", "../srdf")  # The SRDF is searched for in these folders, relative to that of the URDF.
+BESIDE = ("", "../srdf")  # folders in which the SRDF is searched for, relative to that of the URDF
 MOST = 64  # At most this many SRDF files are looked at in each folder.
 SHOWN = 3  # A remark lists at most this many names.
 State = Mapping[str, tuple[float, ...]]  # A state maps a joint to its values.
@@ -33,8 +33,8 @@ class Srdf:
 
     `name` is the robot's, `path` the file or None for text. `states` maps a configuration to its groups ('' if none is
     given), and each group to joint values [rad or m]. `disabled` maps pairs of links that may touch to a reason; a link
-    in `quiet` may touch everything but its partners in `enabled`. `remarks` are sentences on what cannot be used. The
-    configurations of `group`, the chosen one, take precedence.
+    in `quiet` may touch everything but its partners in `enabled`. `remarks` are sentences on contents that cannot be
+    used. Configurations of `group`, the group chosen by the user, take precedence.
     """
 
     name: str = ""
@@ -54,7 +54,7 @@ class Srdf:
 
         A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are taken in
         this order: those that end in the robot's tips, those that set more joints of q, those first in the file. A
-        group that sets a joint of an earlier one is left out, so that no two readings are mixed.
+        group that sets a joint of an earlier one is left out, so that values of contradicting groups are not mixed.
         """
         given = {
             group: {joint: x[0] for joint, x in values.items() if len(x) == 1}
@@ -81,7 +81,7 @@ class Srdf:
             return False
 
     def may_touch(self, links: Sequence[str]) -> dict[tuple[str, str], str]:
-        """Map those pairs of these links that need no collision test to the reason."""
+        """Return the pairs of these links that need no collision test, each with the reason."""
         known, out = set(links), dict[tuple[str, str], str]()
         on = {frozenset(pair) for pair in self.enabled}
         for link in known.intersection(self.quiet):
@@ -216,7 +216,7 @@ def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
 
 
 def group_chain(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
-    """Return the base (None: the root) and tip of a group for a Robot; `tip` is the user's choice if there is one.
+    """Return the base (None: the root) and tip of a group for a Robot; `tip` is the tip chosen by the user, or None.
 
     Raises FrameNotFound if the group has several tips and none is chosen, InvalidOption as `Srdf.ends` does.
     """
@@ -232,7 +232,7 @@ def group_chain(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tu
 def passive_joints(
     srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
 ) -> dict[str, tuple[float, bool]]:
-    """Map each locked or passive joint to the value [rad or m] at which it is held and to whether it counts as locked.
+    """Return for each locked or passive joint the value [rad or m] at which it is held, and whether it counts as locked.
 
     A passive joint counts if it lies on the path between the frames base and tip. If only passive joints lie there,
     none is held.
@@ -300,7 +300,7 @@ def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str
 
 
 def _line(model: pin.Model, frame: int) -> set[int]:
-    """Return a frame and all its ancestors, as indices."""
+    """Return the indices of a frame and all its ancestors."""
     seen = set[int]()
     while frame not in seen:
         seen.add(frame)
@@ -322,7 +322,7 @@ def _some(names: Iterable[str], what: str) -> str:
 
 
 def _meant(names: set[str], known: Iterable[str]) -> str:
-    """Return '. Did you mean ...?' if there is a single unknown name and a known name is like it, otherwise ''."""
+    """Return '. Did you mean ...?' if there is a single unknown name and a known name is similar, otherwise ''."""
     near = did_you_mean(min(names), known) if len(names) == 1 else ""
     return f".{near}" if near else ""
 

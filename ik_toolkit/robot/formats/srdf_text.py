@@ -58,13 +58,13 @@ def contents(text: str) -> dict[str, Any]:
     groups: dict[str, dict[str, list]] = {}
     ends: dict[str, EndEffector] = {}
     states: dict[str, dict[str, dict[str, tuple[float, ...]]]] = {}
-    lost: dict[tuple[str, str], str] = {}  # This maps each (configuration, group) that is left out to the reason.
+    lost: dict[tuple[str, str], str] = {}  # reason for each (configuration, group) that is left out
     passive: list[str] = []
     disabled: dict[tuple[str, str], str] = {}
     quiet: list[str] = []
     enabled: list[tuple[str, str]] = []
     remarks: list[str] = []
-    inside: list[str] = []  # This holds the name of the group being read, or the configuration and its group.
+    inside: list[str] = []  # name of the group being read, or of the configuration and its group
 
     def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:
         nonlocal name

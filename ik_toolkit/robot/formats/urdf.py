@@ -14,7 +14,7 @@ from ...errors import ModelError
 
 
 class UrdfCaps(NamedTuple):
-    """Limits on a URDF, so that no file can exhaust this process; a file beyond one of them is refused."""
+    """Limits on the size of a URDF, so that no file can exhaust this process; a file that exceeds one of them is refused."""
 
     bytes: int = 20_000_000
     # Limit on all joints, also fixed and mimic ones, because Pinocchio's parser recurses once per joint of a chain.
@@ -31,8 +31,8 @@ class UrdfCaps(NamedTuple):
 
 CAPS = UrdfCaps()
 BLANK = "\ufeff \t\r\n"  # These characters may precede XML.
-ENDLESS = 1e16  # `probe.limits` reads a joint limit of this size as none (NO_LIMIT).
-# FREEDOM maps a joint type to its number of degrees of freedom.
+ENDLESS = 1e16  # A joint limit of this size means "no limit".
+# number of degrees of freedom by joint type
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 NUMBERS = {  # Maps an element to its attributes of numbers, and each to how many it holds.
     "origin": {"xyz": 3, "rpy": 3, "quat_xyzw": 4},
@@ -288,7 +288,7 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
 def limits_of_joint(joint: Item) -> tuple[float, float]:
     """Return the lower and upper limit [rad or m] of a joint: 0 if its <limit> gives none, as in URDF, and within +-ENDLESS.
 
-    A follower whose <limit> is missing, or has neither, is held by its leader's limits alone.
+    A mimic joint whose <limit> is missing, or gives neither, is limited only through its leader; its limits are then +-ENDLESS.
     """
     limit = joint.first("limit") or {}
     led = joint.first("mimic") is not None and not limit.keys() & {"lower", "upper"}

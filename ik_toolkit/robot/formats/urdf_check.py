@@ -19,7 +19,7 @@ from .mimic import followers
 from .urdf import ITEMS, InnerElement, Item, is_text, parse, safe_read
 from .urdf_values import check_all_zero, check_joint, link_values, unversioned
 
-HINTS = 10  # At most this many near matches are searched for in a file, because each compares a name with all others.
+HINTS = 10  # largest number of searches for similar names per file, because each compares a name with all others
 
 
 def check_urdf(
@@ -129,7 +129,7 @@ def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # Findings on roots and cycles would only repeat the broken joints.
+        return  # Findings on roots and cycles would only be consequences of the broken joints.
     done = links - parent_of.keys()
     if len(done) > 1:
         told = f"it has {len(done)} root links: {_some(done)}"
@@ -201,7 +201,7 @@ CLOSED = ("origin", "axis", "mimic", "parent", "child")
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
 MOST = 500  # largest number of unknown names in a file that are compared with known ones, to bound the time
-NEAR = 0.82  # An unknown name counts as misspelled from this likeness (0 to 1): "gear_velocity" is no "velocity".
+NEAR = 0.82  # similarity (0 to 1) from which an unknown name counts as misspelled; "gear_velocity" is below it for "velocity"
 
 
 def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
@@ -247,7 +247,7 @@ def _attributes(item: Item, part: InnerElement, seen: set[str]) -> Iterator[Find
         if key in known or key.startswith("xmlns"):
             continue
         near = _known_like(key, known, seen)
-        # An attribute of a namespace is an extension unless it has one of our names.
+        # An attribute with a namespace is an extension, unless it resembles a known name.
         if near or (":" not in key and part.tag in CLOSED):
             yield _unknown(item, f"{key}= of <{part.tag}>", f"{near}=" if near else "", part.line)
 
@@ -267,7 +267,7 @@ def _unknown(element: object, name: str, near: str, line: int) -> Finding:
 
 
 def _known_like(name: str, known: tuple[str, ...], seen: set[str]) -> str:
-    """Return the known name that a misspelled name is like, or ''; seen: answers for names of this file so far."""
+    """Return the known name that is similar to a misspelled one, or ''; seen: results for earlier names of this file."""
     if len(seen) >= MOST and name not in seen:
         return ""
     seen.add(name)

@@ -1,8 +1,8 @@
 """Builds a Pinocchio model from URDF text, with followers tied to their leaders.
 
-Pinocchio's parser gets a text of ours that has only what concerns the motion, with every number checked and written
-out. It therefore prints no warning, and nothing that it does not know (extensions, encodings, processing instructions,
-quaternions, limits without an effort) can make it refuse a file or misread it.
+Pinocchio's parser gets a rewritten text that has only joints, links and inertias, with every number checked. It therefore
+prints no warning, and nothing that it does not know (extensions, encodings, processing instructions, quaternions, limits
+without an effort) can make it refuse a file or misread it.
 """
 
 import html
@@ -93,10 +93,10 @@ def axis_of(joint: Item) -> list[float]:
 
 
 def _turn_plane(model: pin.Model, joint: Item) -> None:
-    """Turn the plane of a planar joint: in URDF it is perpendicular to the axis, in Pinocchio it is always that of x and y.
+    """Rotate the plane of a planar joint: in URDF it is perpendicular to the axis, in Pinocchio it is always the x-y plane.
 
-    The frame of the joint is turned by the shortest rotation of z onto the axis, and everything the joint carries is
-    turned back.
+    The frame of the joint is rotated by the shortest rotation of z onto the axis, and everything that the joint carries is
+    rotated back.
     """
     axis = np.array(axis_of(joint))
     R = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis), np.zeros(3))

@@ -114,7 +114,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
 
 
 def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the frame (4x4) midway between a and b with z from a to b, turned so that a boom stays upright on the joint's axis."""
+    """Return a frame (4x4) midway between a and b, with z from a to b; a boom drawn in it has two faces along the joint's axis."""
     z = (b - a) / np.linalg.norm(b - a)
     side = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     y = np.cross(z, side)

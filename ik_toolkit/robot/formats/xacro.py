@@ -12,18 +12,18 @@ from .sandbox import ask
 
 WORKER = Path(__file__).with_name("xacro_worker.py")
 MEMORY = 1_000_000_000  # Memory cap [bytes] of the process. Large robots take 0.1 GB.
-# Cap on processor time [s], in case the count of steps does not end the process before. Robots take 0.1 to 0.3 s.
+# Cap on processor time [s], in addition to the limit on evaluation steps. Robots take 0.1 to 0.3 s.
 SECONDS = 3
 ENVIRONMENT = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 
 
 def has_macros(srdf: Any) -> bool:
-    """Return whether an SRDF is named as a file that xacro expands."""
+    """Return whether an SRDF is given as the name of a .xacro file."""
     return isinstance(srdf, str | Path) and str(srdf).endswith(".xacro")
 
 
 def expanded(srdf: Any, package_dirs: Iterable[str | Path] = (), arguments: Mapping[str, object] | None = None) -> Any:
-    """Return the text of an SRDF that is named as a xacro file, and anything else unchanged.
+    """Return the text of an SRDF if it is given as the name of a xacro file, and anything else unchanged.
 
     Raises what `expand` raises.
     """

@@ -17,7 +17,7 @@ UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.00
 
 
 class XacroFileCaps(NamedTuple):
-    """Limits on the files of a xacro file, so that none exhausts this process; a file beyond one is refused."""
+    """Limits on the files that xacro reads, so that none exhausts this process; a file that exceeds one is refused."""
 
     bytes: int = 20_000_000  # Limit on the bytes of all files together.
     yaml_bytes: int = 2_000_000  # Limit on the bytes of a YAML file, before and after its anchors are expanded.
@@ -96,7 +96,7 @@ class Files:
         return minidom.parseString(raw)  # noqa: S318 - The text was checked above.
 
     def yaml(self, path: str, number: Callable[[str], float]) -> Any:
-        """Return the plain values of a YAML file; `number` computes a text with a unit. Raises Refused."""
+        """Return the values of a YAML file; `number` evaluates an expression, used for values with a unit. Raises Refused."""
         import yaml
 
         raw = self.read(path, CAPS.yaml_bytes)
@@ -105,7 +105,7 @@ class Files:
 
         for unit, factor in UNITS.items():
             Loader.add_constructor(f"!{unit}", lambda _, node, times=factor: number(f"({node.value})*{times}"))
-        # A date, say of a calibration, is no quantity of a robot, so it stays text.
+        # A date, such as that of a calibration, stays text.
         for plain in ("timestamp", "binary"):
             Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
         try:

@@ -1,4 +1,4 @@
-"""The functions and constants that xacro documents for its files, made safe in what they take and return.
+"""The functions and constants that xacro documents for its files, with checks of their arguments and results.
 
 It imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
 """

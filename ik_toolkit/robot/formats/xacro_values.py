@@ -1,8 +1,8 @@
-"""Computes xacro's expressions by a walk over their syntax tree: nothing is ever given to Python's `eval`.
+"""Evaluates xacro's expressions by a walk over their syntax tree, without Python's `eval`.
 
-What is not listed here does not exist for a file: a value is a number, a text, a list, tuple, dict, set or range of values,
-None, or one of the functions below. Every step and every size is counted, so that a file cannot keep the process busy. This
-module imports nothing from the toolkit, because the subprocess that expands xacro loads it by its file.
+Only these values are allowed: numbers, texts, lists, tuples, dicts, sets and ranges of values, None, and the functions below.
+Steps and sizes are counted, so that a file cannot keep the process busy. This module imports nothing from the toolkit, because
+the subprocess that expands xacro loads it by its file.
 """
 
 import ast
@@ -32,7 +32,7 @@ METHODS: dict[type, tuple[str, ...]] = {
     float: ("is_integer",),
 }  # fmt: skip
 FORMAT = re.compile(rf"%[-+ #0]*(\d{{1,{len(str(WIDTH))}}})?(\.\d{{1,{len(str(WIDTH))}}})?[diouxXeEfFgGsr%]")
-# WORDS has the words by which messages call the refused parts of an expression.
+# names, used in messages, of parts of an expression that are refused
 WORDS = {
     ast.Lambda: "a lambda", ast.JoinedStr: "an f-string", ast.NamedExpr: "an assignment", ast.Await: "await", ast.Yield: "yield",
     ast.YieldFrom: "yield", ast.Starred: "a star", ast.MatMult: "the operator @",
@@ -40,7 +40,7 @@ WORDS = {
 
 
 class Refused(Exception):
-    """A file asks for something that it does not get; the message says what."""
+    """A file uses something that is not allowed, or exceeds a limit; the message says what."""
 
 
 class Function:
@@ -63,7 +63,7 @@ class Evaluator:
     """Evaluates the expressions of one file and counts what they cost."""
 
     def __init__(self) -> None:
-        """Start with the full count of steps."""
+        """Begin with no step counted."""
         self.left = STEPS
 
     def spend(self, steps: int = 1) -> None:
@@ -79,7 +79,7 @@ class Evaluator:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            if isinstance(value, Mapping) and type(value) is not dict:  # Only namespaces are not checked yet.
+            if isinstance(value, Mapping) and type(value) is not dict:  # a namespace; other types have been checked
                 raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
         except Refused as error:
@@ -104,7 +104,7 @@ class Evaluator:
         return getattr(self, f"of_{kind.__name__}")(node, names, depth + 1)
 
     def checked(self, value: Any) -> Any:
-        """Return the value if a file may have one of this kind and it is not too large. Raises Refused otherwise."""
+        """Return a value unchanged if its type is allowed and it is not too large. Raises Refused otherwise."""
         weight = _weight(value, 0, 0)
         self.spend(weight // 50)
         return value
@@ -293,7 +293,7 @@ class Inner(Mapping[str, Any]):
 
 
 def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
-    """Return the names that a loop gives to a value, or to its members."""
+    """Assign a value, or its members, to the loop variable or variables of a comprehension; return values by name."""
     if isinstance(target, ast.Name):
         return {target.id: value}
     if isinstance(target, ast.Tuple | ast.List) and isinstance(value, list | tuple | str):
@@ -305,12 +305,12 @@ def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
 
 
 def _called(value: Any) -> str:
-    """Return the words by which messages call a value."""
+    """Return what a value is called in messages."""
     return f"the function {value}" if isinstance(value, Function) else f"a value of the kind {type(value).__name__}"
 
 
 def _weight(value: Any, so_far: int, depth: int) -> int:
-    """Add the characters and members of a value to `so_far`. Raises Refused for too many or a kind no file may have."""
+    """Add the number of characters and members of a value to `so_far`. Raises Refused for too many or a type not allowed."""
     if isinstance(value, str | range):
         so_far += len(value)
     elif isinstance(value, int):

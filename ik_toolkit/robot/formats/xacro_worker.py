@@ -22,15 +22,15 @@ from typing import Any
 
 BYTES = 20_000_000  # Limit on the bytes of all files together.
 FILES = 1_000  # Limit on the files that one include may match.
-# The functions of xacro in REPLACED are replaced below; a version of xacro without them is refused as unsafe.
+# These functions of xacro are replaced below; a version of xacro without them is refused as unsafe.
 REPLACED = {
     "xacro": ("eval_all", "eval_text", "safe_eval", "load_yaml", "parse", "get_include_files", "abs_filename_spec",
               "_global_symbols", "replace_node", "resolve_macro", "re_macro_arg"),
     "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
 }  # fmt: skip
 
-# DEFAULTS matches the parameters of a macro as xacro's own regular expression does, but without nested repetition.
-# Nested repetition, as in xacro's own pattern, can take exponential time.
+# Matches the parameters of a macro, as xacro's own regular expression does, but without nested repetition, which can take
+# exponential time.
 DEFAULTS = re.compile(
     r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
 )
@@ -96,7 +96,7 @@ class Expansion:
             module.__dict__.update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
         self._all, self._text = xacro.eval_all, xacro.eval_text
         self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
-        # Maps the id of a macro's body to the body and the cost of a copy in steps.
+        # body of each macro and the cost of a copy in steps, by the body's id
         self.bodies: dict[int, tuple[Any, int]] = {}
         plain = module_at("formats/xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
@@ -158,7 +158,7 @@ class Expansion:
         self._all(node, macros, symbols)
 
     def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
-        """Return a macro, and count the cost of copying its body, which follows."""
+        """Return a macro, and count the cost of copying its body, which xacro does next."""
         found = self._resolve(name, macros, symbols)
         body = found[2].body
         if id(body) not in self.bodies:

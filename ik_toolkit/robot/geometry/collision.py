@@ -20,8 +20,8 @@ from .distance import Clearance, Near
 from .link_shapes import placed
 from .surroundings import PlacedShape, Surroundings
 
-SAMPLES = 8  # This many random configurations show which links move relative to each other.
-# Two parts are fixed to each other if no entry of their relative pose (rotation matrix, or [m]) changes by more.
+SAMPLES = 8  # number of random configurations from which it is found which links move relative to each other
+# Two parts are fixed to each other if no entry of their relative pose (rotation matrix, [m]) changes by more than this.
 STILL = 1e-9
 
 
@@ -124,7 +124,7 @@ class CollisionModel(Surroundings):
         base = model.frames[robot.arms[0]._ids[0]].parentJoint
         placements = self._sample([base, *owners, *hands])
         joints = list(placements)
-        # apart[a, b] tells whether joints a and b move relative to each other.
+        # whether joints a and b move relative to each other
         apart = np.zeros((len(joints), len(joints)), dtype=bool)
         for b, jb in enumerate(joints):
             for a, ja in enumerate(joints[:b]):
@@ -179,7 +179,7 @@ class CollisionModel(Surroundings):
         return {j: np.array(list_j) for j, list_j in found.items()}
 
     def _rebuild(self) -> None:
-        """Rebuild geometry, pairs and margins after a change of shapes; existing workspaces keep the old ones."""
+        """Rebuild geometry, pairs and margins after a change of shapes; existing `workspace` data keep the old ones."""
         geometry, own = self._own.copy(), len(self._links)
         tested = np.zeros((own + len(self._placed), own + len(self._placed)), dtype=bool)
         tested[:own, :own] = self._tested
@@ -229,7 +229,7 @@ class CollisionModel(Surroundings):
 
     # ------------------------------------------------------------------------------------------------ questions
     def _workspace(self) -> tuple[Any, Any, Any, pin.GeometryModel]:
-        """Return model data, geometry data, box tree or None (all local to the calling thread), and the geometry."""
+        """Return Pinocchio's data for tests (model data, geometry data, box tree or None), one set per thread, and the geometry."""
         local = self._local
         if not hasattr(local, "space"):
             geometry = self.geometry
@@ -237,9 +237,9 @@ class CollisionModel(Surroundings):
         return local.space
 
     def workspace(self, more: float | np.ndarray) -> tuple[Any, Any, Any]:
-        """Make a workspace in which a pair nearer than its margin plus `more` [m] (pairs,) counts as touching.
+        """Make Pinocchio's data for tests in which a pair nearer than its margin plus `more` [m] (pairs,) counts as touching.
 
-        It consists of model data, geometry data and a tree of boxes, which is None if a shape has no volume.
+        They are model data, geometry data and a tree of bounding boxes, which is None if a shape has no volume.
         """
         geometry, margins = self._state
         data, found = self.robot.model.createData(), geometry.createData()
@@ -299,7 +299,7 @@ class CollisionModel(Surroundings):
         return self._measure().nearest(self.robot.check_q(q))
 
     def _measure(self) -> Clearance:
-        """Return the calling thread's computation of distances."""
+        """Return the object that measures distances, of which each thread has its own."""
         local = self._local
         if getattr(local, "version", None) != self.version:
             local.clearance, local.version = Clearance(self), self.version

@@ -1,4 +1,4 @@
-"""Makes a robot's shapes coal objects placed on its Pinocchio model, and collision requests for pairs of them."""
+"""Converts a robot's shapes to objects of the collision library coal, on its Pinocchio model; makes collision requests."""
 
 from typing import Any
 
@@ -53,8 +53,8 @@ def _form(shape: LinkShape) -> Any:
 def hull_of(mesh: Any) -> Any:
     """Return the convex hull of a mesh, or the mesh if coal cannot make one: it refuses points with more than 255 neighbours.
 
-    It is the hull of any points, whereas `buildConvexRepresentation` takes them as they are, convex or not. Faces with
-    many corners are divided into triangles that meet in one of them (Qt), or by moving points by rounding errors (QJ).
+    The hull is computed by qhull, whereas `buildConvexRepresentation` uses the mesh as it is, convex or not. Faces with many
+    corners are divided into triangles that share a corner (option Qt), or by moving points by rounding errors (QJ).
     """
     for how in ("Qt", "QJ"):
         try:
@@ -79,7 +79,7 @@ def is_flat(shape: Any) -> bool:
 
 
 def owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
-    """Return the nearest ancestor joint that carries shapes, or -1; links with only empty links between them are adjacent."""
+    """Return the nearest ancestor joint that carries shapes, or -1. Links separated only by links without shapes are adjacent."""
     while joint > 0:
         joint = model.parents[joint]
         if joint in owners:

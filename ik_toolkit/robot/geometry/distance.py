@@ -16,9 +16,9 @@ from ...kernel.clearance import Approach, Bodies, BrakingPath, Facing, HalfPlane
 from .convex import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using.
-# The nearest points of a pair of shapes jump from one end of an edge to the other, so earlier ones are kept.
-# At most CORNERS points are kept, while their distance is less than NEARBY [m] above the least one.
-# Points within APART [m] of each other count as one.
+# The nearest points of two shapes may jump, for example from one end of an edge to the other, so earlier ones are kept:
+# at most CORNERS points per pair, while their distance is less than NEARBY [m] above the least one. Points within APART [m]
+# of each other count as one.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01
 THIN = 1e-5  # A mesh thinner than this fraction of its size counts as flat. qhull fails at 1e-9.
 
@@ -39,8 +39,8 @@ class Near(NamedTuple):
 def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, Any]) -> pin.GeometryModel:
     """Copy a geometry and replace each mesh by its convex hull if it has one (see `hull_of`).
 
-    `names` are those of the shapes added to the robot, which are last in the geometry. `known` has hulls by index or by
-    such a name; new ones are added to it.
+    `names` are those of the shapes added to the robot, which are last in the geometry. `known` caches hulls, by such a name or
+    else by index; new ones are added to it.
     """
     made, own = geometry.copy(), len(geometry.geometryObjects) - len(names)
     for k, shape in enumerate(made.geometryObjects):
@@ -208,20 +208,20 @@ class Clearance:
         self._parts = Bodies(self._V, self.coordinates, self._at, self._radius, *moved)
 
     def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bound how much closer (P, E) pairs of shapes come per unit of each joint, if joint i moves at most way[i].
+        """Return bounds (P, E) on how much closer pairs of shapes come per unit of each joint, if joint i moves at most way[i].
 
-        The second result (P,) [m] is how much closer a pair can come in all. way (n,) [rad or m].
+        way (n,) [rad or m]: joint moves. The second result (P,) [m] bounds how much closer each pair can come by all of them.
         """
         out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
         levers(self._parts, way, out, spread)
         return out, spread
 
     def forget(self) -> None:
-        """Delete the nearest points that earlier calls of `facing` found."""
+        """Delete the nearest points that are kept from earlier configurations."""
         self._held[:] = False
 
     def corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest points that earlier calls of `facing` found; `recall` takes them over."""
+        """Return the nearest points that are kept from earlier configurations, for `recall` after copying or pickling."""
         return self._corners, self._held
 
     def recall(self, found: tuple[np.ndarray, np.ndarray]) -> None:
@@ -249,7 +249,7 @@ class Clearance:
         gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
         # A corner that slides along a face counts as one point, although the point on the face changes.
         same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
-        # Points kept from hulls, which may meet, are not points of the exact shapes.
+        # Points kept from convex hulls, which may overlap, are not points of the exact shapes.
         hull = ~self._on_surface[ks][:, None]
         held = self._held[ks] & hull & ~same & (gaps < distances[:, None] + NEARBY)
         new = np.argmax(np.where(held, gaps, np.inf), axis=1)
@@ -264,13 +264,13 @@ class Clearance:
         )
 
     def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Write the half-planes that limit the joint rates for pairs ks (K,) of shapes, see `kernel.clearance.rows`."""
+        """Write linear inequalities on the joint rates that keep pairs ks (K,) of shapes apart, see `kernel.clearance.rows`."""
         deceleration, *rules = rest[:5]
         facing, planes = Facing(ks, points, gap), HalfPlanes(*rest[5:])
         return rows(self._parts, facing, rate, deceleration, Approach(*rules), planes)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, levers: np.ndarray, *path: Any) -> np.ndarray:
-        """Return up to where (K,) on a path pairs ks are proven free of contact, see `kernel.clearance.free_until`.
+        """Return for pairs ks (K,) the place on a path [pieces] up to which they are proven free of contact.
 
         path: the fields of `BrakingPath`, and the place on it at which the proof begins [pieces].
         """

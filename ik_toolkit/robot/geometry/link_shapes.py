@@ -54,7 +54,7 @@ class LinkShape:
 
 
 def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Problems]:
-    """Read the shapes of a robot's links for 'surface' (collisions) or 'look' (visuals); also return what is wrong with the others.
+    """Read the shapes of a robot's links, collision ('surface') or visual ('look'); also return problems of unusable shapes.
 
     Raises ModelError if there are more than `most`.
     """
@@ -119,7 +119,7 @@ def placed(given: pin.GeometryModel, robot: Any) -> pin.GeometryModel:
 
 
 def _given(robot: Any, geometry: pin.GeometryModel, most: int) -> tuple[list[LinkShape], Problems]:
-    """Return shapes given with a Pinocchio model; a mesh is its file's, with its colours, or else what Pinocchio has read of it."""
+    """Return shapes given with a Pinocchio model; meshes are read from their files (with colours), or else taken from Pinocchio."""
     model, shapes = robot.model, placed(geometry, robot).geometryObjects
     if len(shapes) > most:
         raise ModelError(f"robot '{robot.name}' has {len(shapes):,} visual shapes; at most {most:,} are read")
@@ -149,7 +149,7 @@ def _given(robot: Any, geometry: pin.GeometryModel, most: int) -> tuple[list[Lin
 
 
 def _kind(form: Any) -> tuple[str, tuple[float, ...]]:
-    """Return kind and sizes [m] of a coal object; everything that has other names counts as a mesh."""
+    """Return kind and sizes [m] of a coal object; every other type counts as a mesh."""
     match form:
         case coal.Box():
             return "box", tuple((2.0 * form.halfSide).tolist())
@@ -169,7 +169,7 @@ def problems_sentence(problems: Problems) -> str:
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
     """Make Pinocchio's geometry model: place coal objects (`forms`) on the links of the shapes they were made from."""
     geometry = pin.GeometryModel()
-    # Several frames may have one name; a link wins.
+    # If several frames have the same name, the link is taken.
     order = sorted(enumerate(model.frames), key=lambda one: one[1].type == pin.FrameType.BODY)
     frames: dict[str, int] = {frame.name: i for i, frame in order}
     for shape, form in zip(shapes, forms, strict=True):
@@ -190,7 +190,7 @@ def _shape(
 ) -> LinkShape:
     """Return one shape of a link. Raises ModelError, whose text ends a sentence, if it is invalid.
 
-    `asked` has (tag, name of a collision shape) where 'capsule' replaces a cylinder or 'convex' a mesh.
+    `asked` has pairs (tag, name of a collision shape): 'capsule' makes a cylinder a capsule, 'convex' makes a mesh convex.
     """
     tag, attributes = given.get("geometry", ("", {}))
     kind = "capsule" if tag == "cylinder" and ("capsule", given["name"]) in asked else tag

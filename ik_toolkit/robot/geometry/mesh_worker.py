@@ -18,17 +18,17 @@ from urllib.parse import unquote
 from xml.parsers import expat
 
 FAR = 1e6  # A coordinate beyond this [units of the file] means that the file is corrupt.
-REPEATED = 100_000  # Limit on the number of nodes that one node stands for, when nodes are instances of others.
-# coal's error messages begin with these words in lines that do not give the reason.
+REPEATED = 100_000  # Limit on the number of nodes after nodes that are instances of others are expanded.
+# Lines of coal's error messages that begin with these words do not give the reason.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
-# trimesh loads scipy, networkx and shapely if they are installed, although reading a mesh does not need them.
-# Importing UNUSED takes three times as long as importing everything else.
+# trimesh imports these packages if they are installed, although reading a mesh does not need them. Importing them takes three
+# times as long as everything else.
 UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # Limit on the nesting of nodes in a .dae or .gltf; exporters nest a few.
 
 
 class MeshRefused(Exception):
-    """A file is not read; the message says why."""
+    """Raised for a mesh file that is refused; the message says why."""
 
 
 class References:
@@ -40,7 +40,7 @@ class References:
         self.last = ""
 
     def get(self, name: str) -> bytes:
-        """Return the bytes of a referenced file. Raises Refused if it lies outside the folders or does not exist."""
+        """Return the bytes of a referenced file. Raises MeshRefused if it lies outside the folders or does not exist."""
         shown, inside = repr(name)[:100], False
         try:
             if "://" in name:
@@ -65,7 +65,7 @@ class References:
 def check_xml(raw: bytes) -> None:
     """Reject a .dae that declares entities, nests nodes too deep or has one that contains itself: readers crash on these."""
     stack: list[str] = []
-    inside: dict[str, list] = {}  # Each node or scene, by id, has the nodes below it or instanced by it.
+    inside: dict[str, list] = {}  # for each node or scene, by id: nodes below it or instanced by it
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict) -> None:

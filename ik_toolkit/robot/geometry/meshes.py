@@ -63,7 +63,7 @@ class Mesh:
     notes: tuple[str, ...] = ()
 
 
-_read: dict[tuple, Mesh] = {}  # The cache has meshes by kind, path, size and modification time.
+_read: dict[tuple, Mesh] = {}  # cache of meshes, by kind, path, size and modification time
 
 
 def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[Path]:

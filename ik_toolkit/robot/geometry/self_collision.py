@@ -29,11 +29,11 @@ REASONS = ("Adjacent", "Always", "Default", "Never")
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """The pairs of links found by `self_collision`.
+    """Result of `self_collision`: which pairs of links need no collision test.
 
-    `reasons` maps a pair to one of REASONS, `tested` has the pairs left to test. `before` and `after` are the shares of
-    the samples with any contact: over all pairs that move relative to each other and are not joined by a joint, and
-    over the pairs left to test.
+    `reasons` maps a pair that needs no test to one of REASONS, `tested` lists the other pairs. `before` and `after` are shares
+    of the samples with any contact: over all pairs that move relative to each other and are not joined by a joint, and over
+    the pairs in `tested`.
     """
 
     robot: str

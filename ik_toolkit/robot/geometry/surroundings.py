@@ -16,9 +16,9 @@ from .shape import Shape, is_shape
 
 @dataclass(frozen=True)
 class PlacedShape:
-    """A shape around the robot, if `arm` is None, or held by an arm.
+    """A shape around the robot (`arm` is None), or held by an arm.
 
-    Its pose T (4, 4) [m] is in the base frame or the tip frame; `touch` has the names of parts it may touch.
+    Its pose T (4, 4) [m] is in the base frame, or for a held shape in the tip frame; `touch`: names of parts that it may touch.
     """
 
     shape: Shape
@@ -38,7 +38,7 @@ class Surroundings(ReadOnly):
         """Start with no shapes."""
         self.version = 0
         self._placed: dict[str, PlacedShape] = {}
-        self._hulls: dict[Any, Any] = {}  # These are the convex hulls of added shapes (see `distance.hulls`).
+        self._hulls: dict[Any, Any] = {}  # convex hulls of added shapes, by name or index
 
     def _rebuild(self) -> None:
         """Update the model after shapes were added or removed."""

@@ -135,7 +135,7 @@ class Visit:
         return run
 
     def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
-        """Run a job when the visitor, not this program, changes or clicks something."""
+        """Run a job when the visitor changes or clicks a control, but not when this program changes it."""
         listen = getattr(handle, "on_click", None) or handle.on_update
 
         @listen

@@ -12,12 +12,12 @@ from ...text import angle, length
 STEP = 0.02  # length of a step [s]
 STEPS = 50  # number of steps before the page is drawn anew: one second of motion
 FAR = 1000.0  # a target farther away [arm reaches] is a mistake
-# The arm has settled after 25 successive steps at rest: within half a second a tracker would find another way.
+# The arm has settled after this many successive steps at rest (half a second, in which a tracker would find another posture).
 REST = 25
 
 
 class Followed(NamedTuple):
-    """State of a following arm: q (n,), at target or not, at rest or not, errors by tip [m, rad or None], sentence."""
+    """State of an arm that follows a target: q (n,), whether it is at the target, whether at rest, errors by tip, a sentence."""
 
     q: np.ndarray
     success: bool
@@ -101,7 +101,7 @@ def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> boo
 
 
 def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, between: tuple[str, str] | None) -> str:
-    """Say the remaining error in a sentence; `between` names what would touch."""
+    """Return a sentence on the remaining error; `between`: names of the two parts that would touch, or None."""
     away = max(position for position, _ in errors.values())
     turned = [error for _, error in errors.values() if error is not None]
     left = length(away) + (f" and {angle(max(turned))}" if turned else "")

@@ -27,7 +27,7 @@ STEP = 0.001  # Step [mm or deg] of the slider of the free parameter.
 
 
 class Lesson:
-    """The computations of the tab "Learn", without a page, in mm and degrees: kinematics both ways, free parameter.
+    """The computations of the tab "Learn", without a page, in mm and degrees: forward and inverse kinematics, free parameter.
 
     `made` is the Explanation of the last inverse solution, or None; `shown` is the number of its branch shown; `T` is
     its target (4, 4) [m].

@@ -21,7 +21,7 @@ from .viser_scene import Stage
 
 QUIET = (71, 85, 105)  # colour of secondary buttons
 STEPS = 500  # least number of steps of a slider
-PUSH = 3.0  # [rad or arm reaches] self-motion from the middle of its slider to the end
+PUSH = 3.0  # [rad or arm reaches] length of the self-motion from the middle of its slider to either end
 MOST_TIPS = 4  # largest number of tips that can be chosen on the page
 
 
@@ -124,7 +124,7 @@ class PanelPage(Visit):
         self.pose = gui.add_html("")
 
     def _build_goals(self) -> None:
-        """Controls of each tip's target."""
+        """Build the controls of each tip's target."""
         s, self.goals = self.session, []
         for tip in s.robot.tips:
             with self.gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
@@ -342,7 +342,7 @@ class PanelPage(Visit):
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
 
     def _dragged(self, patience: int = PATIENCE) -> None:
-        """Move towards the dragged targets; continue with the next job unless something newer is requested."""
+        """Move towards the dragged targets for a second; then queue another call (at most `patience`) if the arm still moves."""
         targets = {goal.tip: goal.dragged() for goal in self.goals}
         if not self.live:
             return

@@ -68,9 +68,8 @@ class Panel(Unique):
     ) -> None:
         """Serve a robot given by name or path.
 
-        tips is one or several, by default all known ones; port 0 takes a free port; desk is the page that each visitor
-        sees. Raises MissingExtra without viser, InvalidOption if it cannot listen there, and what loading a robot
-        raises.
+        tips: one or several, by default all known ones; port 0 takes a free port; desk: class of the page that each visitor
+        sees. Raises MissingExtra without viser, InvalidOption if it cannot listen there, and what loading a robot raises.
         """
         try:
             import viser

@@ -22,9 +22,9 @@ class Around:
     """Controls and drawings of a robot's surroundings."""
 
     def __init__(self, gui: Any, session: Session, listen: Callable[..., None], changed: Callable[[], None]) -> None:
-        """Build the controls; `changed` is called after something was moved, `listen` is as in Goal."""
+        """Build the controls; `changed` is called after something was moved, `listen` connects a control with a job."""
         self.session, self.listen, self.changed = session, listen, changed
-        self.stage: Stage  # `join` sets the stage (the robot's drawing)
+        self.stage: Stage  # the robot's drawing, set by `join`
         avoid = gui.add_checkbox(
             "Avoid collisions", session.avoid, hint="When solving, listing solutions and dragging."
         )
@@ -43,7 +43,7 @@ class Around:
         listen(remove, "boxes", self.clear)
 
     def join(self, stage: Stage) -> None:
-        """Draw in a new view of the robot (Stage), including the existing boxes."""
+        """Use a new drawing of the robot (`stage`), and draw the existing boxes in it."""
         self.stage, self.handles = stage, stage.boxes
         side = float(f"{SIDE * stage.size:.1g}")
         self.size.value = self.size.value or f"{side:g} {side:g} {side:g}"
@@ -113,7 +113,7 @@ LEFT = 1e-7  # Largest error [m, rad] of a tip that counts as staying in place.
 
 
 def null_directions(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Return the null-space directions (k, n) at q (n,), which move no tip; `turns` tells whether rotations are held too."""
+    """Return the null-space directions (k, n) at q (n,), which move no tip; `turns`: whether the tips' rotations are fixed, too."""
     J = _rows(robot, q, turns)
     _, sizes, V = np.linalg.svd(J, full_matrices=True)
     return V[int((sizes > THIN * max(sizes.max(initial=0.0), 1e-12)).sum()) :]

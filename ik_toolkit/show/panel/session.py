@@ -25,7 +25,7 @@ from ...solvers.solve import solve, solve_all
 from ...text import angle, duration, length, parameter, plain, vector
 from .drag_follower import Followed, Hand, prepare
 
-# A typed target's orientation has one of the forms in KINDS.
+# the forms in which the orientation of a target can be typed
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")
 NONE = "no target"  # choice for one of several tips that has no target
 SHOWN = 16  # largest number of solutions listed
@@ -51,7 +51,7 @@ class Session:
         self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # size [m] and pose (4, 4) in the base, by name
         self.source = ""
         self.random = np.random.default_rng(0)
-        self.warm: set[tuple] = set()  # solvers and kinds of target that have run before
+        self.warm: set[tuple] = set()  # solvers and kinds of target whose code is already compiled
         self.load(source, tips)
 
     def load(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -102,7 +102,7 @@ class Session:
 
     @property
     def kind(self) -> str:
-        """How targets are given at first: as poses to an arm that can reach them at all, otherwise as positions."""
+        """Initial kind of targets: poses for an arm that can reach poses in general, otherwise positions."""
         return KINDS[0] if min(arm.n for arm in self.robot.arms) >= 6 else "free"
 
     def range(self, i: int) -> tuple[float, float]:
@@ -185,7 +185,7 @@ class Session:
         return {name: cls._field_defaults.get(name) for name in cls._fields if name not in ("tuned", "starts")}
 
     def rule(self) -> Any:
-        """Return the solver's name, or a rule with the typed parameters. Raises InvalidOption."""
+        """Return the solver's name, or the solver with the typed parameters. Raises InvalidOption."""
         given = {name: text.strip() for name, text in self.parameters.items() if text.strip() and name in self.fields()}
         if not given:
             return self.solver
@@ -292,7 +292,7 @@ class Session:
         return {tip: (U, sizes) for tip, (U, sizes, _) in zip(self.robot.tips, svd, strict=True)}
 
     def manipulability(self) -> dict[str, float]:
-        """Return the product of the ellipsoid's radii by tip, without those that are 0 at every q: an area for a planar arm."""
+        """Return for each tip the product of the ellipsoid's radii, without radii that are 0 at every q (as for a planar arm)."""
         radii = (radii for _, radii in self.ellipsoids().values())
         return {tip: float(np.prod(r[:rank])) for tip, r, rank in zip(self.robot.tips, radii, self.ranks, strict=True)}
 

@@ -1,4 +1,4 @@
-"""The panel's Solve tab: typed or dragged targets, the list of solutions with a ghost of one, and the error per iteration."""
+"""The panel's Solve tab: typed or dragged targets, solutions (one shown as a translucent robot), and the error per iteration."""
 
 import html
 from collections.abc import Callable
@@ -35,12 +35,12 @@ class Goal:
         return self.kind not in ("free", NONE)
 
     def join(self, handle: Handle) -> None:
-        """Attach the arrows and rings of this target."""
+        """Connect the target with its handle (arrows and rings) in the 3-D view."""
         self.handle = handle
         handle.turns(self.posed, self.kind != NONE)
 
     def give(self, kind: str) -> None:
-        """Change how the orientation is given."""
+        """Change the form in which the orientation is typed."""
         self.kind = kind
         self.xyz.visible, self.rotation.visible = self._placed, self.posed
         self.rotation.multiline = kind == "matrix"
@@ -96,7 +96,7 @@ GO = "Go to this solution"
 SIGNS = {1: "+", -1: "\N{MINUS SIGN}", 0: "0"}
 CELL = "padding:2px 10px 2px 0;white-space:nowrap;font-variant-numeric:tabular-nums;text-align:right"
 STAY = "position:sticky;left:0;background:#fff;text-align:left;font-weight:400"  # names of joints stay visible while columns scroll
-# Pointing at a column enters its number into the field below, as typing would; a click also presses the button.
+# JavaScript: pointing at a column of the table enters its number into the field below; a click also presses the button.
 POINT = (
     "const e=document.getElementById('{field}'),k=event.target.cellIndex;if(k&&e.value!==String(k)){{"
     "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(e,String(k));"
@@ -118,7 +118,8 @@ class SolutionsTab:
     ) -> None:
         """Build the controls, hidden until there are solutions.
 
-        ghost(q or None) shows a solution, go(k) moves there, and listen(handle, name, job) runs a job on a change.
+        ghost(q) shows a solution as a translucent robot (None hides it), go(k) moves the robot to solution k, and
+        listen(handle, name, job) runs a job when a control changes.
         """
         self.session, self.ghost = session, ghost
         self.folder = gui.add_folder("Solutions", visible=False)
@@ -138,7 +139,7 @@ class SolutionsTab:
         return int(np.clip(value, 1, max(len(self.session.solutions), 1))) - 1
 
     def point(self) -> None:
-        """Show the chosen solution as a ghost."""
+        """Show the chosen solution as a translucent robot."""
         if self.folder.visible:
             self.ghost(self.session.solutions[self.chosen])
 
@@ -155,7 +156,7 @@ class SolutionsTab:
         self.ghost(None)
 
     def rows(self) -> str:
-        """Write the table of solutions, a column each: number, branch, distance, joint values beside their names and units."""
+        """Write the table of solutions, one column per solution: number, branch, distance, joint values."""
         s = self.session
         signs = s.branches if s.branches is not None and np.any(s.branches) else None
         lines = [("", [str(k + 1) for k in range(len(s.solutions))])]

@@ -42,7 +42,7 @@ class Recorder:
     """Controls that record configurations and save the motion through them."""
 
     def __init__(self, gui: Any, session: Session, listen: Callable[..., None], say: Callable[[str], None]) -> None:
-        """Build the controls; `listen` is as in Goal, say(text) shows a sentence."""
+        """Build the controls; listen(handle, name, job) runs a job when a control changes, say(text) shows a sentence."""
         self.gui, self.session, self.say = gui, session, say
         with gui.add_folder("Motion", expand_by_default=False):
             jobs = (
@@ -71,7 +71,7 @@ class Recorder:
         self.say("the record is empty")
 
     def files(self) -> tuple[str, dict[str, bytes]]:
-        """Return what the motion does in words, and its files by name: CSV, and JSON as ROS has it. Raises InvalidOption."""
+        """Return a sentence on the motion, and its files by name: CSV, and JSON with a ROS trajectory. Raises InvalidOption."""
         s = self.session
         if len(s.recorded) < 2:
             raise InvalidOption("record two postures or more, then save the motion through them")

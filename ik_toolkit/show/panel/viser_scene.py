@@ -18,12 +18,12 @@ class Picture(NamedTuple):
     """Constants of the view: camera, and size and colour of the targets' handles.
 
     Attributes:
-        view: direction in which the robot is looked at, from the front right, from above.
+        view: direction in which the camera looks, from the front right and from above.
         lens: [rad] vertical field of view.
-        fill: share of the picture that the robot fills; arrows and further poses need the rest.
+        fill: share of the picture that the robot fills; arrows and other poses need the rest.
         narrow: [pixels] width of a page below which viser's controls cover the lower part of the picture.
-        edge: share of the way from the picture's middle to its edge; a target further out counts as outside.
-        free: share of the picture's height that stays visible on a narrow page, see connection.STYLE.
+        edge: share of the distance from the picture's middle to its edge; a target further out counts as outside.
+        free: share of the picture's height that the controls leave visible on a narrow page.
         arrow: [robot sizes] length of a target's arrows.
         ball: [arrow lengths] radius of the ball at a target, larger than a flange.
         amber: colour of that ball.
@@ -63,7 +63,7 @@ class Handle:
             opacity=0.7,
             cast_shadow=False,
         )
-        if hasattr(self.ball, "on_drag"):  # releases of viser before 1.1 have only the arrows
+        if hasattr(self.ball, "on_drag"):  # In viser before 1.1 the ball cannot be dragged.
             self.ball.on_drag("left")(self._carried(dragged))
 
     def put(self, target: np.ndarray) -> None:
@@ -77,10 +77,10 @@ class Handle:
             self.stage.keep_in_view()
 
     def _carried(self, dragged: Callable[[], None]) -> Callable[[Any], Any]:
-        """Return what moves the target with its ball, in the plane of the picture."""
+        """Return a handler of drag events of the ball, which moves the target in the plane of the picture."""
         offset = np.zeros(3)
 
-        async def carry(event: Any) -> None:  # a coroutine, because viser keeps the order of events for these only
+        async def carry(event: Any) -> None:  # a coroutine, because viser keeps the order of events only for coroutines
             nonlocal offset
             with np.errstate(over="ignore", invalid="ignore"):  # a page may send any numbers
                 if event.phase == "start":  # the ball may be grabbed at its rim
@@ -126,9 +126,9 @@ class Stage:
     ) -> None:
         """Draw the robot at q and targets (4, 4) by tip; `dragged` is called when the visitor moves one.
 
-        `before` is the stage that this one replaces, if there was one.
+        `before`: the drawing that this one replaces, or None.
         """
-        # The page places a new object where an earlier one of that name was, so every stage has names of its own.
+        # The page places a new object where an earlier one of the same name was, so each Stage uses other names.
         self.number = before.number + 1 if before else 0
         self.widest = before.widest if before else 0  # largest width [pixels] of the picture so far
         self.away = False  # whether the camera has moved away to see a target
@@ -174,11 +174,11 @@ class Stage:
         self.aim(q)
 
     def path(self, name: str) -> str:
-        """Return a name for an object in the page, different from all names of earlier stages."""
+        """Return a name for an object in the page, different from the names in earlier drawings."""
         return f"/{self.number}/{name}"
 
     def _drawn(self, copy: str, part: BodyPart, **look: Any) -> Any:
-        """Draw a part of the robot; return the handle that places it, of a bar the one that is also stretched."""
+        """Draw a part of the robot; return its viser handle, which sets its pose, and for a bar also its length."""
         scene, path = self.client.scene, self.path(f"{copy}/{part.name}")
         handle = None if part.end else scene.add_frame(path, show_axes=False)
         for k, shape in enumerate(part.shapes):
@@ -201,7 +201,7 @@ class Stage:
         self.ghost(self.ghosted)
 
     def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
-        """Draw a line from each tip to its target, a pose (4, 4) or position (3,); {} draws none."""
+        """Draw a line from each tip to its target (4, 4) or (3,), to show what is missing; {} removes the lines."""
         ends = [T for T in targets.values() if T is not None]
         base = self.body.T_world_base
         goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
@@ -235,9 +235,9 @@ class Stage:
         return gizmo
 
     def spots(self, size: Any) -> Iterator[np.ndarray]:
-        """Yield poses (4, 4) in the base for a new box of size (x, y, z) [m], nearest first, beside the arm as it is seen.
+        """Yield poses (4, 4) in the base for a new box of size (x, y, z) [m], beside the arm in the present view, nearest first.
 
-        None is on a target, in another box or under the floor.
+        Places at a target, in another box or under the floor are left out.
         """
         base, half = self.body.T_world_base, 0.5 * float(np.linalg.norm(size))
         across = np.cross(PICTURE.view, (0.0, 0.0, 1.0)) / np.hypot(*PICTURE.view[:2])
