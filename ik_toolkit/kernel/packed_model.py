@@ -1,4 +1,4 @@
-"""All arrays of a robot that a search reads, packed into one, because handing an array from Python to a kernel takes 60 ns.
+"""All arrays of a robot that a search reads, packed into one, because passing an array to compiled code takes 60 ns.
 
 The packed array begins with five counts (see `array_sizes`); rows, ends, seeds and features of a `chain.Chain` or a
 `chain.TreeChain` follow. The features are single precision, so each float64 of the array holds two of them.

@@ -23,10 +23,10 @@ ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
 
 
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
-    """Return random configurations (count, n) [kernel units] between `low` and `high` (n,).
+    """Return random configurations (count, n) between `low` and `high` (n,) [rad, or length over the reach].
 
-    Half of the configurations are moved halfway towards home, because people expect answers near home; so are half of each group
-    of the table. The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
+    Half of the configurations are moved halfway towards home, because people expect answers near home. Every second group of BEST
+    rows is moved. The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
     """
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
     near = np.arange(count) // BEST % 2 == 0
@@ -173,7 +173,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q to known start k: each joint takes the value that its tip chose, or q0 or home if that tip has no target."""
+    """Set q to precomputed start k: each joint takes the value chosen by its tip; without a target it takes q0 or home."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
@@ -208,7 +208,7 @@ def choose_moves(ends, tasks, n, asked, moves, choosers):
 
     asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
     """
-    F, own = ends.shape[0], ends.shape[1] - n  # The last n numbers of a tip's ends say which coordinates move it.
+    F, own = ends.shape[0], ends.shape[1] - n  # The last n numbers of a tip's row flag the coordinates that move it.
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):
