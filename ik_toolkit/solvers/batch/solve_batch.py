@@ -41,10 +41,10 @@ def solve_parts(
 ) -> Iterator[BatchResult]:
     """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
 
-    Without `finish` failures keep the q at which the search ended, instead of the closest one found, which takes longer than a few
-    attempts; LIMIT_BLOCKED then means no more than that a joint was at a limit.
-    An array of targets is read part by part, so it must not change until the last part is taken; arrays from an iterator
-    are copied. Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
+    With `finish` a failure gets the q closest to its target, which takes longer than a few attempts, and LIMIT_BLOCKED is tested.
+    Without, q is where the search ended, and LIMIT_BLOCKED only means that a joint was at a limit. An array of targets is read part
+    by part, so it must not change until the last part is taken; arrays from an iterator are copied. Raises BatchCheckFailed at the
+    part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
     require_robot(robot)
     if "chain" in options:
@@ -107,7 +107,7 @@ def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarra
 
 
 def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
-    """Yield parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
+    """Yield each part as a BatchResult; raise BatchCheckFailed at the first with an answer that Pinocchio does not confirm."""
     done = 0
     with closing(tables):
         for table, failures in tables:

@@ -1,4 +1,4 @@
-"""Works out the closed form of a spherical shoulder on a lift step by step, for one pose at one lift."""
+"""Writes out the closed form of a spherical shoulder on a lift step by step, for one pose at one value of the prismatic joint."""
 
 import math
 from typing import Any, NamedTuple
@@ -37,7 +37,7 @@ PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 class HeadSlots(NamedTuple):
-    """Indices of the numbers that follow the wrist pose in the array `head` of `worked_out`."""
+    """Indices, in the array `head` of `worked_out`, of the numbers after the wrist pose; their meaning is described there."""
 
     shoulder: int = 12
     room: int = 15
@@ -115,15 +115,15 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
 
 
 def _is_far(p: np.ndarray, head: np.ndarray) -> bool:
-    """Return whether the pose is out of reach, so that the formulas are those of the nearest one."""
+    """Return whether the pose is out of reach, so that the formulas are those of the nearest reachable pose."""
     return bool(head[HEAD.room] < -EDGE * (p[A4] + p[A6]))
 
 
 def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> tuple[Any, Any, dict[str, Any]]:
-    """Write the target on the sheet; return the wrist's rotation, its position, and the angles theta at q = 0, as symbols.
+    """Add the target to the worksheet; return the wrist's rotation, its position, and the angles theta at q = 0, as symbols.
 
-    The position gets a formula if the target is in reach and the base and tool transforms are pure translations, so that
-    the wrist has the target's rotation. Otherwise only its numbers are written.
+    The position gets a formula if the target is in reach and the base and tool transforms are pure translations, so that the wrist
+    has the target's rotation. Otherwise only its numbers are written.
     """
     plain = all(np.abs(p[at : at + 9].reshape(3, 3) - np.eye(3)).max() < ALIGNED for at in (BASE, TOOL))
     of = "the target's rotation" if plain else "the wrist's rotation, in the shoulder's axes"
@@ -152,7 +152,7 @@ def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> 
 
 
 def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, lift: float) -> dict[str, Any]:
-    """Write the formulas that all branches share (reach and forearm) on the sheet; return the symbols that `_angles` needs."""
+    """Add the formulas that all branches share (reach and forearm) to the worksheet; return the symbols that `_angles` needs."""
     a4 = sheet.given("a4", p[A4], "m", "shoulder to axis 5")
     a6 = sheet.given("a6", p[A6], "m", "axis 5 to axis 7")
     d = sheet.given("d", lift, "m", "height of the shoulder above where it is at lift 0")
@@ -191,7 +191,7 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
 def _angles(
     sheet: Worksheet, symbols: dict[str, Any], robot: Any, p: np.ndarray, head: np.ndarray, row: np.ndarray
 ) -> None:
-    """Write the formulas for the joint angles of one branch on the sheet; row: the branch in the `table` of `worked_out`."""
+    """Add the formulas for the joint angles of one branch to the worksheet; row: the branch in the `table` of `worked_out`."""
     k6, k5, k3 = map(int, row[:3])
     t1, t3, t4, t5, t6, t7 = row[ANGLES:BROKEN]
     R, L, s_z, beta, gamma, chi = (symbols[name] for name in ("R", "L", "s_z", "beta", "gamma", "chi"))
