@@ -72,7 +72,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         for joint, value in held.items():
             start[:, joint] = value
         if plan.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
-            return  # A joint is held where the limits forbid it, so there is nothing else to find.
+            return  # A joint is held outside its limits, so a search cannot find anything.
         ended = np.array(out[failed, ANSWER:])
         kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of history; with more targets there is no history.

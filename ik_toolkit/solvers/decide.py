@@ -34,16 +34,14 @@ HONOURED = {
 
 
 class DecisionMargins(NamedTuple):
-    """How clear a certificate must be, as a search may stop anywhere within its tolerances e (lengths over the arm's size)."""
+    """Margins by which a certificate must be clear, as a search may stop anywhere within its tolerances e [over the arm's size]."""
 
     attempts: int = 3  # attempts of the search before the elimination; they solve most targets, in a tenth of the time
     near: float = 0.1  # solutions that break a limit by less [rad] are moved onto it and polished
     # If two complex solutions are at most this many sqrt(e) from being real, a real pose between them may be within e of the
     # target.
     gap: float = 30.0
-    same: float = (
-        1e-6  # [rad] an answer is the nearest solution if it is farther from q0 than the nearest listed by no more
-    )
+    same: float = 1e-6  # [rad] an answer at most this much farther from q0 than the nearest one listed is the nearest
     # with a solution d beyond a limit, the error at the limit is about gain * d, which must exceed e by this factor
     gain: float = 10.0
 
@@ -111,7 +109,7 @@ def _take(made, row):
 
 @cached
 def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
-    """Write what the elimination decides on M targets to their result rows `out` (M, width), with AT.excess = DECIDED.
+    """Write what the elimination decides on M targets to their result rows `out` (M, width), with AT.excess = DECIDED or NEAREST.
 
     A solution within the limits, or near them and moved onto them by Newton steps, solves a target. There is none if the list of
     solutions is certified, none of them is near a limit or nearly real, and no pose beyond the limits is within the tolerances.
@@ -125,7 +123,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         box: (2, n) lower and upper limits [rad].
         Q0: (M, n) starts [rad].
         orders: (2, .) option arrays (`records.Orders`) of the elimination, with limits and without.
-        terms: (4,) `near` and the least excess times gain (see `decide.DecisionMargins`), the length [m] that counts as much as one
+        terms: (4,) `near`; the least limit excess times gain for certainty (see `DecisionMargins`); the length [m] that counts as one
             radian where configurations that fail are compared, and `same` if the solution nearest the start is asked for, or 0.
         out: (M, width) results of the short search.
     """
@@ -224,7 +222,7 @@ class Deciding(Plan):
         return row
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Write what is decided on the targets T (N, 4, 4) that the short search left open to its result rows out (N, width).
+        """Let the elimination decide on the targets T (N, 4, 4) that the short search left unsolved; out (N, width): result rows.
 
         Where the elimination is not certain, the whole search goes on.
         """

@@ -169,7 +169,7 @@ def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
 
 
 def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Return the largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, without full turns of revolute joints."""
+    """Return the largest joint difference (K,) [rad, or length over the scale] of Q (K, n) from q, modulo 2 pi where revolute."""
     apart = np.abs(Q - q) / unit
     apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
     return apart.max(axis=1)

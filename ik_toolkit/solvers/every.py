@@ -195,7 +195,7 @@ def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
     if others or robot.pose_shape != (4, 4) or counts != Counts(None, None, counts.free_turn, counts.frame):
         return None
     if kinds == (POSITION,):
-        return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None  # any three axes do, if they are not special
+        return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None  # any three axes in general position
     if kinds == POSES:
         return None if counts.free_turn is None else np.array([counts.free_turn])
     return np.array([kinds[0][1]]) if kinds[0][0] == AXIS and counts.free_turn is None else None

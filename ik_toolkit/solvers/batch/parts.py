@@ -30,7 +30,7 @@ SLICE = 0.05  # [s] a thread checks this often whether to stop
 
 
 def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
-    """Return the starts q0 (1 or m, n), checked and moved inside the limits; first: number of their first target."""
+    """Return the starts q0 (1 or m, n), checked and moved inside the limits; first: batch index of the first one's target."""
     bad = ~np.isfinite(q0).all(axis=1)
     if bad.any():
         raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")

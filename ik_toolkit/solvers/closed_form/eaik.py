@@ -71,7 +71,7 @@ def joint_values(angles, box, q):
 
 @cached
 def eaik_branches(Q, box, out, broken):
-    """Fill out (K, 6) with the rows of Q (K, 6) as moved by `joint_values`, and broken (K,) with their limit excess [rad]."""
+    """Fill out (K, 6) with the rows of Q (K, 6) as shifted by `joint_values`; broken (K,) receives their limit excess [rad]."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
 

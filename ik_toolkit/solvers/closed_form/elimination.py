@@ -38,12 +38,8 @@ class Certificate(NamedTuple):
     # decomposition, the branches that do not exist or have merged with others.
     complex: int
     radius: float  # radius of the largest error disc around a real root exp(i q3) of the polynomial, on the unit circle
-    noise: (
-        float  # measured error of the polynomial's coefficients relative to the largest; error of a decomposition's numbers
-    )
-    decomposed: bool = (
-        False  # whether the arm was decomposed into geometric subproblems; there are no error discs then
-    )
+    noise: float  # measured relative error of the polynomial's coefficients, or error of a decomposition's numbers
+    decomposed: bool = False  # whether the arm was decomposed into geometric subproblems; there are no error discs then
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers and strings, ready for JSON; a radius that is not finite is None."""

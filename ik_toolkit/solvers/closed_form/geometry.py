@@ -18,8 +18,8 @@ from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import ANSWER, HEAD, PAST, WEIGHTS, Answer, Ends, Orders, read, write
 
-FIT = 1e-9  # axes within this of a structure [rad or arm reaches] fit it exactly
-# Axes further than this from a structure [rad or arm reaches] do not fit it.
+FIT = 1e-9  # axes that deviate less from a structure [rad, or length over the reach] fit it exactly
+# Axes that deviate more from a structure [rad, or length over the reach] do not fit it.
 # Files written with five digits are off by up to 1e-4, and Newton steps correct them.
 NEAR = 1e-4
 SNAP = 1e-9  # [rad or m] a solution beyond a limit by less is put on the limit

@@ -56,9 +56,9 @@ HEAD = HeadSlots()
 def worked_out(p, T, d, box, head, table):
     """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return the number of branches.
 
-    head holds the wrist pose (12), the shoulder in its axes (3), the room left in the reach [m], how far [m] the wrist
+    head holds the wrist pose (12), the shoulder in its axes (3), the distance to the edge of the reach [m], how far [m] the wrist
     was moved to be reachable, and the first five values of `forearm`. A row of table describes a branch: the numbers
-    (0 or 1) of its elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit excess, and q.
+    (0 or 1) of its elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the excess over limits, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -84,7 +84,7 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return the formulas and branches of the pose T (4, 4), at the given lift or else at the lift of the reference box[2]."""
+    """Return the formulas and branches of the pose T (4, 4), at the given lift (prismatic joint) or else that of the reference box[2]."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))

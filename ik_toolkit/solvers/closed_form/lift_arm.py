@@ -110,11 +110,11 @@ def lift_limits(p, box):
 
 @inner
 def choose_lift(p, P, box, spans):
-    """Return the lift [m] to try first and the number of feasible intervals, whose ends are written to spans (2, 2).
+    """Return the lift (prismatic joint) [m] to try first, and the number of feasible intervals, written to spans (2, 2).
 
     A lift is feasible if the wrist pose P is in reach from it. If the number is 0, no lift inside the limits is feasible,
-    and the one that comes nearest is returned. If it is -1, no intervals were needed: the arm has no lift, its lift is
-    given, or the reference lift is feasible and is to be kept.
+    and the one that comes nearest is returned. If it is -1, no intervals were needed: the arm has no lift, its value is
+    given, or the reference value is feasible and is kept.
     """
     a4, a6 = p[A4], p[A6]
     i = int(p[LIFT])
@@ -189,9 +189,9 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search the feasible intervals of lifts (rows of `spans`) for windows: parts in which a branch is inside all limits.
+    """Search the feasible intervals of the lift (rows of `spans`) for parts in which a branch is inside all limits.
 
-    A window may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
+    A part may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
     minimum is approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of
     least excess, and returns this excess.
     """

@@ -132,7 +132,7 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
         spent = 0
-        if p[NEARLY] > 0.0:  # Branches of an arm that fits only approximately are corrected numerically, and prove nothing.
+        if p[NEARLY] > 0.0:  # Branches of an arm that fits only roughly are corrected numerically, and prove nothing.
             nearest = np.inf
             for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
                 joint_values(p, sols[k], box, q)

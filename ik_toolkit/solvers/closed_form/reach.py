@@ -319,7 +319,7 @@ def depressed_roots(p, q):
 
 @shared
 def reach_edge(P, a4, a6, outside, inside):
-    """Return the lift at the edge of the reach between `outside` (P unreachable) and `inside` (reachable); P is reachable there."""
+    """Return a lift (prismatic joint) where P just becomes reachable, between `outside` (unreachable) and `inside` (reachable)."""
     for _ in range(60):
         middle = 0.5 * (outside + inside)
         if inspection_margin(P, middle, a4, a6) >= 0.0:
@@ -373,7 +373,7 @@ def lift_intervals(P, a4, a6, low, high, out):
 
 @shared
 def nearest_lift(P, a4, a6, low, high):
-    """Return the lift in [low, high] at which the arm, with its orientation kept, comes nearest to the wrist pose P.
+    """Return the lift (prismatic joint) in [low, high] at which the arm, its orientation kept, comes nearest to the wrist pose P.
 
     P is not reachable from any lift in that range.
     """
