@@ -123,8 +123,8 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         box: (2, n) lower and upper limits [rad].
         Q0: (M, n) starts [rad].
         orders: (2, .) option arrays (`records.Orders`) of the elimination, with limits and without.
-        terms: (4,) `near`; the least limit excess times gain for certainty (see `DecisionMargins`); the length [m] that counts as one
-            radian where configurations that fail are compared, and `same` if the solution nearest the start is asked for, or 0.
+        terms: (4,) `near`; the least limit excess times gain for certainty (see `DecisionMargins`); the length [m] that counts as
+            one radian where failures are compared; and `same` if the solution nearest the start is asked for, or 0.
         out: (M, width) results of the short search.
     """
     edge, clear, length, same = terms

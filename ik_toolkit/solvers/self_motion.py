@@ -50,9 +50,7 @@ class Following(NamedTuple):
     damping: float = 1e-12  # damping of these steps
     level: float = 1e-5  # where a joint moves by a smaller share of a step it reverses
     same: float = 1e-6  # a point is on a curve if it is this near
-    past: int = (
-        64  # index of the first point, after point 0, that is tested for closing; later every point twice as far
-    )
+    past: int = 64  # index of the first point, after point 0, tested for closing; later every point twice as far
     halvings: int = 40  # bisections that locate an end
     points: int = 2000  # highest number of points of a curve in each direction
 

@@ -84,7 +84,7 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return the formulas and branches of the pose T (4, 4), at the given lift (prismatic joint) or else that of the reference box[2]."""
+    """Return the formulas and branches of the pose T (4, 4), at the given lift (prismatic joint) or that of box[2]."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))
