@@ -131,14 +131,14 @@ def made() -> None:
 
 @functools.cache  # Results are cached, so that the warning appears once in a process for each folder and reason.
 def not_kept(folder: str, why: str) -> None:
-    """Warn that no kernels can be kept in a folder."""
+    """Warn that compiled functions cannot be kept in a folder."""
     LOG.warning(
         "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
     )
 
 
 def folder() -> Path | None:
-    """Return the folder where the kernels of this package are kept, or None if none can be kept."""
+    """Return the folder where compiled functions of this package are kept, or None if none can be kept."""
     try:
         place = Path(DiskCache(stamp_of, "", "").cache_path)
     except (RuntimeError, OSError):

@@ -75,7 +75,7 @@ def beyond(goal, ends, task, tol_p, tol_r):
 
 @inner
 def edge(goal, ends, excess):
-    """Move the goal's point by `excess` to the edge of the reach: towards the first joint, or away from it inside the hole."""
+    """Move the goal's point by `excess` to the edge of the reach: towards the first joint, or away from it if it is too near."""
     p = at3(goal, 9)
     centre = V3(0.0, 0.0, min(max(p.z, ends.bound(4)), ends.bound(5)))
     out = p - centre

@@ -1,4 +1,4 @@
-"""Bounds on how fast pairs of shapes can approach each other: for a whole motion, and as half-planes for one step."""
+"""Bounds on how fast pairs of shapes can approach each other: for a whole motion, and as linear constraints for one step."""
 
 import math
 from typing import NamedTuple

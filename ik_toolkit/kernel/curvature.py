@@ -17,7 +17,7 @@ from .counted_error import IN, PART, POSE, rows_at
 from .kinematics import column
 from .records import WHAT, Array
 
-SMALL = 1e-3  # [rad] angle below which its series is used
+SMALL = 1e-3  # [rad] angle below which a series replaces the closed formula
 
 
 @compiled

@@ -25,7 +25,7 @@ def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.nda
 
 @compiled
 class Parts(NamedTuple):
-    """The parts of a packed array, for L joints, F tips, n coordinates and N known configurations."""
+    """The parts of a packed array, for L joints, F tips, n coordinates and N precomputed starts."""
 
     rows: Array  # (L, 10) geometry of the joints
     ends: Array  # (F * K,) K numbers for each tip: base, tip and limits, see `records.Ends`

@@ -123,8 +123,8 @@ class Serial(NamedTuple):
     def best_move(self, look, i, least):
         """Return the move of coordinate i alone that minimises the error.
 
-        The move is exact if only the position counts and the joint turns, else it minimises the linearised error. It is 0 if a
-        measure of the coordinate's effect on the error is at most `least`.
+        The move is exact if only the position counts and the joint is revolute, else it minimises the linearised error. It is 0 if
+        a measure of the coordinate's effect on the error is at most `least`.
         """
         linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
         kind = int(self.task[WHAT.kind])

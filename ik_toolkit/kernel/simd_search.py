@@ -53,7 +53,7 @@ class Lanes(NamedTuple):
     rr: Array  # (1, 8) squared rotation error of the last evaluation
     which: Array  # (8,) index of the target, -1 for a lane without one
     tries: Array  # (8,) attempts made at the target
-    starts: Array  # (8, BEST) indices of the known configurations to start from
+    starts: Array  # (8, BEST) indices of the precomputed configurations to start from
     state: Array  # (8, 1) states of the random sequences
 
 

@@ -1,4 +1,4 @@
-"""Where attempts start: first at the nearest entries of a table of known configurations, then at reproducible random places.
+"""Where attempts start: first at the nearest entries of a table of precomputed configurations, then at reproducible random ones.
 
 With several tips, one of the tips that a coordinate moves chooses where the coordinate starts.
 """
@@ -14,8 +14,9 @@ from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
 SEEDS = 256  # number of configurations in the table of starts; scanning more costs more than it saves in iterations
-BEST = 8  # number of attempts that start from known configurations before random ones
-FEATURES = 13  # number of features of a configuration, by which it is compared with a target, see `chain.table`
+BEST = 8  # number of attempts that start from precomputed configurations before random ones
+# numbers that describe a configuration's tip pose, by which it is compared with a target, see `chain.table`
+FEATURES = 13
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
 # A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm).
 # For one tip HOME_WEIGHT |q - home|^2 is added, so that of configurations almost equally far away the one nearest home is taken.
@@ -36,7 +37,7 @@ def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, co
 
 @compiled
 class StartTable(NamedTuple):
-    """Known configurations that attempts start from, and scratch to rank them for a target."""
+    """Precomputed configurations that attempts start from, and scratch arrays to rank them for a target."""
 
     seeds: Array  # (N, n) the configurations
     # The rows of the table are divided into BEST groups, and the nearest of each group is a start.
@@ -204,7 +205,7 @@ def draw_some(p, table, k, q):
 
 @inner
 def choose_moves(ends, tasks, n, asked, moves, choosers):
-    """Fill the arrays `moves` and `choosers` of a Tree; joints that only move tips without a target are left out.
+    """Fill the arrays `moves` and `choosers` of a TreeProblem; joints that only move tips without a target are left out.
 
     asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
     """

@@ -25,7 +25,8 @@ from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_fir
 class Effort(NamedTuple):
     """Constants that set how much work a search does."""
 
-    every: int = 20  # every 20th pose is an anchor if solutions are finitely many, so that none is missed
+    # if solutions are finitely many, every 20th pose is an anchor (solved from many starts), so that none is missed
+    every: int = 20
     anchors: int = 13  # first anchors for a redundant robot; few suffice, because its solutions can be continued far
     share: int = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
     tried: int = 3  # number of solutions tested for contact, per track that an anchor may add

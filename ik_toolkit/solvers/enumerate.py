@@ -27,7 +27,7 @@ ONE_ATTEMPT: dict[str, Any] = {
 class SearchThresholds(NamedTuple):
     """Thresholds of the numerical search; angles in rad, lengths over the robot's reach."""
 
-    same: float = 1e-3  # solutions are the same if no joint differs by more [rad or arm reaches]
+    same: float = 1e-3  # solutions are the same if no joint differs by more [rad, or length over the reach]
     # Tolerance of the search; with 1e-6, equal solutions near singular poses would differ too much to be merged.
     tight: float = 1e-9
     flat: float = 1e-4  # directions with a smaller singular value of the Jacobian may lead along a self-motion

@@ -17,7 +17,7 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SLICE = 256  # evaluations in the first slice of a timed solve, about 0.25 ms; after each slice the clock is read
+SLICE = 256  # evaluations in the first run of a solve with a timeout, about 0.25 ms; after each run the clock is read
 FOLLOW = 0.5  # [rad, or length over the reach] with follow=True each joint may move this far
 # The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}

@@ -29,9 +29,9 @@ from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 class Length(NamedTuple):
     """How long a search continues by default.
 
-    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair:
-    known starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given
-    up later from attempt number `patience` on (the attempt from q0 is not counted).
+    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair: precomputed
+    starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given up later from
+    attempt number `patience` on (the attempt from q0 is not counted).
     """
 
     iterations: int = 1000  # largest number of iterations of an attempt
@@ -281,7 +281,7 @@ def _row(point: Any) -> Row:
 
 
 def find_row(solver: Any) -> Row:
-    """Return the registry row of a solver name, rule class or instance. Raises UnknownSolver with a near match."""
+    """Return the registry row of a solver name, solver class or instance. Raises UnknownSolver with a near match."""
     if isinstance(solver, str):
         if solver in BY_NAME:
             return BY_NAME[solver]

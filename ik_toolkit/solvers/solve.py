@@ -97,7 +97,7 @@ class Solver(ReadOnly):
         return self.plan.options
 
     def plan_for(self, kinds: tuple) -> Plan:
-        """Return the plan for targets of these kinds, one kind per tip."""
+        """Return the Plan that solves targets of these kinds, one kind per tip."""
         return self._plans.get(kinds, self.plan)
 
     def __call__(self, target: Any, q0: Any = None) -> Result:
@@ -197,7 +197,7 @@ def narrowed_for(robot: Any, options: Any) -> Any:
 
 
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
-    """Make the plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
+    """Bind a solver (name, class or instance) to a robot and options: make its Plan. Raises UnknownSolver, InvalidOption."""
     row = find_row(solver)
     preset, fields = {}, ()
     if isinstance(solver, str | type):
@@ -262,7 +262,7 @@ def solve(
         robot: The Robot, or a Tree of several tips.
         target: T_base_tip (4, 4) or pin.SE3, a position (3,) [m] with orientation free, or an AxisTarget (see `pose`);
             for a Tree a dict of these by tip, or a list in the order of its tips.
-        solver: A name, a rule class or an instance with its parameters; 'auto' uses a closed form if one fits,
+        solver: A name, a solver class or an instance with its parameters; 'auto' uses a closed form if one fits,
             otherwise the search.
         q0: Configuration (n,) [rad or m] where the first attempt starts. Without it the answer may be any solution
             (fastest), so give q0 to stay near it.

@@ -89,7 +89,7 @@ def sharpened(R):
 
 @inner
 def motion_to(T, arm, X):
-    """Write the motion X (12,) that takes the tip from its pose at q = 0 to T (4, 4); arm: see `solve_loops`."""
+    """Write the motion X (12,) that takes the tip from its pose at q = 0 to T (4, 4); arm (52,): as for `solve_loops`."""
     R = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
     # A target's axes may be off by 1e-6, but solutions must close the loop to 1e-11.
     R = sharpened(sharpened(R))

@@ -65,7 +65,7 @@ def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0.0) -> np.ndarray:
-    """Return the answers (N, SIZES.rows, SIZES.columns) of `answer.solve_loops` for targets T (N, 4, 4)."""
+    """Return the array (N, SIZES.rows, SIZES.columns) that `answer.solve_loops` writes for targets T (N, 4, 4)."""
     found = np.zeros((len(T), SIZES.rows, SIZES.columns))
     solve_loops(forms, arm, T, found, np.empty((0, SIZES.samples)), within)
     return found

@@ -19,7 +19,7 @@ class RootState(NamedTuple):
 
 @compiled
 class Sizes(NamedTuple):
-    """Sizes of the arrays."""
+    """Sizes of the arrays of the elimination."""
 
     numbers: int = 14  # numbers that describe a line, see equations.py
     monomials: int = 12  # x4^i x5^j, i = 0 ... 3, j = 0 ... 2; the index is 3 i + j
@@ -43,7 +43,7 @@ class Sizes(NamedTuple):
 class Trust(NamedTuple):
     """What an answer must meet to be called certain; angles [rad], lengths in sizes of the arm.
 
-    The thresholds were tuned on 60 arms, and judged on 180,000 targets of other seeds.
+    The thresholds were tuned on 60 arms, and tested on 180,000 targets from other random seeds.
     """
 
     empty: float = (

@@ -58,8 +58,8 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 def joint_values(angles, box, q):
     """Fill q (6,) with `angles` (6,) [rad], each shifted by 2 pi k into its limits and as near as possible to the reference box[2].
 
-    box (4, 6): see `geometry.copy_limits`. Returns the largest excess over a limit [rad] and the weighted squared distance from the
-    reference.
+    box (4, 6): lower limits, upper limits, reference, weights. Returns the largest excess over a limit [rad] and the weighted
+    squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for i in range(N):

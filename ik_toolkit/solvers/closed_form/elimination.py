@@ -108,7 +108,7 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
     found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
     notes = Notes(*found[0, : len(Notes._fields)].tolist())
     count = int(notes.count)
-    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the numbers of `terms`
+    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the verdicts in `kernel.elimination.terms`
     certificate = Certificate(
         status, count, int(notes.roots), int(notes.complex), notes.radius, notes.noise, notes.forms == 0.0,
     )  # fmt: skip

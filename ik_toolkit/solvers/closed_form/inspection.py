@@ -230,7 +230,7 @@ class Inspection(NamedTuple):
     every = staticmethod(listing)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the geometry and the choice of lift for the compiled solver.
+        """Return the geometry, and how the prismatic joint's value is chosen, as numbers for the compiled solver.
 
         Raises UnknownSolver if the robot has another structure, InvalidOption if `lift` is none of its choices.
         """

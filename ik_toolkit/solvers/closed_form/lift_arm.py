@@ -54,10 +54,10 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q (n,) with lift d and `angles` (6,), each shifted by 2 pi k into its limits, nearest the reference box[2].
+    """Fill q (n,) with lift (prismatic joint) d and `angles` (6,), each shifted by 2 pi k into its limits, nearest box[2].
 
-    p: the arm's parameters; box (4, n): see `copy_limits`. Returns the largest excess over a limit [rad or m] and the weighted
-    squared distance from the reference.
+    p: the arm's parameters; box (4, n): lower limits, upper limits, reference, weights. Returns the largest excess over a limit
+    [rad or m] and the weighted squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for k in range(6):
@@ -83,7 +83,7 @@ def near_angles(p, box, near):
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d that is inside the limits and nearest the reference, or exceeds them least.
+    """Fill best (n,) with the branch inside the limits nearest the reference, or that exceeds them least; lift (prismatic): d.
 
     The point of the wrist pose P is first moved to the nearest reachable one. Returns the excess over limits and the distance. near
     (6,): values for angles that are free; moved, sols and q are scratch.
@@ -178,7 +178,7 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 
 @inner
 def at_turn(p, P, k, span, turn, box, near, row, q):
-    """Fill q (n,) with branch k at a lift in the interval `span`; return its excess over limits and distance from the reference.
+    """Fill q (n,) with branch k at a lift (prismatic joint) in `span`; return its limit excess and distance from the reference.
 
     turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval.
     """
@@ -189,7 +189,7 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search the feasible intervals of the lift (rows of `spans`) for parts in which a branch is inside all limits.
+    """Search feasible intervals of the lift (prismatic joint; rows of `spans`) for parts where a branch is inside all limits.
 
     A part may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
     minimum is approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of

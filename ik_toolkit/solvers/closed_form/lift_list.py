@@ -67,7 +67,7 @@ def every_branch(p, T, box, lifts, out, broken):
 
 @cached
 def first_lift(p, T, box):
-    """Return the lift [m] along the shoulder's axis at which the branches of T (4, 4) are listed if one lift is enough."""
+    """Return the lift (prismatic joint) [m] at which the branches of T (4, 4) are listed if one value is enough."""
     P, spans = np.empty(12), np.empty((2, 2))
     wrist_pose(p, T, P)
     return choose_lift(p, P, box, spans)[0]
@@ -136,7 +136,7 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
 
 @cached
 def reaching(p, T, low, high, spans):
-    """Fill spans (2, 2) with the intervals of lifts along the shoulder's axis that reach T (4, 4); return their number."""
+    """Fill spans (2, 2) with the intervals of the lift (prismatic joint) that reach T (4, 4); return their number."""
     P = np.empty(12)
     wrist_pose(p, T, P)
     return lift_intervals(P, p[A4], p[A6], low, high, spans)
@@ -144,7 +144,7 @@ def reaching(p, T, low, high, spans):
 
 @cached
 def shortened(p, T, lift, P, before):
-    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift; return how far [m] it was moved.
+    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift (prismatic joint); return how far [m] it was moved.
 
     `before` (3,) receives its point before that move.
     """
@@ -217,7 +217,7 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
 def _free_angles(
     robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, d: float, free: int, free_lift: bool, count: int
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Family]]:
-    """Return the self-motions in which theta_1, theta_6 or theta_7 is free at lift d, and samples of each.
+    """Return the self-motions in which theta_1, theta_6 or theta_7 is free at lift (prismatic joint) d, and samples of each.
 
     free: bits returned by `looks`; free_lift: whether the prismatic joint is free, too; count: number of samples to list per range.
     Samples come first in the result, as pairs of configurations (M, n) and their excess over limits (M,).

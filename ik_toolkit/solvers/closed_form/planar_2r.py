@@ -67,7 +67,7 @@ def nearest_on_limits(p, x, y, box, q, best):
 
     One joint is then at a limit. If it is joint 1, the tip moves on an arc about the elbow; if it is joint 2, on an arc
     about the base. The arc's nearest point lies in the direction of (x, y) from its centre, or is an end of the arc. p:
-    the arm's parameters; box (4, 2): see `copy_limits`; q (2,) is scratch.
+    the arm's parameters; box (4, 2): limits, reference, weights; q (2,) is scratch.
     """
     a, b = p[L1], p[L2]
     miss = np.inf

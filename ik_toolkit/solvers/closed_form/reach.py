@@ -126,7 +126,10 @@ def shoulder_in_tool(P, d):
 
 @shared
 def inspection_margin(P, d, a4, a6):
-    """Return how far [m] wrist pose P is inside (positive) or outside (negative) the reach at lift d, its orientation kept."""
+    """Return how far [m] wrist pose P is inside (positive) or outside (negative) the reach at lift (prismatic joint) d.
+
+    The orientation is kept.
+    """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
     return min(a4 - math.hypot(r - a6, z), math.hypot(r + a6, z) - a4)
@@ -134,10 +137,10 @@ def inspection_margin(P, d, a4, a6):
 
 @shared
 def inspection_nearest(P, d, a4, a6):
-    """Move the point of P to the nearest one reachable at lift d with the orientation kept; return the distance [m].
+    """Move the point of P to the nearest one reachable at lift (prismatic joint) d; return the distance [m].
 
-    In the wrist's frame the shoulder can be anywhere in a torus about the z axis (circle of radius a6, tube of radius a4),
-    except where the tube overlaps itself around the axis. The shoulder is projected onto the tube's surface.
+    The orientation is kept. In the wrist's frame the shoulder can be anywhere in a torus about the z axis (circle of radius a6,
+    tube of radius a4), except where the tube overlaps itself around the axis. The shoulder is projected onto the tube's surface.
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -162,10 +165,10 @@ def inspection_nearest(P, d, a4, a6):
 
 @shared
 def forearm(P, d, a4, a6, near):
-    """Return what all branches of a wrist pose P at lift d share: the geometry of elbow and wrist.
+    """Return what all branches of a wrist pose P at lift (prismatic joint) d share: the geometry of elbow and wrist.
 
-    That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the
-    angles `inner` and `heading` (`wrist` makes theta_7 of them), and theta_5's sine and cosine. P must be reachable (see
+    That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the angles `inner`
+    and `heading` (from which `wrist` computes theta_7), and theta_5's sine and cosine. P must be reachable (see
     inspection_nearest); a free theta_6 or theta_7 is taken from `near` (6,).
     """
     x, y, z = shoulder_in_tool(P, d)
@@ -238,7 +241,7 @@ def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
 
 @shared
 def inspection_branches(P, d, a4, a6, near, sols):
-    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist at pose P at lift d; return their number.
+    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 for wrist pose P at lift (prismatic joint) d; return their number.
 
     There are eight if nothing merges: two each of wrist, elbow and shoulder. P must be reachable (see
     inspection_nearest). A free angle is taken from `near` (6,): theta_1 if axes 1 and 4 align, theta_6 if the shoulder
@@ -258,7 +261,7 @@ def inspection_branches(P, d, a4, a6, near, sols):
 
 @shared
 def inspection_branch(P, d, a4, a6, near, k, row):
-    """Fill row (6,) with branch k = 0..7 at lift d; bits 0, 1, 2 of k choose shoulder, wrist and elbow.
+    """Fill row (6,) with branch k = 0..7 at lift (prismatic joint) d; bits 0, 1, 2 of k choose shoulder, wrist and elbow.
 
     For a given k the angles vary smoothly with the lift.
     """
@@ -342,11 +345,10 @@ def keep_interval(out, count, a, b, low, high):
 
 @shared
 def lift_intervals(P, a4, a6, low, high, out):
-    """Fill out (2, 2) with the intervals of lifts, inside [low, high], from which P is reachable; return how many (0 to 2).
+    """Fill out (2, 2) with the intervals of the lift (prismatic joint), in [low, high], that reach P; return how many (0 to 2).
 
-    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide
-    the lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to
-    rounding.
+    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide the
+    lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to rounding.
     """
     wx, wy, wz, az = P[9], P[10], P[11], P[8]
     p = wx * wx + wy * wy - a4 * a4 - a6 * a6 + 2.0 * a6 * a6 * az * az

@@ -34,7 +34,7 @@ class LM(NamedTuple):
     wrap = True
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
@@ -64,7 +64,7 @@ class DLS(NamedTuple):
     hold: bool = True
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("damping", self.damping)
 
     def step(self, p, e):
@@ -88,7 +88,7 @@ class Pinv(NamedTuple):
     rcond: float = 1e-8
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -117,7 +117,7 @@ class Transpose(NamedTuple):
     gain: float = 1.0
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -180,7 +180,7 @@ class Newton(NamedTuple):
     """
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         n = asked.robot.n
         if asked.rows == n:
             return ""

@@ -83,7 +83,7 @@ class SQP(NamedTuple):
         return posture_groups(starts) * chain.unit
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         o = asked.options
         if o.priority is not None and (o.closest or o.objective is not None):
             return f"takes no {'closest' if o.closest else 'objective'} with a priority"

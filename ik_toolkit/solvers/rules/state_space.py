@@ -118,17 +118,17 @@ class StateSpace(NamedTuple):
     """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, where dq is taken before x absorbs e.
 
     The error e = target - actual is in base axes [m, rad], orientation as a rotation vector. Joints saturate at their
-    limits; the state is not changed. If q0 is given, each step uses the map of the start nearest the current q. Without
+    limits; the state is not changed. If q0 is given, each step uses B and D of the start nearest the current q. Without
     any matrix, the solver is designed: 128 starts are spread over the workspace, and each has D = kappa times a damped inverse
-    of the mean Jacobian around it. Source: Burrell et al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
+    of the mean Jacobian around it. Source: Burrell et al. (2016), eqs. (14)-(15); several B and D, feedthrough and design are ours.
 
     Args:
         A: State matrix (m, m).
         B: Input matrix (m, 3) for positions or (m, 6) for poses, or one for each of M starts, (M, m, 3 or 6).
         C: Output matrix (n, m).
         D: Feedthrough (n, 3 or 6), or one for each start; the published solver has none.
-        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken, and it
-            selects its map; restarts take the next nearest.
+        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken, and
+            its B and D are used; restarts take the next nearest.
         units: "si", or "mm-deg" for the paper's (e in mm, increments in degrees; starts stay in rad).
         axes: Rotation (3, 3) from base axes to the axes in which B and D are meant.
         tuned: Options of the search that come with a preset.
@@ -171,7 +171,7 @@ class StateSpace(NamedTuple):
     def space(
         cls, robot: Any, position_only: bool, initial: "StateSpace | None" = None, maps: int | None = None
     ) -> Space:
-        """Return what is tuned: one start and the published structure (maps=1), or starts with designed maps (default 32)."""
+        """Return what is tuned: one start and the published structure (maps=1), or starts with designed B and D (default 32)."""
         maps = DESIGN.tuned_maps if maps is None else maps
         if maps == 1:
             return _one_map(robot, position_only, initial)
