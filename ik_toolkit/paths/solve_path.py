@@ -124,9 +124,7 @@ def solve_path(
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
     wanted, places = None, None
-    if (
-        solver.options.priority is not None
-    ):  # The search follows poses that the arm can reach, also between the requested ones.
+    if solver.options.priority is not None:  # The search follows poses within reach, also between the requested ones.
         dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
         wanted, T = T, nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, q0)
         exact: dict[str, Any] = {**options, "priority": None, "slack": None}
@@ -158,9 +156,8 @@ def solve_path(
         search.progress(0.9, "shortening and verifying the path")
         tried = [search]
         if wanted is None and search.found.breaks and len(search.problem.T) > len(T):
-            # Near a singular pose a motion may keep the path tolerance without meeting the inserted poses.
             tried.append(fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max())))
-            tried[1].run()
+            tried[1].run()  # Near a singular pose a motion may keep the path tolerance without the inserted poses.
             bounds = [one.lower_bound for one in tried if one.lower_bound is not None]
             search.lower_bound = tried[1].lower_bound = min(1, *bounds) if len(bounds) == len(tried) else None
         results = [_result(one, allowed, step, tolerance, model, seed, began) for one in tried]
