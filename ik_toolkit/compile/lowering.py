@@ -110,7 +110,7 @@ class PartLower(Lower):
         self._singly_assigned_vars, self._blk_local_varmap = free, {}
 
     def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        """Keep a value, or store it in memory; there is no reference count of the value it replaces to lower."""
+        """Keep a value, or store it in memory, where the replaced value needs no reference counting."""
         if name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
         else:

@@ -76,7 +76,7 @@ class Desk(NamedTuple):
 
 @spliced
 def make_desk(block, n, m):
-    """Make the working memory for n coordinates and m errors, cut from a block."""
+    """Make the working memory for n coordinates and m errors, from the memory `block`."""
     s = Desk(
         *cut(
             block,

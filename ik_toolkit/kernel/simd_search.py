@@ -68,7 +68,7 @@ class Call(NamedTuple):
 
 @spliced
 def make_lanes(block, n):
-    """Make Lanes without targets, with scratch cut from a block."""
+    """Make Lanes without targets, with scratch arrays from the memory `block`."""
     W = WIDTH
     Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
         block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))

@@ -26,8 +26,9 @@ ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
     """Return random configurations (count, n) between `low` and `high` (n,) [rad, or length over the reach].
 
-    Half of the configurations are moved halfway towards home, because people expect answers near home. Every second group of BEST
-    rows is moved. The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
+    Half of the configurations are moved halfway towards home, because people expect answers near home. Blocks of BEST rows
+    alternate, so half of each interleaved group is moved. The seed is uncommon, so that no target that a user draws with
+    default_rng(1) is in the table by accident.
     """
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
     near = np.arange(count) // BEST % 2 == 0
@@ -52,7 +53,7 @@ class StartTable(NamedTuple):
 
 @inline
 def make_table(block, seeds, features, tips):
-    """Make a StartTable with its scratch cut from a block."""
+    """Make a StartTable with its scratch arrays from the memory `block`."""
     score, val = cut(block, np.float32, (seeds.shape[0], BEST))
     best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
     (total,) = cut(block, np.float64, (BEST,))

@@ -42,7 +42,7 @@ class DecisionMargins(NamedTuple):
     # target.
     gap: float = 30.0
     same: float = 1e-6  # [rad] an answer at most this much farther from q0 than the nearest one listed is the nearest
-    # with a solution d beyond a limit, the error at the limit is about gain * d, which must exceed e by this factor
+    # with a solution d beyond a limit, the error at the limit is at least about gain * d, which must exceed e by this factor
     gain: float = 10.0
 
 

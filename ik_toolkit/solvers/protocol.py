@@ -218,7 +218,7 @@ def _filled(cls: Any, protocol: Any) -> Any:
 
 # -------------------------------------------------------------------------------------------------------------- asking
 def misfit(row: Row, solver: Any, robot: Any) -> str:
-    """Return why a solver cannot run on a robot, whatever the target, or ''."""
+    """Return why a solver cannot run on a robot, whatever the target, or '' if it can."""
     if row.one_tip and len(robot.tips) > 1:
         return f"solver '{row.name}' is for one tip; for several use '{GENERAL}'"
     if row.closed and (reason := solver.recognise(robot.chain).reason):

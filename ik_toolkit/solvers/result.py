@@ -261,7 +261,7 @@ class Result(ReadOnly):
         return sentence(self)
 
     def raise_for_status(self) -> "Result":
-        """Return self, or raise NotSolved with the sentence if the solve failed."""
+        """Return self, or raise NotSolved with the message if the solve failed."""
         if not self.success:
             raise NotSolved(self)
         return self
