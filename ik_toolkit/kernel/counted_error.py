@@ -35,8 +35,8 @@ class KeptIndices(NamedTuple):
     L: int = 0  # index of the matrix L, 9 numbers by rows
     A: int = 9  # index of the matrix A, 9 numbers by rows
     B: int = 18  # index of the matrix B, 9 numbers by rows
-    arm: int = 27  # index of the vector arm (3)
-    arm_goal: int = 30  # index of the vector arm_goal (3)
+    arm: int = 27  # index of the vector `arm` (3), see above
+    arm_goal: int = 30  # index of the vector `arm_goal` (3), see above
     error: int = 33  # index of the six errors that count, with weights and dead bands applied
 
 

@@ -31,7 +31,7 @@ class Status(enum.IntEnum):
 # Special values of the field `excess` in a result row. SEARCHED: q of a closed form's row came from the search after it
 SEARCHED = -1.0
 DECIDED = -2.0  # `excess` of a search's row if the elimination found q, or certified that there is none (see `decide`)
-NEAREST = -3.0  # `excess` of a search's row if the elimination found q and certified that no solution within the limits is nearer to q0
+NEAREST = -3.0  # likewise, if it found q and certified that no solution within the limits is nearer to q0
 
 
 def is_proven(status: Any, excess: Any, closed: bool) -> Any:

@@ -20,9 +20,9 @@ from .terms import SIZES, TRUST
 class Null(NamedTuple):
     """Scratch for null vectors of the 12 equations."""
 
-    M: Array  # (12, 12)
+    M: Array  # (12, 12) the matrix of the 12 equations at one q3
     V: Array  # (12, 12) right singular vectors, one a column
-    swaps: Array  # (12,)
+    swaps: Array  # (12,) rows that the factorisation exchanged
     x: Array  # (12,) a null vector
     pair: Array  # (2, 12) two null vectors that are vectors of monomials
     monomials: Array  # (14,) the monomials; later the 14 numbers of a line (see equations.py)

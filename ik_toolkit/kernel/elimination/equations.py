@@ -183,7 +183,7 @@ def determinant(W, c, s, A, N):
 def eliminate(A, rows, columns, count):
     """Bring the first `count` columns of A (rows, columns) to a triangle by Gauss's method, with exchanges of rows.
 
-    Returns the product of the pivots, and the sign of the exchanges.
+    Returns the product of the pivots, and the sign of the row permutation.
     """
     product, sign = 1.0, 1.0
     for k in range(count):
