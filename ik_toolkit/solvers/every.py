@@ -249,7 +249,7 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
 
 
 def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
-    """Sample the self-motions of an arm of seven joints at T (1, 4, 4): return Solutions or None, and a text on where was searched."""
+    """Sample the self-motions of an arm of seven joints at T (1, 4, 4): return Solutions or None, and where was searched."""
     robot, cuts = plan.robot, slicings_of(plan)
     where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
     where = where and f"{FOLLOWING.slices} slices of {where}"
