@@ -1,1 +1,1 @@
-"""How kernels are compiled and kept on disk; knows numba and nothing of kinematics."""
+"""How functions are compiled and cached on disk; this package knows numba and nothing of kinematics."""

@@ -1,9 +1,9 @@
-"""Views: light arrays inside kernels that consist of a pointer and a shape.
+"""Views: light arrays inside compiled functions that consist of a pointer and a shape.
 
-numba passes an array as seven to eleven numbers and counts references to it, so passing a record of two dozen arrays takes
-much code. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the arrays,
-and pass on views of them. A view is contiguous. Its indices must be whole numbers that are not negative. In a
-two-dimensional view A[i] is a row, and A[i:k] are rows. Without compilation a view is the array itself.
+numba passes an array as seven to eleven numbers and counts references to it, so passing a record of two dozen arrays takes much
+code. A view owns no memory and must not outlive the array it was made of: functions that Python calls keep the arrays, and pass on
+views of them. A view is contiguous. Its indices must be non-negative integers. In a two-dimensional view A[i] is a row, and A[i:k]
+are rows. Without compilation a view is the array itself.
 """
 
 # pyright: reportOptionalCall=false
@@ -55,7 +55,7 @@ def parts_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, li
 
 
 def _made(context: Any, builder: Any, kind: Any, data: Any, dims: Sequence) -> Any:
-    """Make a view of the numbers at a pointer."""
+    """Make a view of type `kind` from a pointer and lengths."""
     shape = cgutils.pack_array(builder, dims)
     empty = ir.Constant(context.get_value_type(kind), ir.Undefined)
     return builder.insert_value(builder.insert_value(empty, data, 0), shape, 1)
@@ -73,7 +73,7 @@ def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
 
 # ------------------------------------------------------------------------------------------------------ A[i], A[i, k], A[i:k]
 def _index(kind: View, index: Any) -> tuple[Any, Any]:
-    """Return the type of an index in compiled code, and the type of what it selects; the second is None if it is not allowed."""
+    """Return the numba type of an index, and the type of what it selects (None if the index is not allowed)."""
     if isinstance(index, types.SliceType):
         return types.slice2_type, kind
     if isinstance(index, types.Integer):
@@ -171,7 +171,7 @@ def _as_view(typing, A):
 
 
 def keep(A):
-    """Keep an array alive up to this call; views do not count as references, so numba would free the memory earlier."""
+    """Keep an array alive up to this call: views do not count as references, so numba would free the memory earlier."""
 
 
 @overload(keep, jit_options=INLINE)
@@ -226,20 +226,20 @@ def _as_table(typing, A, kind, n, m):
 # ---------------------------------------------------------------------------------------------------------------- scratch
 @inline
 def space(n, m, L, N):
-    """Return the length [float64] of a block of memory with room for all arrays of a search.
+    """Return the length [float64] of a block of scratch memory with room for all arrays of a search.
 
-    The search has n coordinates, m errors, L joints on all chains and N known configurations. The term (n + m + LINE)^2
-    is larger than all matrices and vectors over n and m but for the square ones, 16 m is larger than the arrays of the
-    tips, and the rest is for gaps between arrays.
+    The search has n coordinates, m errors, L joints on all chains and N precomputed starts. The term 8 max(n, m, 11)^2 is for
+    square matrices; (n + m + LINE)^2 is larger than all other matrices and vectors over n and m, 16 m is larger than the arrays of
+    the tips, and the rest is for gaps between arrays.
     """
     return 8 * max(n, m, 11) * max(n, m, 11) + (n + m + LINE) * (n + m + LINE) + 16 * m + 16 * L + N + 64 * LINE
 
 
 def cut(block, kind, shapes):
-    """Cut arrays of given shapes (whole numbers or tuples) from the unused part of a block; from a view, cut views.
+    """Allocate arrays of given shapes (integers or tuples) from the unused part of a block; from a view, allocate views.
 
-    block (K,) is of float64; its first number says how much of it is used, and must be 0 at the start. The arrays hold
-    numbers of type `kind`, not initialised. Raises MemoryError if the block is too short.
+    block (K,) is of float64; its first number says how much of it is used, and must be 0 at the start. The arrays hold numbers of
+    type `kind`, not initialised. Raises MemoryError if the block is too short.
     """
     made = []
     for shape in shapes:
@@ -258,7 +258,7 @@ def _cut_views(block, kind, shapes):
     return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
 
 
-@overload(cut, jit_options=BUILD)  # Arrays cut from an array share its memory and count references.
+@overload(cut, jit_options=BUILD)  # Arrays allocated from an array share its memory and count references to it.
 def _cut_arrays(block, kind, shapes):
     return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 

@@ -1,9 +1,9 @@
-"""A cache of compiled kernels on disk that is never stale or half written, and raises no error if the disk is full or damaged.
+"""A cache of compiled functions (kernels) on disk that is never stale or half written, and tolerates a full or damaged disk.
 
-numba's own cache has three faults. It watches only the file of the cached function; it keeps all kernels of a function in one
+numba's own cache has three faults. It watches only the file of the cached function; it keeps all versions of a function in one
 index, which two processes may overwrite for each other; and a damaged file makes it raise an error. Here each kernel is one file,
-which is named by its key and holds the key and a checksum. If these do not match, the kernel is compiled again. Loading a file
-runs code in it, so only files that no other user can have written are loaded.
+which is named by its key and holds the key and a checksum. If these do not match, the kernel is compiled again. Loading a file runs
+code in it, so only files that no other user can have written are loaded.
 """
 
 import functools
@@ -29,7 +29,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-# Every kernel depends on all Python files in these folders.
+# Every kernel depends on all Python files directly in these folders.
 STAMPED = Path(__file__).parent, Path(__file__).parent.parent / "kernel"
 HEAD = b"ik_toolkit kernel 1\n"  # first bytes of a cache file; the body's SHA-256 hash (32 bytes) and the body follow
 PREFIX, SUFFIX = "ik-", ".nbc"
@@ -39,19 +39,19 @@ saying: dict[str, Any] = {"timer": None, "said": False}
 
 
 class MemoryCache(NullCache):
-    """A cache that stores nothing, for a kernel that must be compiled in every process; it logs each compilation."""
+    """A cache that stores nothing, for a function that must be compiled in every process; it logs each compilation."""
 
     def __init__(self, what: str, why: str) -> None:
         """Take two texts for the log: the name of what is compiled, and why it cannot be kept."""
         self.what, self.why = what, why
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        """Log that the kernel is compiled, and return None, upon which numba compiles it."""
+        """Log that the kernel is compiled, and return None, so that numba compiles it."""
         compiling(self.what, f"in every process: {self.why}")
 
 
 class DiskCache(FunctionCache):
-    """A cache of the kernels of one function, with one file for each kernel, in the folder that numba chooses."""
+    """A cache of the compiled versions (kernels) of one function, one file for each, in the folder that numba chooses."""
 
     def __init__(self, function: Any, what: str, stamp: str) -> None:
         """Take a function, its name for the log, and a hash of all its sources, which becomes a part of the key.
@@ -65,12 +65,12 @@ class DiskCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self.stamp, numba.__version__, llvmlite.__version__)
 
     def path(self, key: tuple) -> Path:
-        """Return the path of the file for a key; the second part of its name is a hash of the kernel's sources."""
+        """Return the path of the file for a key; its name also contains a hash of the sources that all kernels depend on."""
         name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(*STAMPED)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled code for a signature, or None if there is no intact file, which makes numba compile it.
+        """Return the compiled code for a signature, or None if there is no intact file, so that numba compiles it.
 
         numba's own cache also calls `refresh` here, which takes 0.3 s to load all that compiling needs. That is not needed here,
         because the compiler calls it, too.
@@ -106,11 +106,11 @@ class DiskCache(FunctionCache):
 
 
 def compiling(what: str, why: str, folder: Path | None = None) -> None:
-    """Log that a kernel is compiled, and say so once in a process if that lasts: without handlers, a warning goes to stderr."""
+    """Log that a kernel is compiled; if that takes long, warn once in a process (without log handlers, on stderr)."""
     COMPILING.info("compiling %s (%s)", what, why, extra={"folder": folder})
     made()
     if not saying["said"]:
-        # After 1 s without a word a person wonders what happens.
+        # A user who sees nothing for 1 s wonders what happens.
         saying["timer"] = timer = threading.Timer(1.0, _say, (what.partition(" ")[0], why))
         timer.daemon = True
         timer.start()
@@ -123,22 +123,22 @@ def _say(what: str, why: str) -> None:
 
 
 def made() -> None:
-    """Note that the kernel is compiled, so that nothing needs to be said."""
+    """Note that the compilation has ended, so that no message is needed."""
     if saying["timer"] is not None:
         saying["timer"].cancel()
         saying["timer"] = None
 
 
-@functools.cache  # The cache of results makes the warning appear once in a process for each folder and reason.
+@functools.cache  # Results are cached, so that the warning appears once in a process for each folder and reason.
 def not_kept(folder: str, why: str) -> None:
-    """Warn that no kernels can be kept in a folder."""
+    """Warn that compiled functions cannot be kept in a folder."""
     LOG.warning(
         "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
     )
 
 
 def folder() -> Path | None:
-    """Return the folder where the kernels of this package are kept, or None if none can be kept."""
+    """Return the folder where compiled functions of this package are kept, or None if none can be kept."""
     try:
         place = Path(DiskCache(stamp_of, "", "").cache_path)
     except (RuntimeError, OSError):
@@ -189,7 +189,7 @@ def content(path: Path) -> bytes:
 
 
 def damaged(function: Any) -> tuple[Path | None, list[Path]]:
-    """Return the top folder of the kernels on disk, and the damaged files in it; function: any function with a cache."""
+    """Return the top folder of the compiled functions on disk, and the damaged files in it; function: any function with a cache."""
     cache = getattr(function, "_cache", None)
     if not isinstance(cache, DiskCache):
         return None, []
@@ -206,7 +206,7 @@ def _whole(path: Path) -> bool:
 
 
 def write_body(path: Path, body: bytes) -> None:
-    """Write a file whole or not at all, and remove files that were made from older kernel sources."""
+    """Write a file whole or not at all, and remove files that were made from older sources."""
     part = path.with_suffix(f".{uuid.uuid4().hex}.part")
     try:
         part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
@@ -226,7 +226,7 @@ def _remove_old(folder: Path) -> None:
 
 
 def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
-    """Make the cache for a compiled function; parts: classes and functions that are compiled into it, such as a rule."""
+    """Make the cache for a compiled function; parts: classes and functions that are compiled into it, such as a solver rule."""
     what = " ".join([*(part.__name__ for part in parts[:1]), f"{function.__module__}.{function.__name__}"])
     for part in parts:
         if part.__module__ in ("__main__", "__mp_main__") or "<locals>" in part.__qualname__:
@@ -241,13 +241,13 @@ def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
 
 # ------------------------------------------------------------------------------------------------------------ the stamp
 def stamp_of(*sources: Path) -> str:
-    """Return a hash of the contents of the given files, and of all Python files in the given folders."""
+    """Return a hash of the contents of the given files, and of all Python files directly in the given folders."""
     return _hash("".join(map(_stamp, sources)).encode())
 
 
 @functools.cache
 def _stamp(source: Path) -> str:
-    files = sorted(source.glob("*.py")) if source.is_dir() else [source]
+    files = sorted(source.rglob("*.py")) if source.is_dir() else [source]
     return _hash(b"".join(path.read_bytes() for path in files))
 
 

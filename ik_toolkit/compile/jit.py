@@ -1,4 +1,7 @@
-"""How kernels are compiled: the options of numba, records whose methods compile, and a cache on disk (see cache.py)."""
+"""How functions are compiled: numba's options, records whose methods compile, and a cache on disk (see cache.py).
+
+A kernel is a compiled function that Python calls; its parts are functions that only compiled code calls.
+"""
 
 # Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -26,7 +29,7 @@ OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 
 
 def made_by(pipeline: str) -> dict[str, Any]:
-    """Return the option that has numba compile by a class of pipeline.py; none in a release with which that was not tried."""
+    """Return the option that makes numba use a class of pipeline.py; empty for a release of numba with which that was not tried."""
     if not OWN_WAY:
         return {}
     from . import pipeline as own
@@ -36,10 +39,9 @@ def made_by(pipeline: str) -> dict[str, Any]:
 
 # The flags nnan and ninf are left out, because a NaN must fail every test and must not be assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-# `jit` is for functions that both Python and kernels may call; their machine code is not cached on disk.
+# `jit` is for functions that both Python and compiled code may call; their machine code is not cached on disk.
 jit = njit(**OPTIONS)
-# The options below are for functions that only kernels call (see pipeline.py); a call from Python would crash.
-# BUILD is for functions that make arrays, which numba must compile with reference counting.
+# The options below are for functions that only compiled code calls (see pipeline.py); a call from Python would crash.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 # INLINE is for functions that make no arrays, compiled without reference counting.
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **made_by("PartPipeline"))
@@ -50,11 +52,12 @@ inner = njit(**{**BARE, **made_by("CalledPipeline")})
 inline = njit(**INLINE)  # makes a copy in every caller, for small code and for code with large NamedTuples
 build = njit(**BUILD)  # makes a copy in every caller, for code that makes arrays
 spliced = njit(inline="always", **BARE)  # for large code with a single caller, so that LLVM optimises only one copy
-shared = register_jitable(**INLINE)  # for functions that are inlined in kernels, and that Python runs as plain Python
+# for functions that are inlined in compiled code, and that Python runs as plain Python
+shared = register_jitable(**INLINE)
 
 
 def dual(function: Callable) -> Any:
-    """Decorator for functions that make no arrays: compile them twice, by `jit` for Python and as a part for kernels."""
+    """Decorator for functions that make no arrays: compile them twice, by `jit` for Python and inlinable for compiled code."""
     dispatcher = jit(function)
     if hasattr(dispatcher, "get_overload"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
         part = njit(**BARE)(function)
@@ -71,12 +74,12 @@ FIELDS: set[str] = set()  # field names of all classes marked by `compiled`
 
 
 def compiled(cls: type) -> type:
-    """Class decorator: let kernels call the methods of a NamedTuple class, each inlined where it is called.
+    """Class decorator: let compiled code call the methods of a NamedTuple class, each inlined where it is called.
 
     Which method is called is decided at compile time by the class of the NamedTuple; this is how the one search loop gets its
-    rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) the methods are normal methods. Methods of the same name
-    must have the same argument names in all classes. As numba looks up methods before fields, no field of any class may have
-    the name of a method of any class.
+    solver rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) the methods are normal methods. Methods of the same name
+    must have the same argument names in all classes. As numba looks up methods before fields, no field of any class may have the
+    name of a method of any class.
 
     Raises:
         TypeError: A field and a method share a name.
@@ -109,8 +112,9 @@ def _let_numba_know(name: str, example: Callable) -> None:
 def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") -> Any:
     """Decorator: compile a function that Python calls, with a cache on disk.
 
-    The cache is invalid after an edit of any kernel file, of the function's file, or of the files of `parts`: classes
-    and functions, such as a rule, that are compiled into the function but are not found through its global names.
+    The cache is invalid after an edit of any file directly in the folders `kernel` and `compile`, of the function's file, or of the
+    files of `parts`: classes and functions, such as a solver rule, that are compiled into the function but are not found through
+    its global names.
     """
     dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **made_by(pipeline))(function)
     if hasattr(dispatcher, "_cache"):  # With NUMBA_DISABLE_JIT=1 the result is the plain Python function.
@@ -120,21 +124,21 @@ def cached(function: Callable, *parts: Any, pipeline: str = "KernelPipeline") ->
 
 
 def cached_small(function: Callable, *parts: Any) -> Any:
-    """Decorator: like `cached`, for a long kernel whose loops are short, see `SmallLibrary`."""
+    """Decorator: like `cached`, for a long function whose loops are short, see `SmallLibrary`."""
     return cached(function, *parts, pipeline="SmallPipeline")
 
 
-# The last times [s, by perf_counter] at which kernels were compiled or loaded, with the thread that waited for them.
+# The last times [s, by perf_counter] at which kernels (compiled functions) were compiled or loaded, with the thread that waited.
 waits: deque[tuple[int, float, float]] = deque(maxlen=64)
 
 
 def compile_time(since: float, everywhere: bool = False) -> float:
-    """Return how long [s] this thread, or any, has waited for kernels, compiled or loaded, since a time of `perf_counter`."""
+    """Return how long [s] this thread, or any, has waited for code to be compiled or loaded, since a time of `perf_counter`."""
     if not waits or waits[-1][2] < since:
         return 0.0
     me, total, last = threading.get_ident(), 0.0, since
     for begin, end in sorted((begin, end) for thread, begin, end in tuple(waits) if everywhere or thread == me):
-        if end > last:  # Threads wait together, for one of them.
+        if end > last:  # Threads wait at the same time, for one of them.
             total += end - max(begin, last)
             last = end
     return total

@@ -1,8 +1,9 @@
 """Write the LLVM code of a part of a kernel with fewer instructions: each of them costs time in numba and again in LLVM.
 
-numba writes for the general case: a variable lives in memory, a call can fail in many ways, a loop may have any step. LLVM removes
-what is not needed, so the machine code is the same. A part has no reference counts, generators or `try`, and its variables are
-assigned once each after numba's SSA pass.
+A kernel is a compiled function that Python calls; its parts are functions that only compiled code calls. numba writes for the
+general case: a variable lives in memory, a call can fail in many ways, a loop may have any step. LLVM removes what is not needed,
+so the machine code is the same. A part has no reference counts, generators or `try`, and its variables are assigned once each after
+numba's SSA pass.
 
 Like pipeline.py, this module uses undocumented interfaces of numba.
 """
@@ -24,7 +25,7 @@ from numba.core.typed_passes import NativeLowering
 
 
 class Whole:
-    """How a record is passed to a function: as one argument. numba would pass each number of it, also of records in it, as one."""
+    """Passes a record to a function as one argument, where numba would pass each number, also of nested records, separately."""
 
     def get_argument_type(self) -> Any:
         return self.get_value_type()  # pyright: ignore[reportAttributeAccessIssue]
@@ -45,7 +46,7 @@ class EvenRecordModel(Whole, UniTupleModel):
 
 
 def record_model(own: type, general: type) -> Any:
-    """Return a maker of LLVM forms of NamedTuples: `own` for the classes of this package, `general`, numba's, for all others."""
+    """Return a function that gives NamedTuples their LLVM form: `own` for this package's classes, numba's `general` for others."""
     package = __name__.partition(".")[0]
     return lambda manager, kind: (
         own if kind.instance_class.__module__.partition(".")[0] == package else general
@@ -57,12 +58,12 @@ default_manager.register(types.NamedUniTuple, record_model(EvenRecordModel, UniT
 
 
 class PartConvention(CPUCallConv):
-    """Calls of other functions by a part: whatever fails in them is handed on to the part's own caller."""
+    """How a part calls other functions: whatever fails in them is handed on to the part's own caller."""
 
     def call_function(
         self, builder: Any, callee: Any, resty: Any, argtys: Sequence, args: Sequence, attrs: Any = None
     ) -> tuple[Status, Any]:
-        """Call a function, which writes an exception to where this part's own caller looks for it."""
+        """Call a function and let it write an exception to where this part's own caller looks for it."""
         if isinstance(resty, types.Optional):
             return super().call_function(builder, callee, resty, argtys, args, attrs)
         place = self._get_return_argument(callee.function_type).pointee
@@ -75,14 +76,14 @@ class PartConvention(CPUCallConv):
         return status, self.context.get_returned_value(builder, resty, builder.load(slot))
 
     def return_status_propagate(self, builder: Any, status: Status) -> None:
-        """Return the code of a call that failed."""
+        """Make the part return the error code of a call that failed."""
         if status.excinfoptr is not None:
             builder.store(status.excinfoptr, self._get_excinfo_argument(builder.function))
         self._return_errcode_raw(builder, status.code)
 
 
 class PartContext(CPUContext):
-    """numba's context for machine code, in which calls are a PartConvention's."""
+    """numba's context for machine code, with calls by PartConvention."""
 
     call_conv = property(PartConvention)
 
@@ -109,14 +110,14 @@ class PartLower(Lower):
         self._singly_assigned_vars, self._blk_local_varmap = free, {}
 
     def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
-        """Keep a value, or store it in memory; the value it replaces there counts no references."""
+        """Keep a value, or store it in memory, where the replaced value needs no reference counting."""
         if name in self._singly_assigned_vars:
             self._blk_local_varmap[name] = value
         else:
             self.builder.store(value, self.getvar(name))
 
     def lower_expr(self, resty: Any, expr: Any) -> Any:
-        """Write an expression; of a `range` with step 1 numba would compute the length by a division."""
+        """Write an expression; for a `range` with step 1 without the division by which numba would compute the length."""
         if expr.op in ("getiter", "iternext"):
             kind = self.typeof(expr.value.name)
             value = self.loadvar(expr.value.name)

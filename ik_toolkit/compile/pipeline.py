@@ -1,7 +1,8 @@
-"""Compile the parts of a kernel faster. A part is a function that only kernels call, so it needs no machine code of its own.
+"""Compile kernels faster. A kernel is a compiled function that Python calls.
 
-Results of type inference, which numba computes again for every function call, are cached. That does not change the outcome: the
-same functions are found for the same types, and the same code is made.
+Its parts, the functions that only compiled code calls, need no machine code of their own. Results of type inference, which numba
+computes again for every function call, are cached. That does not change the outcome: the same functions are found for the same
+types, and the same code is made.
 
 This module uses undocumented interfaces of numba, so jit.py imports it only for releases with which it was tried.
 """
@@ -25,8 +26,9 @@ from numba.core.typed_passes import NativeLowering
 
 from .lowering import PartContext, PartLowering
 
-everything = PostProcessor.run  # numba's own method, which `in_order` replaces while a kernel is compiled
-# numba's timers, one for each part that is being compiled. numba tells all of them of every call of LLVM, some 20,000 in a kernel.
+everything = PostProcessor.run  # numba's own method, which `in_order` replaces while parts of kernels are compiled
+# numba's timers, one for each part that is being compiled. numba notifies all of them of every call of LLVM, some 20,000 per
+# kernel.
 listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
@@ -63,8 +65,8 @@ def size_of(target: Any, kind: Any) -> int:
 def remembered(function: Callable) -> Callable:
     """Cache the results of a function by the identity of its arguments.
 
-    numba has a single object for equal types, so it is enough to compare identities. Comparing types of nested NamedTuples
-    would take long.
+    numba has a single object for equal types, so it is enough to compare identities. Comparing types of nested NamedTuples would
+    take long.
     """
     known: dict[tuple, tuple] = {}
 
@@ -88,7 +90,7 @@ def remembering(typing: Any) -> Iterator[None]:
     typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. The cache is
     emptied after the kernel, because functions may be redefined before the next one.
     """
-    if "resolve_function_type" in vars(typing):  # A kernel that is compiled inside another uses the other's cache.
+    if "resolve_function_type" in vars(typing):  # Another kernel is being compiled: its cache is used.
         yield
         return
     told, resolve, find = listeners[:], typing.resolve_function_type, typing.find_matching_getattr_template
@@ -125,8 +127,8 @@ LEVEL = 1
 class PartLibrary(JITCodeLibrary):
     """LLVM code of a part of a kernel: simplified, not yet machine code, and without the functions that it calls.
 
-    A kernel is optimised once, when all its parts are linked. Simplifying each part first saves time, because its code
-    is still short.
+    A kernel is optimised once, when all its parts are linked. Simplifying each part first saves time, because its code is still
+    short.
     """
 
     def add_ir_module(self, ir_module: Any) -> None:
@@ -137,7 +139,7 @@ class PartLibrary(JITCodeLibrary):
         self._optimize_functions(made)
         if any(not function.is_declaration for function in self._final_module.functions):
             self._final_module.link_in(made)
-        else:  # The first module, mostly the only one, need not be linked to anything.
+        else:  # The first module, usually the only one, need not be linked to anything.
             self._final_module = made
 
     def _optimize_functions(self, ll_module: Any) -> None:

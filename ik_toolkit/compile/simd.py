@@ -145,7 +145,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> A
 
 @intrinsic
 def lane_load(typing, array, start):
-    """Return a vector of the numbers array[start : start + WIDTH], counted through the whole array by rows."""
+    """Return a vector of WIDTH numbers of an array from flat index `start` on (row-major)."""
 
     def generate(context, builder, sig, args):
         return builder.load(_pointer(context, builder, sig.args[0], *args), align=8)
@@ -155,7 +155,7 @@ def lane_load(typing, array, start):
 
 @intrinsic
 def store(typing, array, start, value):
-    """Write a vector to array[start : start + WIDTH], where the numbers are counted through the whole array by rows."""
+    """Write a vector to WIDTH numbers of an array from flat index `start` on (row-major)."""
 
     def generate(context, builder, sig, args):
         builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1]), align=8)
@@ -178,7 +178,7 @@ def lane_select(typing, condition, yes, no):
 
 @intrinsic
 def bits(typing, condition):
-    """Return a mask as a whole number whose bit k is 1 where lane k is true."""
+    """Return a mask as an integer whose bit k is 1 where lane k is true."""
 
     def generate(context, builder, sig, args):
         return builder.zext(builder.bitcast(args[0], ir.IntType(WIDTH)), ir.IntType(64))

@@ -1,6 +1,6 @@
-"""The flat arrays that a kernel runs on, and how the geometry of a robot is packed into them.
+"""The flat arrays that describe a robot to the compiled code, and how its geometry is packed into them.
 
-Several tips have one chain each; all chains read one shared vector of coordinates.
+A robot with several tips has one chain for each tip; all chains read the same vector of joint coordinates.
 """
 
 import math
@@ -17,17 +17,17 @@ from .records import POINTS, TASK, Array, Ends
 from .starts import FEATURES, HOME_WEIGHT, PAD, ROTATION_WEIGHT, SEEDS, known_configurations
 
 __all__ = ["ROW", "Chain", "pack"]
-WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by full turns.
-TURNING = 1e4  # A joint with a wider range [rad] counts as endless when random starts are drawn.
-LONGEST_UNIT = 1e4  # largest kernel unit of length [m], unless the links are longer
-LEAST_REACH = 1e-10  # A shorter reach [m] is only rounding in the description, so 1 m is used instead.
+WINDING = 5 * TAU  # An endless joint beyond this angle [rad] is brought back by multiples of 2 pi.
+TURNING = 1e4  # A revolute joint with a wider range [rad] counts as endless when random starts are drawn.
+LONGEST_UNIT = 1e4  # largest internal unit of length [m], unless the links are longer
+LEAST_REACH = 1e-10  # A sum of link lengths [m] below this is only rounding, so the reach is set to 1 m.
 
 
 @cached
 def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
-    """Fill T (N, 4, 4) with tip poses [m, base axes] and J with Jacobians at Q (N, n).
+    """Fill T (N, 4, 4) with tip poses [m, base axes] and J with Jacobians at Q (N, n) [rad or m].
 
-    J is (N, 6, n), or (0, 6, n) to skip the Jacobians.
+    J is (N, 6, n), or (0, 6, n) to skip the Jacobians. unit (n,): size of an internal unit of each coordinate [rad or m].
     """
     n = Q.shape[1]
     box = Ends(ends, n)
@@ -59,7 +59,7 @@ def forward_kinematics(rows, ends, Q, unit, T, J) -> None:
 
 
 def poses_at(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n), or (0, 6, n) if not asked for."""
+    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n); without `jacobian`, an empty (0, 6, n)."""
     T = np.empty((len(Q), 4, 4))
     J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
     forward_kinematics(rows, ends, Q, unit, T, J)
@@ -67,9 +67,9 @@ def poses_at(rows, ends, Q, unit, jacobian=False):
 
 
 def evaluate(rows, ends, Q, unit, jacobian=False):
-    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n), or (0, 6, n) if not asked for.
+    """Return tip poses T (N, 4, 4) [m] at Q (N, n) [rad or m], and Jacobians (N, 6, n); without `jacobian`, an empty (0, 6, n).
 
-    It computes with numpy what `poses_at` computes with a compiled kernel, so that loading a robot compiles nothing.
+    The same as `poses_at`, but in numpy instead of compiled code, so that loading a robot compiles nothing.
     """
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
@@ -107,17 +107,20 @@ def evaluate(rows, ends, Q, unit, jacobian=False):
 
 
 class Chain(NamedTuple):
-    """One serial chain from base to tip as the kernels need it, with L joints and n coordinates."""
+    """One serial chain from base to tip, as arrays for the compiled code, with L joints and n coordinates.
 
-    rows: np.ndarray  # (L, 10) geometry, see kinematics.py
-    ends: np.ndarray  # base, tip, limits and reach, see `records.Ends`
+    Internal units: radians, and lengths divided by `scale`, a power of two near the arm's reach.
+    """
+
+    rows: np.ndarray  # (L, 10) geometry, one joint a row; the columns are listed at `kinematics.ROW`
+    ends: np.ndarray  # one flat array: base and tip frames, joint limits and reach, see `records.Ends`
     seeds: np.ndarray  # (256, n) configurations to start from
-    features: np.ndarray  # (13, 272) features of the seeds, by which the seeds nearest a target are found, see `table`
-    unit: np.ndarray  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
+    features: np.ndarray  # (13, 272) tip pose at each seed, to find the seeds nearest a target, see `table`
+    unit: np.ndarray  # (n,) size of an internal unit: 1 rad, or `scale` metres for a prismatic joint
     lower: np.ndarray  # (n,) lower limits [rad or m]
     upper: np.ndarray  # (n,) upper limits [rad or m]
-    turns: np.ndarray  # (n,) 1 if a coordinate may wrap by full turns, else 0
-    scale: float  # kernel unit of length [m]
+    turns: np.ndarray  # (n,) 1 if a coordinate may wrap by 2 pi, within its limits or without limits, else 0
+    scale: float  # internal unit of length [m]
     reach: float  # longest distance of the tip from the first joint [m]
     plain: bool  # whether there are no mimic joints, so that row i belongs to coordinate i
 
@@ -136,7 +139,7 @@ class Chain(NamedTuple):
 
 
 def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the longest possible distance (L,) of each joint from the joint before it; infinite for an unlimited slide."""
+    """Return the longest possible distance (L,) of each joint from the one before; infinite after an unlimited prismatic joint."""
     lengths = np.zeros(len(rows))
     for i, row in enumerate(rows):
         k = int(row[8])
@@ -149,10 +152,10 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
 def start_range(
     lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the range, lower and upper ends (n,) [kernel units], from which starts are drawn: the limits where both exist.
+    """Return the range, lower and upper ends (n,) [internal units], from which starts are drawn: the limits where both exist.
 
-    Without limits the range is one turn for a turning joint, and two kernel units for a slide. It is also one turn for a joint that
-    may wrap and whose limits are wider apart than TURNING.
+    A missing limit is replaced so that the range is one turn for a revolute joint, and two internal units of length for a prismatic
+    one. The range is also one turn for a joint that may wrap and whose limits are wider apart than TURNING.
     """
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
@@ -165,9 +168,8 @@ def start_range(
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = poses_at) -> np.ndarray:
     """Return features (13, N + PAD) of configurations (N, n), which `starts.nearest_seeds` compares with a target.
 
-    They are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position. Their factors make
-    the scalar product with a target's pose a squared distance, up to a constant. kinematics: `poses_at`, or `evaluate`,
-    which compiles nothing.
+    The features are the tip's position, the last joint's rotation (9 numbers) and the squared norm of the position, each with a
+    factor, so that their scalar product with a target's pose is a squared distance, up to a constant.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
@@ -182,7 +184,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
-    """Return the six bounds on the reach (see `records.Ends.bound`) for coordinates within lower, upper (n,) [kernel units]."""
+    """Return the six bounds on the reach (see `records.Ends.bound`) for coordinates within lower, upper (n,) [internal units]."""
     lengths = segments(rows, lower, upper)
     tool = float(np.linalg.norm(tip[9:]))
     shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])
@@ -191,7 +193,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
     lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Return a lower bound on the distance of a chain's end from its foot: the longest part less the sum of all others."""
+        """Return a lower bound on the distance between a chain's two ends: the longest part less the sum of all others."""
         if not parts.any():
             return 0.0
         i = int(np.argmax(parts))
@@ -204,7 +206,7 @@ def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np
 
 
 def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` whose bounds on the reach hold without joint limits; slides then reach any distance."""
+    """Return a copy of `ends` whose bounds on the reach hold without joint limits; prismatic joints then reach any distance."""
     endless = np.full(n, np.inf)
     free = ends.copy()
     free[POINTS + 7 * n + 1 : POINTS + 7 * n + 7] = reach_bounds(rows, ends[12:24], -endless, endless)
@@ -212,7 +214,7 @@ def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
 
 
 def without_wrap(ends: np.ndarray, n: int) -> np.ndarray:
-    """Return a copy of `ends` in which joints with limits never wrap, whatever their range; endless joints still do."""
+    """Return a copy of `ends` in which joints with limits never wrap, even if their range exceeds 2 pi; endless joints still do."""
     ends = ends.copy()
     turns = ends[..., POINTS + 2 * n : POINTS + 3 * n]
     turns[turns == 1.0] = 0.0
@@ -227,12 +229,12 @@ def pack(
     upper: np.ndarray,
     home: np.ndarray,
 ) -> Chain:
-    """Make the kernel's arrays of a chain.
+    """Make the arrays of a chain for the compiled code.
 
-    A coordinate may wrap by full turns if it turns a single joint and its range covers a full turn.
+    A coordinate may wrap by 2 pi if it turns a single joint and its range covers a full turn.
 
     Args:
-        rows: (L, 10) geometry [m], see kinematics.py.
+        rows: (L, 10) geometry [m]; the columns are listed at `kinematics.ROW`.
         base: (12,) pose of the first joint's frame in the base: rotation matrix by rows, then origin [m].
         tip: (12,) pose of the tip in the last joint's frame: rotation matrix by rows, then origin [m].
         lower: (n,) lower limits [rad or m].
@@ -240,7 +242,7 @@ def pack(
         home: (n,) where a search without q0 starts [rad or m].
 
     Returns:
-        The chain, with lengths in kernel units.
+        The chain, with lengths in internal units (divided by a power of two near the reach).
     """
     rows, base, tip = rows.copy(), base.copy(), tip.copy()
     n = len(lower)
@@ -248,7 +250,7 @@ def pack(
     slides = np.array([not rows[owner == k, 9].any() for k in range(n)])
     mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
     followers = np.bincount(owner, minlength=n)
-    # A coordinate may wrap by a full turn only if it moves a single joint, with ratio 1.
+    # A coordinate may wrap by 2 pi only if it moves a single joint, with ratio 1.
     own = followers == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
     turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
@@ -260,18 +262,18 @@ def pack(
         reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
     if not LEAST_REACH < reach < np.inf:
         reach = 1.0
-    # Some files give a slide a stroke of 1000 km to say "far". In so long a unit a tolerance of 1e-6 m would be lost in rounding.
+    # Some files give a prismatic joint a stroke of 1000 km to say "far". In so long a unit a tolerance of 1e-6 m would be lost.
     bare = float((np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))[1:].sum() + np.linalg.norm(tip[9:]))
     scale = float(2.0 ** np.clip(np.round(np.log2(min(reach, max(bare, LONGEST_UNIT)))), -1000, 1000))
     rows[:, [2, 3, 7]] /= scale
     for i, k in enumerate(owner):
-        if not slides[k] and not rows[i, 9]:  # The ratio of a slide that follows a turning joint is a length.
+        if not slides[k] and not rows[i, 9]:  # A prismatic joint that follows a revolute one has a length as ratio.
             rows[i, 6] /= scale
     base[9:] /= scale
     tip[9:] /= scale
     unit = np.where(slides, scale, 1.0)
     low_k, high_k = lower / unit, upper / unit
-    # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
+    # An endless joint is brought back after five turns during the search; the answer is moved by 2 pi k to the value nearest q0.
     endless = turns & np.isinf(lower) & np.isinf(upper)
     low, high = start_range(low_k, high_k, slides, turns)
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
@@ -299,21 +301,22 @@ def joint_levers(rows, ends, Q, unit, D) -> None:
             D[t, i] = math.sqrt(arm.square()) * Ends(ends, n).scale()
 
 
-ROWS = 2048  # number of known starts for several tips; each tip picks its own joints from them
+ROWS = 2048  # number of precomputed starts for several tips; each tip picks the values of its own joints from them
 
 
 class TreeChain(NamedTuple):
-    """The chains of F tips over n shared coordinates as the kernels need them."""
+    """The chains of F tips over n shared coordinates, as arrays for the compiled code."""
 
     rows: Array  # (L, 10) geometry of all chains, one after the other
-    ends: Array  # (F, ...) of each tip `records.Ends`, its number of rows, and n flags: 1 if the coordinate moves the tip, else 0
-    # (N, n) known starts; each tip picks values for its own joints, and one of the tips those for shared joints.
+    # (F, ...) for each tip: `records.Ends`, its number of rows, and n flags (1 if the coordinate moves the tip)
+    ends: Array
+    # (N, n) precomputed starts; each tip picks the values of its own joints, and one of the tips those of shared joints.
     seeds: Array
-    features: Array  # (F, 13, N + PAD) features of the seeds, by which those nearest a target are found, see `table`
-    unit: Array  # (n,) size of a kernel unit: 1 rad, or `scale` metres for a sliding joint
+    features: Array  # (F, 13, N + PAD) tip poses at the seeds, to find those nearest a target, see `table`
+    unit: Array  # (n,) size of an internal unit: 1 rad, or `scale` metres for a prismatic joint
     lower: Array  # (n,) lower limits [rad or m]
     upper: Array  # (n,) upper limits [rad or m]
-    scale: float  # kernel unit of length [m]
+    scale: float  # internal unit of length [m], a power of two near the reach
 
     plain = False  # Row i of a chain need not belong to coordinate i, because no chain has all coordinates.
 
@@ -325,7 +328,7 @@ class TreeChain(NamedTuple):
 
     @property
     def parts(self) -> list[Array]:
-        """Return the rows of each chain."""
+        """Return the geometry (L, 10) of each tip's chain."""
         return split_rows(self.rows, self.ends, len(self.lower))
 
     def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
@@ -340,12 +343,12 @@ class TreeChain(NamedTuple):
 
 
 def split_rows(rows: Array, ends: Array, n: int) -> list[Array]:
-    """Return the rows of each chain of a tree over n coordinates."""
+    """Split the joint rows of a tree over n coordinates into those of each tip's chain."""
     return np.split(rows, np.cumsum(ends[:, -n - 1].astype(int))[:-1])
 
 
 def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> Chain | TreeChain:
-    """Join the chains of all tips, one for each, with a common kernel unit of length.
+    """Join the chains of all tips, one for each, with a common internal unit of length.
 
     places[f][i] is the index, among the shared coordinates, of coordinate i of chain f; lower, upper, home (n,) [rad or m].
     """

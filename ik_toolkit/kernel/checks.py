@@ -8,11 +8,11 @@ from .algebra import V3, at3, put3, rotation_at
 from .counted_error import allowance
 from .records import WHAT
 
-# The status codes that kernels return; `solvers.status.Status` explains them to the user.
+# The status codes that compiled solvers return; `solvers.status.Status` explains them to the user.
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 # The target or the start is invalid: Python examines it and raises, so users never see these.
 BAD_TARGET, BAD_START = 8, 9
-TOO_FAR = 11  # Code 10 is not used here: it is COLLISION, which Python finds after the kernel.
+TOO_FAR = 11  # Code 10 is not used here: it is COLLISION, which Python finds after the compiled search.
 ORTHONORMAL = 1e-6  # largest difference between the dot products of a pose's axes and 0 or 1
 LAST_ROW = 1e-9  # largest difference between a pose's last row and 0 0 0 1
 FAR = 1e100  # A pose with coordinates [m] beyond this is refused, because their squares would overflow.
@@ -21,9 +21,9 @@ FAR = 1e100  # A pose with coordinates [m] beyond this is refused, because their
 class Proofs(NamedTuple):
     """Thresholds for the status of an attempt: target out of reach, singular, or blocked by limits."""
 
-    # A target counts as unreachable only if it is out of reach by more than this length [kernel units], which exceeds any rounding.
+    # A target counts as unreachable only if it is out of reach by more than this [lengths over the reach], which exceeds rounding.
     reach_slack: float = 1e-9
-    # From this rotation tolerance [rad] on, the target does not bound the position of the last joint.
+    # With a rotation tolerance [rad] of this or more, the target says nothing about where the last joint is.
     wide: float = 2.0
     unseen: float = 1e-16  # If |J' e|^2 is at most this share of |J|^2 |e|^2 (rounding), no joint changes the error e.
     # Limits block an attempt if the joints that can still move have less than this share of the squared gradient.
@@ -35,10 +35,10 @@ PROOF = Proofs()
 
 @inner
 def ring(p, reach, hole, ends, slack):
-    """Return the length by which a point p lies outside an arm's reach, or inside the hole around its foot; negative if neither.
+    """Return the length by which a point p lies outside an arm's reach, or inside the hole around its base; negative if neither.
 
-    The arm reaches points at distances from its foot between `hole` and `reach`; both bounds are relaxed by `slack`. A vertical
-    slide (a lift) may carry the foot.
+    The arm reaches points whose distance from its base is between `hole` and `reach`; both bounds are relaxed by `slack`. The base
+    may itself stand on a vertical prismatic joint.
     """
     across = p.x * p.x + p.y * p.y
     low, high = ends.bound(4), ends.bound(5)
@@ -49,10 +49,11 @@ def ring(p, reach, hole, ends, slack):
 
 @inner
 def beyond(goal, ends, task, tol_p, tol_r):
-    """Return the length [kernel units] by which a target is proven out of reach, 0 if nothing is proven.
+    """Return the length [over the reach] by which a target is proven out of reach, 0 if nothing is proven.
 
-    Two points must be in reach to within the tolerances: the target's point, and the place of the last joint. That place follows
-    from the target's rotation, but for the part of the tool normal to a free axis, and the arm without its tool must reach it.
+    Two points must be in reach to within the tolerances: the target's point, and the position of the last joint. The latter follows
+    from the target's rotation (except for the part of the tool normal to an axis about which the rotation is free), and the arm
+    without its tool must reach it.
     """
     point, slack = at3(goal, 9), allowance(task, 0, tol_p) + PROOF.reach_slack
     if not slack < math.inf:
@@ -74,7 +75,7 @@ def beyond(goal, ends, task, tol_p, tol_r):
 
 @inner
 def edge(goal, ends, excess):
-    """Move the goal's point by `excess` to the edge of the reach: towards the first joint, or away from it inside the hole."""
+    """Move the goal's point by `excess` to the edge of the reach: towards the first joint, or away from it if it is too near."""
     p = at3(goal, 9)
     centre = V3(0.0, 0.0, min(max(p.z, ends.bound(4)), ends.bound(5)))
     out = p - centre
@@ -84,7 +85,7 @@ def edge(goal, ends, excess):
 
 @inner
 def rigid(T, within):
-    """Return whether T (4, 4) is a pose: finite, orthonormal to within the given bound, right-handed, last row 0 0 0 1."""
+    """Return whether T (4, 4) is a pose: orthonormal axes to within the given bound, finite, right-handed, last row 0 0 0 1."""
     total = 0.0
     last = abs(T[3, 3] - 1.0)
     for r in range(3):
@@ -101,7 +102,7 @@ def rigid(T, within):
 
 @cached
 def is_rigid(T):
-    """Return whether T (4, 4) is a pose, see `rigid`; this compiled function may be called from Python."""
+    """Return whether T (4, 4) is a pose (as `rigid`), in a compiled function that Python may call."""
     return rigid(T, ORTHONORMAL)
 
 
@@ -109,7 +110,7 @@ def is_rigid(T):
 def standstill(p, look, near, boxed):
     """Return why an attempt makes no progress: LIMIT_BLOCKED, SINGULAR (no joint changes the error) or STALLED.
 
-    The Jacobian p.desk.J must be that of the given evaluation; near: `Ends` with the limits of a step.
+    p.desk.J must be the Jacobian at the errors `look`; near: `Ends` with the limits that steps must keep.
     """
     q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Bounds on how fast pairs of shapes can approach each other: for a whole motion, and as half-planes for one step."""
+"""Bounds on how fast pairs of shapes can approach each other: for a whole motion, and as linear constraints for one step."""
 
 import math
 from typing import NamedTuple
@@ -8,15 +8,15 @@ import numpy as np
 from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
 
-# A proof of clearance advances by parts of a piece of a motion. It ends where it would need parts smaller than this; from there on
-# the caller measures the distances again.
+# To prove that a piece of a motion is free of contact, the piece is subdivided. If a part smaller than this share of a piece would
+# be needed, the proof stops there, and the caller measures the distances again.
 FINEST = 1.0 / 64.0
 
 
 class Bodies(NamedTuple):
-    """S shapes of a scene, P pairs of these shapes and E moving joints, at one configuration and in the root's axes."""
+    """S shapes of a scene, P pairs of these shapes and E moving joints, at one configuration and in the root frame's axes."""
 
-    # (E, 6) motion per unit of each joint: velocity of the body's point that is at the root's origin (3), then angular velocity (3)
+    # (E, 6) Twist per unit rate of each joint: linear velocity (3) of the body's point at the root's origin, angular velocity (3)
     V: np.ndarray
     coordinates: np.ndarray  # (E,) index in q of each joint, from the root outwards
     middle: np.ndarray  # (S, 3) centres [m] of the spheres around the shapes
@@ -38,20 +38,20 @@ class Facing(NamedTuple):
 class Approach(NamedTuple):
     """Thresholds for how fast a pair of shapes may approach."""
 
-    slope: float  # [1/s] highest speed of approach divided by the gap
+    slope: float  # [1/s] a pair may approach at most at this rate times its gap
     step: float  # [s] length of a control step, in which a pair may use up at most half of its gap
-    # A joint takes part in the braking of a pair if it changes the distance per unit by more than this share of what the joint
-    # with the largest effect does.
+    # A joint takes part in the braking of a pair if its effect on the distance, per unit, exceeds this share of the largest effect
+    # of any joint.
     share: float
     flat: float  # A pair is left out if no joint changes its distance by more than this per unit [m/rad or m/m].
 
 
 class HalfPlanes(NamedTuple):
-    """The half-planes A x <= b that limit the joint rates x, the most restrictive one first."""
+    """Linear constraints A x <= b on the joint rates x, the most restrictive one first."""
 
     A: np.ndarray  # (R, n) speed of approach of a pair per unit of each joint rate
     b: np.ndarray  # (R,) highest speed [m/s] at which the pair may approach
-    order: np.ndarray  # (R,) row of `Facing` that each half-plane is for
+    order: np.ndarray  # (R,) row of `Facing` (the pair of shapes) that each constraint is for
 
 
 class Separation(NamedTuple):
@@ -76,7 +76,7 @@ class BrakingPath(NamedTuple):
 def travelled(start, change, f):
     """Return the length that a joint has travelled at the fraction f (0 to 1) of a piece of a motion, both ways if it reverses.
 
-    The joint's speed is `start` at first and changes evenly by `change` over the piece [both per piece].
+    The joint's speed is `start` at first and changes linearly by `change` over the piece [per duration of the piece].
     """
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
@@ -88,7 +88,10 @@ def travelled(start, change, f):
 
 @dual
 def speed_and_growth(Q, R, k, j, gamma, h):
-    """Return the speed of joint j at the start of piece k of a `BrakingPath`, and its change over the piece [both per piece]."""
+    """Return the speed of joint j at the start of piece k of a `BrakingPath`, and its change over the piece.
+
+    Both are moves per duration of the piece, not per second.
+    """
     move = Q[k + 1, j] - Q[k, j]
     start = move if gamma == 1.0 else h * R[k, j]
     return start, 2.0 * (move - start)
@@ -103,7 +106,10 @@ def position(Q, R, L, k, j, gamma, h, f):
 
 @cached
 def along(Q, R, L, gamma, h, u, q, length) -> None:
-    """Write to q (n,) the joint values u pieces into a `BrakingPath`, and to length (n,) how far each joint has travelled."""
+    """Write to q (n,) the joint values after u pieces of a `BrakingPath`, and to length (n,) how far each joint has travelled.
+
+    u may be a fraction.
+    """
     k = min(int(u), Q.shape[0] - 2)
     for j in range(q.shape[0]):
         q[j], length[j] = position(Q, R, L, k, j, gamma, h, u - k)
@@ -111,7 +117,7 @@ def along(Q, R, L, gamma, h, u, q, length) -> None:
 
 @inline
 def speed_at(V, e, point):
-    """Return the velocity of a point (root axes) per unit of joint e."""
+    """Return the velocity of a point (root axes) per unit rate of joint e."""
     return at3(V[e], 0) + at3(V[e], 3).cross(point)
 
 
@@ -119,14 +125,14 @@ def speed_at(V, e, point):
 def levers(parts, way, out, spread) -> None:
     """Bound how much closer a pair of shapes can come per unit of each joint, while no joint moves further than `way`.
 
-    The bound is the joint's lever arm: the distance from its axis to the far side of the shape's bounding sphere, plus how far
-    the later joints can move the shape.
+    The bound is the joint's lever arm: the distance from its axis to the far side of the shape's bounding sphere, plus how far the
+    later joints can move the shape.
 
     Args:
         parts: `Bodies` where the motion starts.
         way: (n,) largest move of each joint.
         out: (P, E) receives how much closer each pair can come per unit of each moving joint.
-        spread: (P,) receives how much closer each pair can come in all [m].
+        spread: (P,) receives how much closer each pair can come through the moves of all joints together [m].
     """
     V, coordinates, middle, radius, a, b, by_a, by_b = parts
     E = V.shape[0]
@@ -154,21 +160,21 @@ def levers(parts, way, out, spread) -> None:
 
 @cached
 def rows(parts, facing, rate, deceleration, rules, planes) -> int:
-    """Write the half-planes for joint rates under which pairs can still brake before they touch.
+    """Write the linear constraints on the joint rates under which pairs of shapes can still brake before they touch.
 
-    Three bounds limit the speed of approach of a pair: `rules.slope` times its gap, half of its gap in a step, and the speed that
-    each of the joints which take part in the braking can bring to zero within the gap.
+    Three bounds limit the speed at which a pair approaches: `rules.slope` times its gap, half of its gap in a control step, and the
+    speed that each of the joints which take part in the braking can bring to zero within the gap.
 
     Args:
         parts: `Bodies` at the current configuration.
         facing: The pairs, as `Facing`.
         rate: (n,) current joint rates [rad/s or m/s].
         deceleration: (n,) braking deceleration of the joints [rad/s^2 or m/s^2].
-        rules: `Approach`.
+        rules: Thresholds, as `Approach`.
         planes: `HalfPlanes`, filled from the first row on.
 
     Returns:
-        How many half-planes were written.
+        How many constraints were written.
     """
     V, coordinates, by_a, by_b = parts.V, parts.coordinates, parts.by_a, parts.by_b
     ks, points, gap = facing
@@ -214,10 +220,10 @@ def rows(parts, facing, rate, deceleration, rules, planes) -> int:
 
 @dual
 def second_order_motion(turn, lever, moved, length):
-    """Bound [m] how far a part can be from where the joints' moves would take it if its velocity per unit did not change.
+    """Bound [m] the second-order part of a body's displacement: what its velocity per unit rate at the start does not predict.
 
-    The bound is of second order in `length` (E,), how far the joints move. turn (E,): angular speed per unit of each joint;
-    lever (E,): lever arms of the joints; moved (E,): whether a joint moves the part.
+    turn (E,): angular speed per unit of each joint; lever (E,): lever arms of the joints; moved (E,): whether a joint moves the
+    body; length (E,): how far the joints move.
     """
     total, before = 0.0, 0.0
     for e in range(length.shape[0]):
@@ -229,7 +235,7 @@ def second_order_motion(turn, lever, moved, length):
 
 @cached
 def free_until(parts, pairs, levers, path, start, out) -> None:
-    """Find how far each pair is certainly free of contact along a path.
+    """Find how far along a path each pair is proven free of contact.
 
     Two convex shapes cannot touch before they have approached along the normal of a plane between them by their
     distance. The approach is bounded by the velocities at the start times the joint moves, plus a second-order bound on
@@ -237,11 +243,11 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
     joints travel.
 
     Args:
-        parts: `Bodies` at the place `start` of the path.
-        pairs: `Separation` of K pairs at that place.
+        parts: `Bodies` at the point `start` of the path.
+        pairs: `Separation` of K pairs at that point.
         levers: (P, E) from the function `levers`, for the whole path.
         path: `BrakingPath`.
-        start: Place at which the proof begins [pieces from the beginning of the path, may be a fraction].
+        start: Where the proof begins, in pieces from the beginning of the path; may be a fraction.
         out: (K,) receives where each pair's proof ends [pieces].
     """
     V, coordinates, middle, radius, a, b, by_a, by_b = parts
@@ -282,7 +288,8 @@ def free_until(parts, pairs, levers, path, start, out) -> None:
                 closing += rate[e] * move
                 turned_a = turned_a + at3(swing[0], 3 * e) * move
                 turned_b = turned_b + at3(swing[1], 3 * e) * move
-                # Between two places on a piece a joint's value leaves the straight line by up to an eighth of its change of speed.
+                # Within a piece a joint's value deviates from the straight line between two points by up to 1/8 of its change of
+                # speed.
                 curve += 0.125 * abs(speed_and_growth(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
             closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
             bent = second_order_motion(turn, levers[p], by_a[p], length) + second_order_motion(

@@ -1,7 +1,7 @@
 """Move a failed search's best configuration to a local minimum of the error within the limits.
 
-The error is the sum of |position error|^2 / length^2 + |rotation vector|^2 over all tips, of the parts that count. The steps of
-a search suit targets in reach; if a target is out of reach, the search ends up to a few percent above the minimum.
+The error is the sum of |position error|^2 / length^2 + |rotation vector|^2 over all tips, without components that do not count. The
+search's own steps suit targets in reach; if a target is out of reach, it ends up to a few percent above the minimum.
 """
 
 from typing import NamedTuple
@@ -20,14 +20,14 @@ from .records import ANSWER, AT, HEAD, TASK, Ends, Orders, copy, read
 
 
 class Descent(NamedTuple):
-    """Constants of the descent, a Levenberg-Marquardt method whose damping is a share of the squared error."""
+    """Constants of the minimisation, a Levenberg-Marquardt method whose damping is a multiple of the squared error."""
 
-    first: float = 0.1  # share at the start: the damping divided by the squared error
-    least: float = 1e-6  # smallest share; it bounds the steps at singular poses
-    most: float = 1e9  # largest share; the descent ends if even the short step it leads to does not lower the error
-    lowered: float = 0.3  # factor on the share after a step that lowers the error
-    raised: float = 4.0  # factor on the share after a step that does not lower the error
-    smallest: float = 1e-7  # the descent ends when a step moves every joint by less [rad or kernel units]
+    first: float = 0.1  # initial multiple: the damping divided by the squared error
+    least: float = 1e-6  # smallest multiple; it bounds the steps at singular poses
+    most: float = 1e9  # largest multiple; the method ends if even the short step it leads to does not lower the error
+    lowered: float = 0.3  # factor on the multiple after a step that lowers the error
+    raised: float = 4.0  # factor on the multiple after a step that does not lower the error
+    smallest: float = 1e-7  # the method ends when a step moves every joint by less [rad, or length over the reach]
 
 
 DOWN = Descent()
@@ -46,9 +46,9 @@ def weighed(p, e, factor):
 
 @inline
 def held_wrongly(s, error, weights, box):
-    """Return whether a step wrongly holds joints along which the error falls faster than along all free joints.
+    """Return whether the joints held by mistake could lower the error faster than the free joints.
 
-    A joint is wrongly held if the error falls as it leaves its limit. The sums of the joints' squared slopes are compared.
+    A joint at a limit is held by mistake if the error falls as the joint leaves the limit. The sums of squared slopes are compared.
     """
     free, wrong = 0.0, 0.0
     for i in range(s.q.shape[0]):
@@ -65,9 +65,9 @@ def held_wrongly(s, error, weights, box):
 def step_down(p, error, damping, weights, box, pressed):
     """Write a damped step to p.desk.dq, and return the largest move of a joint in it.
 
-    The step holds joints at a limit that it would itself push outwards. This is fast, but may hold a joint that ought to leave its
-    limit. If that matters (`held_wrongly`), or if `pressed` is set, the step instead holds the joints at a limit that the slope of
-    the error pushes outwards.
+    By default the step holds the joints at a limit that the step itself would push outwards. This is fast, but may hold a joint
+    that ought to leave its limit. If that matters (`held_wrongly`), or if `pressed` is set, it instead holds the joints at a limit
+    that the gradient of the error pushes outwards.
     """
     s = p.desk
     copy(weights, s.w)
@@ -90,7 +90,7 @@ def step_down(p, error, damping, weights, box, pressed):
 
 @inline
 def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
-    """Do the work of `approach_targets` for one, whose arrays are given as views; block: scratch memory."""
+    """Do the work of `approach_targets` for one target, whose arrays are given as views; block: scratch memory."""
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
@@ -144,19 +144,18 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 def approach_targets(rows, ends, T, out, orders, n, length, steps, left):
     """Lower the errors of failed searches; q, errors and number of evaluations in their result rows `out` are replaced.
 
-    left (N,) becomes the squared error of each new q, in which a position error of `length` counts as much as one radian. If a
-    descent reaches its target, the row's status becomes CONVERGED.
+    If a minimisation reaches its target, the row's status becomes CONVERGED.
 
     Args:
         rows: (L, 10) geometry of the chain or tree.
         ends: `records.Ends` of the chain or tree.
         T: (N, F, 4, 4) targets [m] of F tips, base frame.
-        out: (N, width) answers of a search, see `search.entry`.
-        orders: See `search.entry`.
+        out: (N, width) results of a search, see `search.entry`.
+        orders: Options and tasks, see `search.entry`.
         n: Number of coordinates.
         length: Position error [m] that counts as much as a rotation error of one radian.
-        steps: (N,) highest numbers of evaluations; below 2 a row stays as it is, and its `left` too.
-        left: (N,) see above.
+        steps: (N,) highest numbers of evaluations; a row with less than 2 stays as it is, and so does its `left`.
+        left: (N,) receives the squared error at each new q, with position errors divided by `length`.
     """
     block = np.empty(space(n, 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
     for k in range(T.shape[0]):

@@ -5,11 +5,11 @@ error all may count, only e, nothing, or a part. A part is computed in these ste
 
     a free turn     r becomes the least rotation that brings the tip's axis a onto the target's axis b
     a frame         e and r are expressed in the axes of the base, the tip or the target
-    slack s         e_i becomes sign(e_i) max(|e_i| - s_i, 0)
+    dead band s     e_i becomes sign(e_i) max(|e_i| - s_i, 0)
     weights w       e_i becomes w_i e_i
 
-An error inside its slack is zero, and so is its row of the Jacobian. The least-squares problem stays continuous where an error
-enters its slack, and near the answer the set of rows that are not zero no longer changes.
+An error inside its dead band is zero, and so is its row of the Jacobian. The least-squares problem stays continuous where an error
+enters its dead band, and near the solution the set of rows that are not zero no longer changes.
 """
 
 import math
@@ -21,8 +21,8 @@ from .kinematics import angle_ratio, rotation_angle
 from .records import WHAT
 
 POSE, POSITION, FREE, PART = range(4)  # kinds of target: the whole error counts, only the position, nothing, or a part
-AXIS = "axis"  # a target (AXIS, axis) is a pose whose turn about an axis of the tip is free
-BASE, TIP, TARGET = range(3)  # frames in which weights and slacks may be given
+AXIS = "axis"  # a target (AXIS, axis) is a pose that leaves the rotation about this axis of the tip free
+BASE, TIP, TARGET = range(3)  # frames in which weights and dead bands may be given
 
 
 class KeptIndices(NamedTuple):
@@ -32,12 +32,12 @@ class KeptIndices(NamedTuple):
     if that moves with another tip, becomes (L (u + v x arm_goal), B v).
     """
 
-    L: int = 0  # index of the matrix L (9), by rows
-    A: int = 9  # index of the matrix A (9), by rows
-    B: int = 18  # index of the matrix B (9), by rows
-    arm: int = 27  # index of the vector arm (3)
-    arm_goal: int = 30  # index of the vector arm_goal (3)
-    error: int = 33  # index of the six errors, after mask, slack and free turn are applied
+    L: int = 0  # index of the matrix L, 9 numbers by rows
+    A: int = 9  # index of the matrix A, 9 numbers by rows
+    B: int = 18  # index of the matrix B, 9 numbers by rows
+    arm: int = 27  # index of the vector `arm` (3), see above
+    arm_goal: int = 30  # index of the vector `arm_goal` (3), see above
+    error: int = 33  # index of the six errors that count, with weights and dead bands applied
 
 
 IN = KeptIndices()
@@ -47,9 +47,9 @@ STRAIGHT = 1e-9  # Two directions count as parallel if the sine of their angle i
 
 @inner
 def allowance(task, first, tolerance):
-    """Return a bound on the norm of three raw errors, `first` and the next two, that are in tolerance after slack and weights.
+    """Return a bound on the norm of three raw errors, `first` and the next two, whose counted values are in tolerance.
 
-    The bound is infinite if one of the three errors does not count.
+    The bound adds the dead bands and divides by the weights. It is infinite if one of the three errors does not count.
     """
     least, room = math.inf, 0.0
     for i in range(first, first + 3):
@@ -92,7 +92,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if sine > STRAIGHT:
             f = math.atan2(sine, cosine) / sine
             r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
-        elif cosine < 0.0:  # For half a turn any rotation axis normal to a will do.
+        elif cosine < 0.0:  # For a rotation by pi any axis normal to a will do.
             r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
             r = r * (math.pi / math.sqrt(r.square()))
     else:
@@ -131,7 +131,7 @@ def shape(task, ends, goal, now, linear, angular, kept):
 
 @inline
 def rows_at(kept, i):
-    """Read a matrix of three rows from index i on, and return its transpose (its rows as columns)."""
+    """Read three vectors from index i on; return the matrix with these columns, the transpose of the matrix stored by rows."""
     return M3(at3(kept, i), at3(kept, i + 3), at3(kept, i + 6))
 
 
@@ -144,7 +144,7 @@ def count_column(kept, linear, angular):
 
 @inner
 def count_goal_column(kept, linear, angular):
-    """Return by how much a small motion of the target raises the errors that count; `shape` has filled `kept` for this q."""
+    """Convert a motion (linear, angular) of the target to a change of the counted errors; `shape` has filled `kept` for this q."""
     linear = linear + angular.cross(at3(kept, IN.arm_goal))
     return rows_at(kept, IN.L).across(linear), rows_at(kept, IN.B).across(angular)
 
@@ -197,7 +197,7 @@ def angle_left(kind, rr):
 
 @inline
 def counts(task):
-    """Return 1.0 or 0.0 for the position, and the same for the rotation: whether it matters for the choice of starts."""
+    """Return two flags, 1.0 or 0.0: whether the position counts, and whether the rotation counts, in the choice of starts."""
     position, rotation = 0.0, 0.0
     for i in range(3):
         if task[WHAT.w0 + i] > 0.0 and task[WHAT.s0 + i] < math.inf:

@@ -17,16 +17,16 @@ from .counted_error import IN, PART, POSE, rows_at
 from .kinematics import column
 from .records import WHAT, Array
 
-SMALL = 1e-3  # [rad] angle below which its series is used
+SMALL = 1e-3  # [rad] angle below which a series replaces the closed formula
 
 
 @compiled
 class TipState(NamedTuple):
-    """One tip at a configuration: its chain, what counts, and its pose."""
+    """One tip at a configuration: its chain, which part of its error counts, and its pose."""
 
     rows: Array  # (L, 10) geometry of the chain
     joints: Array  # (6 L,) axis and point of each joint
-    task: Array  # (TASK,) what counts, see `records.Task`
+    task: Array  # (TASK,) which part of the error counts, see `records.Task`
     kept: Array  # (KEPT,) matrices of `counted_error.shape`
     goal: Array  # (GOAL,) the target
     pose: Array  # (12,) axes of the last joint by rows, then the tip's position
@@ -34,7 +34,7 @@ class TipState(NamedTuple):
 
 @inner
 def even_weight(task):
-    """Return the weight of a tip's rotation errors if it is the same for all three and they have no slack, else 0."""
+    """Return the weight of a tip's rotation errors if it is the same for all three and they have no dead band, else 0."""
     w = task[WHAT.w3]
     even = task[WHAT.w4] == w and task[WHAT.w5] == w and task[WHAT.s3] + task[WHAT.s4] + task[WHAT.s5] == 0.0
     return w if even else 0.0
@@ -42,9 +42,10 @@ def even_weight(task):
 
 @inner
 def add_products(J, first, e, factor, H):
-    """Add to H (n, n) the products of the rows of J (n, m) over three errors from `first` on, and `factor` times their gradients'.
+    """Add to H (n, n) the sum of g_k g_k' over three errors k from `first` on, where g_k is column k of J (n, m).
 
-    The gradient of half their square is minus J times the errors e (m,).
+    If `factor` is not 0, add instead `factor` times g g', where g is the gradient J e of half their squared norm (but for its
+    sign).
     """
     for i in range(J.shape[0]):
         gi = J[i, first] * e[first] + J[i, first + 1] * e[first + 1] + J[i, first + 2] * e[first + 2]
@@ -67,9 +68,9 @@ def add_curvature(state, J, first, e, c, least, H):
         J: (n, m) transposed Jacobian of the counted errors.
         first: Index of the tip's six errors among all m.
         e: (m,) errors, rotations as rotation vectors.
-        c: (m,) factors of the second derivatives of the errors: minus a multiplier of a constraint, or minus the error itself.
-        least: (2,) 1 if half the square of the position error (of the rotation error) is a part of what is minimised, else 0.
-        H: The matrix.
+        c: (m,) factors of the second derivatives of the errors: minus the multiplier of a constraint, or minus the error itself.
+        least: (2,) flags for position and rotation: 1 if half the squared error is a part of what is minimised, else 0.
+        H: (n, n) The matrix to add to.
     """
     rows, joints, task, kept = state.rows, state.joints, state.task, state.kept
     kind = int(task[WHAT.kind])

@@ -1,4 +1,4 @@
-"""What is chosen by class when a search is compiled: the problem, and the calls that a rule may take over from it."""
+"""What depends on classes when a search is compiled: one tip or several, and methods that a solver rule may override."""
 
 # Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
 # pyright: reportCallIssue=false, reportArgumentType=false
@@ -12,7 +12,7 @@ from .tree import tree_on
 
 
 def problem_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of one tip (Serial, if `ends` is one row) or of several (Tree), with scratch cut from a block."""
+    """Make the problem of one tip (Serial, if `ends` is one row) or of several (TreeProblem), with scratch arrays from `block`."""
     return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
 
@@ -24,7 +24,7 @@ def _problem_on(block, rows, ends, tasks, n, orders):
 
 
 def shaped(ends, T, tips):
-    """Return the flat `ends` as a problem needs them: flat for one tip, T (N, 4, 4), or one row a tip, T (N, F, 4, 4)."""
+    """Return `ends` as one row if T is (N, 4, 4), for one tip, or as one row a tip if T is (N, F, 4, 4)."""
     return ends if T.ndim == 3 else ends.reshape(tips, -1)
 
 
@@ -36,7 +36,7 @@ def _shaped(ends, T, tips):
 
 
 def evaluation(rule, p, q):
-    """Return the errors at q; a rule with an `evaluated` of its own may let `ee` rank configurations instead of summing squares."""
+    """Return the errors at q, by the solver rule's own `evaluated` if it has one, which may rank configurations in another way."""
     return rule.evaluated(p, q) if hasattr(rule, "evaluated") else p.evaluate(q)
 
 
@@ -48,7 +48,7 @@ def _evaluation(rule, p, q):
 
 
 def aim_at(rule, p, T, orders):
-    """Take a target (by the rule's own `aimed`, if any): return by how much it is out of reach, -1 if it is not a pose."""
+    """Set the target, by the solver rule's own `aimed` if any; return by how much it is out of reach, -1 if it is not a pose."""
     return rule.aimed(p, T, orders) if hasattr(rule, "aimed") else p.aim(T, orders)
 
 

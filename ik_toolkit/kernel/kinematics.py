@@ -5,8 +5,8 @@ where x is the joint's coordinate. The rotation between two joint axes is split 
 joints' angles. This is exact for any axes (the common normal of Denavit-Hartenberg is undefined for parallel axes) and takes 30
 multiply-adds instead of 48.
 
-Inside the kernel all lengths, also the coordinates of prismatic joints, are divided by a power of two near the robot's reach; a
-power of two makes this scaling exact. Everything is expressed in the frame of the first joint; `aim` converts a target to it.
+Internal units: all lengths, also the coordinates of prismatic joints, are divided by a power of two near the robot's reach, so that
+this scaling is exact. Everything is expressed in the frame of the first joint; `aim` converts a target to it.
 """
 
 import math
@@ -14,9 +14,9 @@ import math
 from ..compile.jit import inline, inner
 from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotation_left, sincos
 
-# A row has the numbers cos b, sin b, tx, ty, turn, a0, slide, d0, index of the coordinate, and 1 for a turning joint, else 0.
+# A row has the numbers cos b, sin b, tx, ty, turn, a0, slide, d0, index of the coordinate, and 1 for a revolute joint, else 0.
 ROW = 10
-# A joint whose ratio to its coordinate differs from 1 by less than this is no mimic joint: the difference is rounding of its axis.
+# A joint whose ratio to its coordinate differs from 1 by less than this is no mimic joint: the difference is rounding.
 RATIO = 1e-12
 TAU = 2.0 * math.pi
 
@@ -101,7 +101,8 @@ def half_turn_axis(now, goal, sine):
 
     The antisymmetric part, which gives the axis times the sine, almost vanishes there; `sine` decides the sign of the axis.
     """
-    # At pi the matrix is R = 2 a a' - 1, so each column of (R + 1) / 2 = a a' is along a; the largest is the most accurate.
+    # For an angle of pi the matrix is R = 2 a a' - 1, so each column of (R + 1) / 2 = a a' is along a; the largest is the most
+    # exact.
     x = V3(goal.x.x, goal.y.x, goal.z.x)
     y = V3(goal.x.y, goal.y.y, goal.z.y)
     z = V3(goal.x.z, goal.y.z, goal.z.z)
@@ -126,7 +127,7 @@ def rotation_error(now, goal):
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Near half a turn the length follows from the cosine, because the sine is too inexact. Even nearer the axis is inexact, too.
+    # Near pi the length follows from the cosine, because the sine is too inexact. Even nearer the axis is inexact, too.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)
@@ -136,7 +137,7 @@ def rotation_error(now, goal):
 
 @inline
 def pose_error(goal, axes, tip):
-    """Return the errors of a tip from a goal that `aim` wrote: linear, and angular as `rotation_error` defines it."""
+    """Return the linear and angular errors of a tip from a goal that `aim` wrote; angular: 2 sin(angle/2) times the axis."""
     return at3(goal, 9) - tip, rotation_error(axes, rotation_at(goal, 0))
 
 

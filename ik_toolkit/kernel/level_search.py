@@ -1,4 +1,4 @@
-"""The search of a rule with levels: attempts until the best minimum has been found several times (see levels.py)."""
+"""The search for errors with priorities (levels): attempts until the best minimum has been found several times (see levels.py)."""
 
 import math
 from typing import NamedTuple
@@ -16,7 +16,7 @@ WORST = 1e300  # a squared error above any other
 
 
 class Phases(NamedTuple):
-    """What an attempt does with the levels."""
+    """How an attempt treats the levels of errors."""
 
     at_once: int = 0  # all errors are at one level
     constrained: int = 1  # level 0 is a constraint
@@ -30,8 +30,8 @@ PHASE = Phases()
 class Minimum(NamedTuple):
     """The best minimum found so far."""
 
-    ee: float  # rank of the configuration, see `rank_errors`
-    beside: float  # squared error of the level below the one that `ee` tells
+    ee: float  # number by which configurations are compared, see `rank_errors`
+    beside: float  # squared error of the level after the one that `ee` is about
     agreed: int  # number of attempts that found it
     found: int  # number of the attempt that found it first
     met: bool  # whether all levels are in tolerance
@@ -39,10 +39,10 @@ class Minimum(NamedTuple):
 
 @inline
 def rank_errors(p, e, level):
-    """Return a look whose `ee` orders configurations by level, and whose `good` says if all levels are in tolerance.
+    """Return the errors with an `ee` that orders configurations by level, and a `good` that says if all levels are in tolerance.
 
-    With the levels above c in tolerance and a squared error v of level c, `ee` is v / (1 + v) - c: a configuration that meets
-    more levels always has a smaller value, and below 0 level 0 is met.
+    With the levels above c in tolerance and a squared error v of level c, `ee` is v / (1 + v) - c: a configuration that meets more
+    levels always has a smaller value, and it is below 0 if level 0 is met.
     """
     groups, top = level.shape[0], 0.0
     for g in range(groups):
@@ -61,7 +61,7 @@ def rank_errors(p, e, level):
 
 @inline
 def next_level(p, e, level):
-    """Return the squared error of the level below the one that `rank_errors` tells."""
+    """Return the squared error of the level after the one that the `ee` of `rank_errors` is about."""
     c, value = 1.0, 0.0
     while e.ee < 1.0 - c:
         c += 1.0
@@ -73,7 +73,7 @@ def next_level(p, e, level):
 
 @inline
 def choose_phase(plain, tries, reached, near, far, excess):
-    """Return what the next attempt does: after some constrained ones that did not reach level 0, every other one minimises it."""
+    """Return the kind of the next attempt; after some constrained ones without success, every other one minimises level 0."""
     if tries < plain:
         return PHASE.at_once
     if excess > 0.0 or (not reached and near >= QUADRATIC.known and (near + far) % 2 == 0):
@@ -83,7 +83,7 @@ def choose_phase(plain, tries, reached, near, far, excess):
 
 @inline
 def compare(p, e, level, best, number, job):
-    """Return the better of the best Minimum and that of attempt `number`, which ended at e; keep its q and errors if it is new."""
+    """Return the better of the best Minimum and that of attempt `number`, which ended at e; keep q and errors if it is better."""
     beside, floor = next_level(p, e, level), math.floor(best.ee)
     share = QUADRATIC.same if best.ee < 0.0 else QUADRATIC.same_reach
     same = abs(e.ee - best.ee) <= share * (best.ee - floor + QUADRATIC.first_order)
@@ -98,10 +98,10 @@ def compare(p, e, level, best, number, job):
 
 @inline
 def search_by_levels(rule, p, job, level, plain, excess):
-    """Make attempts until several have found the best minimum, and return the Answer and the index of its errors.
+    """Make attempts until several have found the best minimum, and return the Answer and the index of its stored errors.
 
-    level (2 F,): level of each group of errors; plain: number of attempts with all errors at one level that come first.
-    The rest is as for `search.search`.
+    level (2 F,): level of each group of errors (position, rotation); plain: number of attempts with all errors at one level that
+    come first. The other arguments are those of `search.search`.
     """
     o, s, attempts = job.orders, p.desk, int(job.orders.attempts)
     plain = 0 if excess > 0.0 else min(plain, attempts - 1)
@@ -114,7 +114,7 @@ def search_by_levels(rule, p, job, level, plain, excess):
     while True:
         least = (
             WORST if tries == plain else least
-        )  # Ranks do not compare with the sums of squares of the attempts before.
+        )  # From now on `least` is a rank, which does not compare with the sums of squares of the attempts before.
         phase = choose_phase(plain, tries, least < 0.0, near, far, excess)
         s.spent[2] = float(phase)
         index = tries if phase == PHASE.at_once else near if phase == PHASE.constrained else far
@@ -142,7 +142,7 @@ def search_by_levels(rule, p, job, level, plain, excess):
 
 @inline
 def conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess):
-    """Put the answer into p.desk.q, each joint on its turn nearest the start; return the Answer and the index of its errors."""
+    """Put the answer, modulo 2 pi nearest the start, into p.desk.q; return the Answer and the index of its stored errors."""
     o, s, q = job.orders, p.desk, p.desk.q
     answer, place = (job.closest, NEAREST) if best.agreed > 0 else (job.best, BEST_OF_ALL)
     copy(answer, q)
@@ -169,7 +169,7 @@ def conclude_by_levels(rule, p, job, best, spent, tries, cut_off, excess):
         s.spent[2] = float(PHASE.constrained)
         e = evaluation(rule, p, q)
         evaluations += 1
-        if status == CONVERGED and not e.ee < 0.0:  # The rounding of a full turn exceeded a tolerance.
+        if status == CONVERGED and not e.ee < 0.0:  # Rounding in the shift by 2 pi exceeded a tolerance.
             copy(answer, q)
         else:
             p.keep(e, place)

@@ -22,32 +22,35 @@ from .search import AT_MINIMUM
 
 
 class LevelSteps(NamedTuple):
-    """Numeric constants of the steps, measured on eight arms; errors are in kernel units (lengths over reach) and rad."""
+    """Numeric constants of the steps, measured on eight arms; errors are in rad and in lengths over the arm's reach."""
 
-    first_order: float = 1e-6  # a minimum: norm of the gradient in the null space, and of wrong multipliers times ten
-    damping: float = 0.02  # share of the squared error by which the constraint is damped, as in `lm`
-    least_damping: float = 1e-9  # it keeps the multipliers finite where the Jacobian is singular
+    # optimality test: norm of the gradient in the null space, and ten times the largest multiplier of the wrong sign
+    first_order: float = 1e-6
+    damping: float = 0.02  # damping of the constraint as a share of the squared error, as in the solver `lm`
+    least_damping: float = 1e-9  # smallest damping; it keeps the multipliers finite where the Jacobian is singular
     pivot: float = (
-        1e-4  # rows of the constraint's Jacobian count if what is new in them exceeds this share of the largest
+        1e-4  # a row of the constraint's Jacobian is independent if its new part exceeds this share of the largest row
     )
-    flat: float = 1e-3  # least curvature of a step; below it a direction of a level is left to the next level
-    flat_reach: float = 1e-6  # the same for a position out of reach, which a joint may change by micrometres
-    longest_along: float = 1.0  # longest step towards the constraint [rad or kernel units]
-    longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or kernel units]
+    flat: float = 1e-3  # smallest curvature that a level acts on; flatter directions are left to the next level
+    # the same for a position out of reach, where a joint may still change the error by micrometres
+    flat_reach: float = 1e-6
+    longest_along: float = 1.0  # longest step towards the constraint [rad, or length over the reach]
+    longest_across: float = 0.8  # longest step of a level in its null space [norm, rad or length over the reach]
     same: float = 0.02  # minima are the same if their errors differ by less than this share
-    same_reach: float = 1e-5  # the same for level 0 out of reach, which comes before the level below
+    same_reach: float = 1e-5  # the same for level 0 out of reach, as its errors take precedence over the next level
     agree: int = 3  # the search ends when so many attempts have found the best minimum
     agree_reach: int = 6  # the same if level 0 is out of reach, where minima are close to one another
     most: int = 20  # it also ends after so many attempts if any has reached level 0
     at_once: int = (
-        48  # attempts with all errors at one level, where there are at least as many joints as errors that count
+        48  # attempts with all errors at one level, if there are at least as many joints as errors that count
     )
     at_once_few: int = (
-        3  # the same for fewer joints: of 1,000 poses within reach of the SO-101 9 end off, without them 50
+        3  # the same for fewer joints: with them 9 of 1,000 reachable poses of the SO-101 are missed, without them 50
     )
-    table: int = 2048  # number of known starts; 256 find 2 % fewer of the best minima on five joints
-    known: int = 8  # attempts after which the position is taken to be out of reach
-    decay: float = 0.64  # factor, in each iteration, of the squared error of level 0 above which an attempt is given up
+    table: int = 2048  # number of precomputed starts; 256 find 2 % fewer of the best minima on five joints
+    known: int = 8  # attempts after which level 0 is taken to be out of reach
+    # an attempt is given up if its squared error of level 0 exceeds a bound that falls by this factor in each iteration
+    decay: float = 0.64
 
 
 QUADRATIC = LevelSteps()
@@ -58,28 +61,28 @@ class StepTables(NamedTuple):
     """Scratch of a step: matrices (k, k) with room for n joints and m errors, and vectors (k,)."""
 
     hessian: Array  # (n, n) second derivatives of a level's Lagrangian
-    basis: Array  # (n, .) basis of the null space that the levels so far have left, one vector a column
+    basis: Array  # (n, .) basis of the null space left by the levels so far, one vector a column
     work: Array
-    turned: Array  # the reflections of `triangle`, or eigenvectors of `reduced`
+    turned: Array  # the reflections of `linalg.triangle`, or eigenvectors of `reduced`
     reduced: Array  # second derivatives in the basis, then its eigenvalues on the diagonal
     border: Array  # (r, .) the Jacobian of the free joints, for the r errors of level 0
     triangle: Array  # (r, r) Cholesky factor of border border', damped
     gradient: Array  # (n,) of half the squared errors of a level
-    rhs: Array  # right side of a system
+    rhs: Array  # right side of a linear system
     pull: Array  # (m,) factors of the second derivatives of the errors, see `curvature.add_curvature`
-    chosen: Array  # (2 F,) 1 if a group is of the level
+    chosen: Array  # (2 F,) 1 if a group of errors (position or rotation of a tip) belongs to the level
     asked: Array  # (n,) joint weights from before joints were held
     dz: Array  # (n,) step of a level in the null space
     free: Array  # index of each free joint
     multiplier: Array  # (m,) minus the multipliers of level 0
-    row: Array  # a vector of the null space
-    scales: Array  # see `triangle`
-    order: Array  # see `triangle`
+    row: Array  # scratch: a vector of the null space
+    scales: Array  # factors of the reflections of `linalg.triangle`
+    order: Array  # order of the columns in `linalg.triangle`
 
 
 @inline
 def tables_of(s):
-    """Return the StepTables in the tables of the working memory s (Desk)."""
+    """Name the scratch arrays in s.tables (s: Desk) as StepTables."""
     t = s.tables
     v = t[7]
     return StepTables(
@@ -89,7 +92,7 @@ def tables_of(s):
 
 @inner
 def slope_of_level(p, c, level, out):
-    """Write to out (n,) the gradient of half the squared errors of level c, whose errors `stack` has written."""
+    """Write to out (n,) the gradient of half the squared errors of level c; the errors must be in p.desk.y (method `stack`)."""
     s = p.desk
     for i in range(s.q.shape[0]):
         out[i] = 0.0
@@ -103,7 +106,7 @@ def slope_of_level(p, c, level, out):
 
 @inner
 def hessian_of_level(p, c, level, bench):
-    """Write the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it, to bench.hessian."""
+    """Write to bench.hessian the second derivatives of the Lagrangian of level c, with the multipliers of the levels above it."""
     n = p.desk.q.shape[0]
     for i in range(n):
         for j in range(n):
@@ -118,7 +121,7 @@ def hessian_of_level(p, c, level, bench):
 
 @inline
 def factor_constraint(V, B, A, b, scales, order, r, k, damping):
-    """Factor the Jacobian in the rows of V (r, k): its Gram matrix, damped, into A, V itself by `triangle`; return its rank.
+    """Factor the constraint's Jacobian V (r, k): its damped Gram matrix into A (Cholesky), V itself by `triangle`; return its rank.
 
     B (r, k) receives a copy of V, and b (r,) is replaced by the solution of the damped system.
     """
@@ -138,11 +141,11 @@ def factor_constraint(V, B, A, b, scales, order, r, k, damping):
 
 @inner
 def onto_constraint(s, level, k, value, bench):
-    """Write to s.dq the damped step onto level 0, and make bench.basis one of its null space; return the number of its columns.
+    """Write to s.dq the damped step onto level 0, and to bench.basis a basis of its null space; return how many vectors that has.
 
     Args:
         s: Working memory; the errors are in s.y.
-        level: (2 F,) level of each group.
+        level: (2 F,) level of each group of errors (position and rotation of each tip).
         k: Number of free joints.
         value: Squared error of level 0.
         bench: Scratch; `border` and `triangle` are filled for `multipliers`.
@@ -157,7 +160,7 @@ def onto_constraint(s, level, k, value, bench):
                 b[r] = s.y[h]
                 r += 1
     damping = QUADRATIC.damping * value + QUADRATIC.least_damping
-    if r == 3:  # Loops of a known length are faster.
+    if r == 3:  # Loops whose length is a constant are faster.
         rank = factor_constraint(V, B, A, b, bench.scales, bench.order, 3, k, damping)
     else:
         rank = factor_constraint(V, B, A, b, bench.scales, bench.order, r, k, damping)
@@ -171,7 +174,7 @@ def onto_constraint(s, level, k, value, bench):
     if most > QUADRATIC.longest_along:
         for i in range(s.dq.shape[0]):
             s.dq[i] *= QUADRATIC.longest_along / most
-    for j in range(rank, k):  # The reflections, last one first, take the unit vector j to a vector of the null space.
+    for j in range(rank, k):  # The reflections, last one first, take the unit vector j to a null-space vector.
         for i in range(k):
             bench.row[i] = 1.0 if i == j else 0.0
         for i in range(rank - 1, -1, -1):
@@ -187,12 +190,12 @@ def onto_constraint(s, level, k, value, bench):
 def down_level(s, k, flattest, last, bench, box):
     """Add to s.dq the Newton step of a level in the null space of those above it, with negative curvatures made positive.
 
-    Directions whose curvature is below `flattest` are left to the next level: the basis (n, k) is replaced by them, unless this
-    is the last level. The step is shortened so that it ends inside the limits (box); the part that reaches level 0 is not.
+    Directions whose curvature is below `flattest` are left to the next level: the basis (n, k) is replaced by them, unless this is
+    the last level. The step is shortened to end inside the limits (box); the part of the step that reaches level 0 is not.
 
     Returns:
-        The number of columns of the new basis, and the squared norm of the gradient in the old one, as a share of that of the
-        whole gradient if that is above 1.
+        The number of columns of the new basis, and the squared norm of the gradient in the old basis, divided by that of the whole
+        gradient if that is above 1.
     """
     n, H, Z, A, V, W = s.q.shape[0], bench.hessian, bench.basis, bench.work, bench.turned, bench.reduced
     b, dz, steep, whole = bench.rhs, bench.dz, 0.0, 1.0
@@ -255,7 +258,10 @@ def down_level(s, k, flattest, last, bench, box):
 
 @inner
 def multipliers(level, k, bench):
-    """Write minus the multipliers of level 0 for the gradient of another level to bench.multiplier; see `onto_constraint`."""
+    """Write to bench.multiplier the multipliers of level 0, with opposite sign, for the gradient of another level.
+
+    It uses the factors that `onto_constraint` has left.
+    """
     b, r = bench.rhs, 0
     for g in range(level.shape[0]):
         if level[g] == 0.0:
@@ -276,7 +282,7 @@ def multipliers(level, k, bench):
 
 @inner
 def inverse_multipliers(s, level, k, bench):
-    """Write what stands for the multipliers of level 0 where that is minimised to bench.multiplier: J' mu with mu = -H^+ gradient.
+    """Write to bench.multiplier the counterpart of multipliers where level 0 is minimised: the Jacobian times mu = -H^+ gradient.
 
     The eigenvalues and eigenvectors of H are those that `down_level` found for level 0, whose basis was the free joints.
     """
@@ -298,7 +304,7 @@ def inverse_multipliers(s, level, k, bench):
 
 @inner
 def wrongly_held(s, bench, box):
-    """Return the joint at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none."""
+    """Return the joint held at a limit along which the Lagrangian falls fastest inwards, or -1 if it falls along none."""
     worst, most = -1, 10.0 * QUADRATIC.first_order
     for i in range(s.q.shape[0]):
         if bench.asked[i] > 0.0 and not s.w[i] > 0.0:
@@ -315,8 +321,9 @@ def wrongly_held(s, bench, box):
 def step_by_levels(p, e, level, far):
     """Write the step to p.desk.dq, and return 0, or AT_MINIMUM if q meets level 0 and is a first-order minimum of the others.
 
-    level (2 F,): level of each group; far: whether level 0 is minimised, because it is out of reach. Joints at a limit that the
-    step pushes outwards are held; at a minimum the multipliers of held joints must push outwards, or the worst is released.
+    level (2 F,): level of each group of errors; far: whether level 0 is minimised, because it is out of reach. Joints at a limit
+    that the step pushes outwards are held; at a minimum the multipliers of held joints must push outwards, or the worst is
+    released.
     """
     s, bench, box = p.desk, tables_of(p.desk), p.bounds_of_step()
     n, top, value = s.q.shape[0], 0.0, 0.0
@@ -325,7 +332,7 @@ def step_by_levels(p, e, level, far):
         value += p.group(e, g) if level[g] == 0.0 else 0.0
     p.stack(e)
     copy(s.w, bench.asked)
-    released, first = False, 0 if far else 1  # The limits bear against the first level that is minimised.
+    released, first = False, 0 if far else 1  # The joint limits act on the first level that is minimised.
     for _ in range(2 * n + 2):
         k = 0
         for i in range(n):

@@ -1,4 +1,4 @@
-"""Joint limits and full turns: which joints are held, where a step ends, and which turn of an endless joint is returned."""
+"""Joint limits and wrapping: which joints are held, where a step ends, and which of the angles q + 2 pi k is returned."""
 
 import math
 
@@ -7,14 +7,14 @@ import numpy as np
 from ..compile.jit import inline, inner
 from .kinematics import TAU
 
-# A start with a larger coordinate [rad or kernel units] is refused, because such an angle has only seven digits after the point.
+# A start with a larger coordinate [rad, or length over the reach] is refused: such an angle has only seven digits after the point.
 LARGEST = 1e9
 LIGHTEST = 1e-12  # smallest joint weight in a distance, which avoids a division by the weight 0 of a held joint
 
 
 @inline
 def middle(lower, upper):
-    """Return the angle near which full turns bring a joint: the middle of its limits, or half a turn inside its only limit."""
+    """Return the angle around which a joint is wrapped by 2 pi: the middle of its limits, or half a turn inside its only limit."""
     if lower == -np.inf:
         return upper - 0.5 * TAU
     return 0.5 * (lower + upper) if upper < np.inf else lower + 0.5 * TAU
@@ -48,7 +48,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
 
 @inner
 def held_back(p, look, near, ends, limits):
-    """Return the index of the joint that the option `follow`, not its own limit, most keeps from lowering the error, or -1."""
+    """Return the index of the joint that the option `follow`, and not its own limit, holds back most against the error, or -1."""
     q = p.desk.q
     worst, most = -1, 0.0
     for i in range(q.shape[0]):
@@ -63,7 +63,7 @@ def held_back(p, look, near, ends, limits):
 
 @inline
 def hold(q, dq, w, ends):
-    """Set w[i] to 0 for each joint i at a limit that the step dq pushes outwards; return whether any was not held before."""
+    """Set w[i] to 0 for each joint i at a limit that the step dq pushes outwards; return whether this held any joint anew."""
     hit = False
     for i in range(q.shape[0]):
         if w[i] > 0.0 and ((q[i] <= ends.lower(i) and dq[i] < 0.0) or (q[i] >= ends.upper(i) and dq[i] > 0.0)):
@@ -74,7 +74,7 @@ def hold(q, dq, w, ends):
 
 @inline
 def integrate(q, dq, limits, ends):
-    """Add dq to q. If `limits` is true, joints that may wrap are brought back inside by full turns, and others are clipped.
+    """Add dq to q. If `limits` is true, joints that may wrap are brought back inside by multiples of 2 pi, and others are clipped.
 
     A joint whose dq is 0 keeps its value exactly. Returns the largest move of a joint and the largest absolute coordinate.
     """
@@ -86,7 +86,7 @@ def integrate(q, dq, limits, ends):
         if limits and (a < lower or a > upper) and dq[i] != 0.0:
             if ends.turns(i) > 0.0:
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
-            a = min(max(a, lower), upper)  # After a full turn the value may be just outside by rounding.
+            a = min(max(a, lower), upper)  # After a shift by 2 pi the value may be just outside by rounding.
         moved = max(moved, abs(a - q[i]))
         far = far if abs(a) <= far or far != far else abs(a)  # The result is NaN if any coordinate is NaN.
         q[i] = a
@@ -95,7 +95,7 @@ def integrate(q, dq, limits, ends):
 
 @inner
 def turn(wanted, q, ends, i):
-    """Return the whole number of turns of joint i, from the value q, that is nearest the move `wanted` [rad] within its limits."""
+    """Return the integer k for which q + 2 pi k of joint i is nearest to q + `wanted` [rad] within its limits."""
     k = np.rint(wanted / TAU)
     if ends.turns(i) < 1.5:
         k = min(max(k, math.ceil((ends.lower(i) - q) / TAU)), math.floor((ends.upper(i) - q) / TAU))
@@ -104,14 +104,14 @@ def turn(wanted, q, ends, i):
 
 @inline
 def face(q, wanted, ends):
-    """Bring each joint of q by full turns as near as possible to its value in `wanted` (n,) within limits; return if q changed."""
+    """Shift each joint of q by 2 pi k as near as possible to its value in `wanted` (n,) within limits; return whether q changed."""
     turned = False
     for i in range(q.shape[0]):
         if ends.turns(i) > 0.0:
             k = turn(wanted[i] - q[i], q[i], ends, i)
             if k != 0.0:
                 q[i] += k * TAU
-                if ends.turns(i) < 1.5:  # After a full turn the value may be just outside by rounding.
+                if ends.turns(i) < 1.5:  # After a shift by 2 pi the value may be just outside by rounding.
                     q[i] = min(max(q[i], ends.lower(i)), ends.upper(i))
                 turned = True
     return turned
@@ -119,7 +119,7 @@ def face(q, wanted, ends):
 
 @inner
 def distance(q, other, weights, ends):
-    """Return the squared distance of two configurations (n,), each joint on its nearest turn, its square over its weight."""
+    """Return the squared distance of two configurations (n,), modulo 2 pi where joints may wrap, each joint over its weight."""
     total = 0.0
     for i in range(q.shape[0]):
         a = q[i] - other[i]

@@ -5,7 +5,7 @@ import math
 from ..compile.jit import inline, inner
 from .algebra import V3, diagonal
 
-TINY = 1e-300  # smallest pivot of a factorisation: its root and the inverse of the root are still finite
+TINY = 1e-300  # smallest pivot of a factorisation: its square root and the inverse of that are still finite
 SWEEPS = 40  # highest number of sweeps of Jacobi rotations; six columns need about ten, as convergence is quadratic
 ORTHOGONAL = 1e-15  # two columns (or rows) are orthogonal if the cosine of their angle is below this, which is rounding
 # A column shorter than this share of the longest is rounding. It has no direction, so rotating it would never end.
@@ -225,7 +225,7 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
 
 @inner
 def lu_solve(A, b, m):
-    """Replace b by the solution x of A x = b (the leading m x m part), and overwrite A. False if A is singular (see FLAT)."""
+    """Replace b by the solution x of A x = b (the leading m x m part), and overwrite A; return False if A is singular (FLAT)."""
     top = 0.0
     for i in range(m):
         for j in range(m):
@@ -258,7 +258,7 @@ def lu_solve(A, b, m):
 def lu_factor(M, swaps, m, faint):
     """Replace M (m, m) by its factors L and U, P M = L U, with the largest pivot of each column.
 
-    swaps (m,): receives the rows exchanged. A pivot below `faint` times the largest is replaced by that.
+    swaps (m,): receives the rows exchanged. A pivot below `faint` times the largest pivot is raised to that value.
     """
     largest = 0.0
     for k in range(m):
@@ -313,10 +313,10 @@ def reflect_row(V, scales, k, row, m):
 
 @inner
 def triangle(V, count, m, scales, order, share):
-    """Factor the matrix whose columns are the first `count` rows of V (., m) by Householder's QR, the longest column left first.
+    """Factor the matrix whose columns are the first `count` rows of V (., m) by Householder's QR with column pivoting.
 
-    R stands on and before the diagonal of each row of V, the reflections' vectors behind it; order (count,): the columns as
-    they were taken. Returns the rank: a column shorter than `share` of the first counts as none.
+    R is stored on and before the diagonal of each row of V, the reflections' vectors behind it; order (count,): the columns in the
+    order in which they were taken. Returns the rank: a column shorter than `share` of the first counts as zero.
     """
     first = 0.0
     for c in range(count):

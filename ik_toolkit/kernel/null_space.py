@@ -1,6 +1,6 @@
 """Improve a solution by a secondary objective: move it through the null space of the task, so that it stays on the target.
 
-It uses the methods that problems of one tip and of several have in common (see problem.py).
+It uses only the methods that the problems of one tip and of several tips have in common (see problem.py).
 """
 
 import math
@@ -27,9 +27,10 @@ class Steps(NamedTuple):
     influence: float = 1e-18  # The joints can change an error if its row of the Jacobian has a larger squared norm.
     volume: float = 1e-30  # smallest squared pivot of JJ'; it keeps the logarithm finite at a singular pose
     corrections: int = 6  # highest number of steps back onto the target; convergence is quadratic, so 2 or 3 suffice
-    difference: float = 1e-6  # step of a difference quotient of the manipulability [rad or kernel units]
-    smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad or kernel units]
-    longest: float = 0.3  # largest move of a joint in a step [rad or kernel units], because the null space is curved
+    difference: float = 1e-6  # step of a difference quotient of the manipulability [rad, or length over the reach]
+    smallest: float = 1e-7  # the search ends when a step moves every joint by less [rad, or length over the reach]
+    # largest move of a joint in a step [rad, or length over the reach], because the null space is curved
+    longest: float = 0.3
 
 
 NULL = Steps()
@@ -67,8 +68,8 @@ def make_bounds(places, ends, what, limits):
 def log_manipulability(p, ends):
     """Return the logarithm of Yoshikawa's manipulability sqrt(det(JJ')), up to a constant.
 
-    J consists of the rows of the Jacobian, of all tips, that are not zero; its columns for sliding joints are taken per metre.
-    J and A of the working memory p.desk are overwritten.
+    J consists of the rows of the Jacobian, of all tips, that are not zero; its columns for prismatic joints are taken per metre.
+    p.desk.J and p.desk.A are overwritten.
     """
     J, A = p.desk.J, p.desk.A
     m = 0
@@ -94,7 +95,10 @@ def log_manipulability(p, ends):
 
 @inline
 def objective_goal(what, ends, ref, i):
-    """Return the value [kernel units] towards which the objective moves joint i: the middle of its range, or its value in `ref`."""
+    """Return the value towards which the objective moves joint i: the middle of its range, or its value in `ref`.
+
+    Angles are in rad, prismatic joints in lengths over the reach (`ref`: in metres).
+    """
     return ends.low(i) + 0.5 * ends.span(i) if what == MID_RANGE else ref[i] / ends.unit(i)
 
 
@@ -107,10 +111,10 @@ def move(q, dq, factor, box):
 
 @inline
 def onto_target(p, weights, box, enough):
-    """Move p.desk.q back onto the target by damped least squares; a null-space step leaves the target by a second-order error.
+    """Move p.desk.q back onto the target by damped least squares, because a null-space step leaves it by a second-order error.
 
     weights (n,): joint weights; box: joint limits (Bounds); enough: squared error at which to stop, or 0 to stop inside the
-    tolerances. Returns the last evaluation. p.desk.J is not the Jacobian at the last q.
+    tolerances. Returns the last evaluation. Afterwards p.desk.J belongs to an earlier q than p.desk.q.
     """
     s = p.desk
     for k in range(NULL.corrections):

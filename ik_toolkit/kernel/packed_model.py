@@ -1,4 +1,4 @@
-"""All arrays of a robot that a search reads, packed into one, because handing an array from Python to a kernel takes 60 ns.
+"""All arrays of a robot that a search reads, packed into one, because passing an array to compiled code takes 60 ns.
 
 The packed array begins with five counts (see `array_sizes`); rows, ends, seeds and features of a `chain.Chain` or a
 `chain.TreeChain` follow. The features are single precision, so each float64 of the array holds two of them.
@@ -25,7 +25,7 @@ def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.nda
 
 @compiled
 class Parts(NamedTuple):
-    """The parts of a packed array, for L joints, F tips, n coordinates and N known configurations."""
+    """The parts of a packed array, for L joints, F tips, n coordinates and N precomputed starts."""
 
     rows: Array  # (L, 10) geometry of the joints
     ends: Array  # (F * K,) K numbers for each tip: base, tip and limits, see `records.Ends`

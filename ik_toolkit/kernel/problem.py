@@ -1,11 +1,11 @@
-"""What a search solves: the problem of one tip (`serial.Serial`), or of several tips with shared joints (`tree.Tree`).
+"""What a search solves: the problem of one tip (`serial.Serial`), or of several tips with shared joints (`tree.TreeProblem`).
 
-Both have the same methods, so rules and loops are written once:
+Both have the same methods, so solver rules and loops are written once. Lengths inside are divided by the arm's reach.
 
-    aim(T, orders)     take a target; returns the length by which it is out of reach [kernel units], -1 if it is not a pose
-    evaluate(q)        return the errors at q as a look e: e.ee is their squared norm, e.good says if they are inside the tolerances
-    stand(q), see()    do the two halves of `evaluate`: compute the pose at q, then its errors (of several targets in turn)
-    jacobian(look)     fill J (n, m): one joint a row, six columns a tip, linear part first
+    aim(T, orders)     take a target; returns the length by which it is out of reach [over the reach], -1 if it is not a pose
+    evaluate(q)        return the errors at q as a record e: e.ee is their squared norm, e.good says if they are in tolerance
+    stand(q), see()    do the two halves of `evaluate`: compute the pose at q, then its errors (for several targets in turn)
+    jacobian(look)     fill J (n, m): one joint a row, six columns a tip, linear part first; look: errors from `evaluate`
     damped(look, x)    write the step dq = W J'(J W J' + x)^-1 e
     toward(y, x)       write that damped step for given errors y (m,) in place of e
     width()            return m, as a constant where it is known at compile time
@@ -20,15 +20,16 @@ Both have the same methods, so rules and loops are written once:
     moving(V, out)     convert a twist, or acceleration, of the targets V (m,) [base axes, m] to the errors that count
     mirrors(out)       write (F, 3) normals of reflections; with a free turn, a tip's reflection makes its last rotation error 0
     bending(look, x, y, out)  write (dJ/dt) y at joint rates x, for the J that was filled last; only where `plain`
-    graded(look, ee, good)    return the look with another value of `ee` and `good`, see levels.py
+    graded(look, ee, good)    return the errors with another value of `ee` and `good`, see levels.py
     group(look, g), allowed(g)  return the squared error of group g and its tolerance; position and rotation of a tip are groups
     exact(x, level)    aim at the targets themselves, not at the edge of the reach; return x, by how much level 0 is out of reach
-    tilt(g)            return sin(angle) / angle of a rotation measured by its chord, else 1; needs `stack`
+    tilt(g)            return sin(angle) / angle of a rotation measured by 2 sin(angle/2), else 1; needs `stack`
     curvature(c, least, H)  add second derivatives of the errors to H, see `curvature.add_curvature`; needs J and `stack`
     bounds_of_step()   return the limits of a step (Ends)
     keep, left, report store and return the errors of the answer
 
-A problem holds views of the flat arrays and of scratch. It is made once in each call of a kernel and never leaves inlined code.
+A problem holds views of the flat arrays and of scratch memory. It is made once in each compiled call and exists only in inlined
+code.
 """
 
 from typing import NamedTuple
@@ -51,19 +52,20 @@ BEST_OF_ALL, NEAREST, NOW = 0, 1, 2
 
 @compiled
 class Desk(NamedTuple):
-    """Working memory of a search over n coordinates and m errors of F tips, in kernel units."""
+    """Working memory of a search over n coordinates and m errors of F tips; lengths are divided by the arm's reach."""
 
     q: Array  # (n,) current coordinates
-    dq: Array  # (n,) joint step computed by the solver's rule
-    start: Array  # (n,) q0, or home if no q0 is given
+    dq: Array  # (n,) joint step computed by the solver rule (the iterative method)
+    start: Array  # (n,) start of the search: q0, or home if no q0 is given
     w: Array  # (n,) joint weights; a weight of 0 holds the joint in this step
-    x: Array  # (4 n + 8,) state of the solver's rule, set to zero when an attempt starts
+    x: Array  # (4 n + 8,) internal state of the solver rule, set to zero when an attempt starts
     J: Array  # (n, m) transposed Jacobian
     A: Array  # (m, m) scratch for a matrix over the errors
     y: Array  # (m,) errors of the step, with rotations as rotation vectors
     # (m,) only for several tips: the errors whose sum of squares is minimised, with rotations as 2 sin(angle/2) times the axis
     e: Array
-    spent: Array  # (3,) number of evaluations made, number allowed, and number of the attempt
+    # (3,) evaluations made, evaluations allowed, number of the attempt (with levels: its `Phases`)
+    spent: Array
     tables: Array  # (8, k, k) scratch for matrices over the coordinates or the errors; k is the largest of n, m and 11
     errors: Array  # (3, F, 2) stored squared errors (position, rotation) of each tip, for BEST_OF_ALL, NEAREST and NOW
 
@@ -74,7 +76,7 @@ class Desk(NamedTuple):
 
 @spliced
 def make_desk(block, n, m):
-    """Make the working memory for n coordinates and m errors, cut from a block."""
+    """Make the working memory for n coordinates and m errors, from the memory `block`."""
     s = Desk(
         *cut(
             block,
@@ -91,7 +93,7 @@ def make_desk(block, n, m):
 
 @inline
 def tolerances(orders, kind, scale):
-    """Return the squared tolerances of position [kernel units] and rotation, in the measures used for targets of this kind.
+    """Return the squared tolerances of position [lengths over the reach] and rotation, in the measures for targets of this kind.
 
     Rotations are measured by 2 sin(angle/2), or by the angle [rad] if only a part of the error counts.
     """
@@ -103,7 +105,7 @@ def tolerances(orders, kind, scale):
 def take(T, ends, task, goal, orders):
     """Convert a target T (4, 4) and write it to goal (GOAL,).
 
-    Returns the length [kernel units] by which the target is proven out of reach, -1 if T is not a pose.
+    Returns the length [over the reach] by which the target is proven out of reach, -1 if T is not a pose.
     """
     if not rigid(T, ORTHONORMAL):
         return -1.0
@@ -211,7 +213,7 @@ def to_base(ends, task, y, out):
 def local_motion(ends, task, kept, V, out):
     """Convert a twist or acceleration V (6,) of a target [base axes, m, rad] to the errors that count.
 
-    The errors are in kernel units and in the first joint's axes, or in the task's axes if only a part counts.
+    The result's lengths are over the arm's reach; its axes are the first joint's, or the task's if only a part of the error counts.
     """
     base = rotation_at(ends.flat, 0)
     u, v = base.across(at3(V, 0)) * (1.0 / ends.scale()), base.across(at3(V, 3))

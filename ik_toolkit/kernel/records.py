@@ -1,8 +1,8 @@
-"""Records that name the numbers of the flat arrays which Python hands to compiled loops and gets back.
+"""Records that name the numbers of the flat arrays which Python passes to compiled loops and gets back.
 
 The order of the fields is the layout of an array: Python packs `[*Orders(...), *Task(...), ...]` and reads `row[AT.status]`, and
-the kernel makes the same records from the same arrays. Flat arrays are used because numba unpacks them fastest: an array takes
-50 ns, and twice as long inside a record of arrays.
+the compiled code makes the same records from the same arrays. Flat arrays are used because numba unpacks them fastest: an array
+takes 50 ns, and twice as long inside a record of arrays.
 """
 
 # Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
@@ -20,7 +20,7 @@ Array = np.ndarray
 
 @compiled
 class Orders(NamedTuple):
-    """Options of a solve. An array of orders holds them, a `Task` for each tip, n joint weights, then the rule's parameters."""
+    """Options of a solve: the start of an `orders` array. A `Task` for each tip, n joint weights and solver parameters follow."""
 
     tol_p: float  # position tolerance [m]
     tol_r: float  # rotation tolerance [rad]
@@ -28,24 +28,24 @@ class Orders(NamedTuple):
     iterations: float  # highest number of iterations of an attempt
     attempts: float  # highest number of attempts
     c: float  # An attempt from a start in the table is given up in iteration k if its squared error exceeds c rho^k.
-    rho: float  # see c
+    rho: float  # decay of that bound per iteration, see c
     c_free: float  # An attempt from q0 or a random start is given up if its squared error exceeds c_free rho_free^k.
-    rho_free: float  # see c_free
+    rho_free: float  # decay of that bound per iteration, see c_free
     patience: float  # number of the first attempt that gets more iterations, see `search.Endings`; inf if none does
     evaluations: float  # highest number of evaluations of the errors
     limits: float  # 1 if the joint limits are kept, 0 if they are ignored
     seed: float  # seed of the random starts
     closest: float  # number of solutions of which the one nearest q0 is taken; 0 takes the first solution
     hold: float  # 1 if joints pushed past a limit are held and the step is computed again, else 0
-    follow: float  # largest move of a turning joint away from q0 [rad]; 0 allows any
-    follow_slide: float  # largest move of a sliding joint away from q0 [m]; 0 allows any
+    follow: float  # largest move of a revolute joint away from q0 [rad]; 0 allows any
+    follow_slide: float  # largest move of a prismatic joint away from q0 [m]; 0 allows any
 
 
 class Task(NamedTuple):
-    """Which part of a tip's pose error counts. Lengths are in kernel units; the free axis is given in the last joint's frame."""
+    """Which part of a tip's pose error counts. Lengths are over the reach; the free axis is in the last joint's frame."""
 
     kind: float  # POSE, POSITION, FREE or PART of `counted_error`
-    frame: float = 0.0  # axes in which weights and slacks are given: BASE, TIP or TARGET of `counted_error`
+    frame: float = 0.0  # axes in which weights and dead bands are given: BASE, TIP or TARGET of `counted_error`
     other: float = -1.0  # index of the tip that the target is relative to; -1 means the base
     free: float = 0.0  # 1 if the tip may turn about the axis (ax, ay, az), else 0
     ax: float = 0.0
@@ -58,7 +58,7 @@ class Task(NamedTuple):
     w3: float = 1.0
     w4: float = 1.0
     w5: float = 1.0
-    s0: float = 0.0  # s0 to s5 are the sizes up to which the same six errors count as zero
+    s0: float = 0.0  # s0 to s5 are the dead bands: sizes up to which the same six errors count as zero
     s1: float = 0.0
     s2: float = 0.0
     s3: float = 0.0
@@ -68,7 +68,7 @@ class Task(NamedTuple):
 
 @compiled
 class Answer(NamedTuple):
-    """Result of a solve. An array of results holds it, then q (n), then for several tips a `Miss` for each tip."""
+    """Result of a solve: the start of a row of results. Then comes q (n), and for several tips a `Miss` for each tip."""
 
     status: float  # one of the codes of `checks`
     iterations: float  # number of iterations of all attempts
@@ -105,10 +105,10 @@ POINTS = 24  # index in the array of `Ends` at which the numbers of the coordina
 
 @compiled
 class Ends(NamedTuple):
-    """Both ends of a chain and its coordinates' limits, all in one flat array, because passing each array to a kernel takes time.
+    """Both ends of a chain and its coordinates' limits, all in one flat array, because passing each array takes time.
 
     The array holds the poses of base and tip (each a rotation matrix by rows, then a point), n numbers for each property of the
-    coordinates, then the numbers of the chain as a whole. Lengths are in kernel units.
+    coordinates, then the numbers of the chain as a whole. Lengths are divided by `scale`, a power of two near the reach.
     """
 
     flat: Array
@@ -121,11 +121,11 @@ class Ends(NamedTuple):
         return self.flat[POINTS + self.n + i]
 
     def turns(self, i):
-        """Return 0 if coordinate i never wraps, 1 if it wraps by full turns inside its limits, 2 if it is endless."""
+        """Return 0 if coordinate i never wraps, 1 if it wraps by 2 pi inside its limits, 2 if it is endless."""
         return self.flat[POINTS + 2 * self.n + i]
 
     def unit(self, i):
-        """Return the size of one kernel unit of coordinate i: 1 rad for an angle, `scale` metres for a slide."""
+        """Return the size of the internal unit of coordinate i: 1 rad for an angle, `scale` metres for a prismatic joint."""
         return self.flat[POINTS + 3 * self.n + i]
 
     def low(self, i):
@@ -140,14 +140,14 @@ class Ends(NamedTuple):
         return self.flat[POINTS + 6 * self.n + i]
 
     def scale(self):
-        """Return the length of one kernel unit [m]."""
+        """Return the internal unit of length [m], a power of two near the reach."""
         return self.flat[POINTS + 7 * self.n]
 
     def bound(self, k):
-        """Return one of six bounds [kernel units] on the reach.
+        """Return one of six bounds [lengths over the reach] on the robot's reach.
 
-        k = 0 and 1 bound the distance of the tip from the arm's foot from above and below; 2 and 3 likewise bound the distance of
-        the last joint. 4 and 5 are the lowest and highest place of the foot, which a vertical slide may carry.
+        k = 0 and 1: largest and smallest distance of the tip from the first joint; k = 2 and 3: the same for the last joint instead
+        of the tip. k = 4 and 5: lowest and highest position of the base of the arm, which may stand on a vertical prismatic joint.
         """
         return self.flat[POINTS + 1 + 7 * self.n + k]
 
@@ -175,7 +175,7 @@ def _read(cls, array, start=0):
     return lambda cls, array, start=0: make(*counted_part(array, start, size))
 
 
-@overload(read, jit_options=BUILD)  # A function that returns an array must count references, unlike those with INLINE.
+@overload(read, jit_options=BUILD)  # Returning an array needs numba's reference counting, which INLINE leaves out.
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):

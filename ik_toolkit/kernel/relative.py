@@ -6,7 +6,7 @@ from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT
 
-# Layout of an array that ties a target to another tip: TURN, POINT and FRAME are indices.
+# Layout of the array (LINK,) that describes a target fixed to another tip: TURN, POINT and FRAME are indices.
 TURN = 0  # rotation (9) from the other tip's axes to the target's
 POINT = 9  # the target's point (3) in the other tip's axes
 FRAME = 12  # pose (12) of the other chain's first joint in the frame of this chain's first joint
@@ -29,7 +29,7 @@ def transposed(m):
 def link_to(T, ends, other, link):
     """Write to link (LINK,) a target T (4, 4) [m] given in another tip's frame.
 
-    `ends` is the `Ends` of the tip that has the target, `other` that of the other tip.
+    `ends` is the `Ends` of the tip that has this target, `other` the `Ends` of the tip it is relative to.
     """
     tool = rotation_at(other.flat, 12)
     turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
@@ -42,7 +42,7 @@ def link_to(T, ends, other, link):
 
 @inner
 def carry(pose, link, goal):
-    """Write to goal (GOAL,) the present pose of a target that moves with another tip, as `link` (LINK,) says.
+    """Write to goal (GOAL,) the present pose of a target that is fixed to another tip by `link` (LINK,).
 
     pose (12,): axes of the last joint in the other tip's chain (9), then the position of that tip (3).
     """
@@ -54,7 +54,7 @@ def carry(pose, link, goal):
 
 @inner
 def fill_goal(rows, task, kept, joints, pose, link, J, first):
-    """Subtract from J the motion of a tip's target with the other tip; rows, joints and pose are those of the other tip.
+    """Subtract from J the motion of a tip's target, which moves with another tip; rows, joints and pose are those of the other tip.
 
     J (n, m) is the transposed Jacobian; `first` is the first of the six columns of the tip that has the target.
     """

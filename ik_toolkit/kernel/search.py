@@ -1,11 +1,11 @@
-"""The search shared by all iterative rules and all problems: attempts from good starts until one of them converges.
+"""The search shared by all iterative methods and all problems: attempts from good starts until one of them converges.
 
-A rule is a NamedTuple class whose fields are its parameters and whose method step(p, e) writes the step p.desk.dq. A problem
-is a `Serial` (one tip) or a `Tree` (several tips). Both are chosen by class when the search is compiled, so the loop is written
-once and costs no function call. With NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
+A method (solver rule) is a NamedTuple class whose fields are its parameters and whose method step(p, e) writes the step p.desk.dq.
+A problem is a `Serial` (one tip) or a `TreeProblem` (several tips). Both are chosen by class when the search is compiled, so the
+loop is written once and costs no function call. With NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 
-Every iteration evaluates the errors, keeps the best configuration so far, tests for convergence, budget and lack of progress,
-asks the rule for a step, and applies it inside the joint limits. Reported errors were evaluated at q, or full turns away from q.
+Every iteration evaluates the errors, keeps the best configuration so far, tests for convergence, budget and lack of progress, asks
+the rule for a step, and applies it inside the joint limits. Reported errors were evaluated at q, or at q modulo 2 pi.
 """
 
 # Pyright must ignore what numba's type hints lack: options in a dict, and functions that only numba calls.
@@ -39,8 +39,8 @@ from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, PAST, TASK, Answer, Array, Ends, Orders, copy, read, write
 from .starts import BEST, FEATURES, StartTable, make_table, sow
 
-# A rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall.
-# AT_MINIMUM ends an attempt with success: q is a first-order minimum (see levels.py).
+# A solver rule's `step` returns 0, SINGULAR_STEP if no step exists, or WAITING if a zero step does not mean a stall. AT_MINIMUM
+# ends an attempt with success: q is a first-order minimum (see levels.py).
 SINGULAR_STEP, WAITING, AT_MINIMUM = -1, -2, -3
 # An attempt without a status yet either goes on (GOING) or no longer moves any joint (STILL; `conclude` finds out why).
 GOING, STILL = -1, -2
@@ -58,8 +58,9 @@ class Endings(NamedTuple):
     unreachable_attempts: int = 3  # number of attempts if a target is proven out of reach; they aim at the reach's edge
     rounding: float = 1e-9  # squared error below which no attempt is given up, because what remains is rounding
     overflow: float = 1e300  # squared error above which an attempt has diverged
-    far_off: float = 1e6  # coordinate [rad or kernel units] above which an attempt has diverged
-    rest: float = 1e-9  # A step counts as no motion if no joint moves further than this [rad or kernel units].
+    far_off: float = 1e6  # coordinate [rad, or length over the reach] above which an attempt has diverged
+    # A step counts as no motion if no joint moves further than this [rad, or length over the reach].
+    rest: float = 1e-9
 
 
 END = Endings()
@@ -93,7 +94,7 @@ class Spent(NamedTuple):
     """Counts of what a search has done so far."""
 
     evaluations: int  # evaluations of the errors
-    steps: int  # number of iterations of the rule
+    steps: int  # number of iterations
     noted: int  # number of rows written to `history`
 
 
@@ -110,7 +111,10 @@ class Attempts(NamedTuple):
 
 @inline
 def judge_evaluation(e, k, ceiling, patience, count, o):
-    """Return the final status of an attempt after evaluation e in its iteration k, or GOING; count: evaluations so far."""
+    """Return the final status of an attempt after evaluation e in its iteration k, or GOING if it continues.
+
+    ceiling: squared error above which the attempt is given up; count: evaluations so far; o: the options of the solve.
+    """
     if e.good:
         return CONVERGED
     if not e.ee < END.overflow:
@@ -134,10 +138,10 @@ def note(p, e, ends, history, row, attempt):
 
 @inline
 def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
-    """Iterate from the configuration in working memory (p.desk.q) until the attempt converges, fails or is given up.
+    """Iterate from p.desk.q until the attempt converges, fails or is given up.
 
-    The q of the least error of all attempts is copied to `job.best`, and p keeps its errors as BEST_OF_ALL. Returns the status
-    of the attempt, its last evaluation, the least squared error of all attempts and the updated counts (Spent).
+    The q of the least error of all attempts is copied to `job.best`, and p keeps its errors as BEST_OF_ALL. Returns the status of
+    the attempt, its last evaluation, the least squared error of all attempts and the updated counts (Spent).
     """
     q, dq, w, o = p.desk.q, p.desk.dq, p.desk.w, job.orders
     boxed = o.limits > 0.0 or o.follow > 0.0
@@ -186,8 +190,8 @@ def make_attempt(rule, p, job, patience, needs_jacobian, spent, least, attempt):
 def search(rule, p, job, needs_jacobian, excess):
     """Make attempts until one converges, or as many as the option `closest` asks for, and choose among their results.
 
-    The start p.desk.start (n,) is q0 or home. `excess` > 0 says by how much the target is proven out of reach [kernel units].
-    Leaves q of the answer in p.desk.q. Returns the Answer, and the index of its stored errors (BEST_OF_ALL or NEAREST).
+    The start p.desk.start (n,) is q0 or home. `excess` > 0 is by how much the target is proven out of reach [lengths over the
+    reach]. Leaves q of the answer in p.desk.q. Returns the Answer, and the index of its stored errors (BEST_OF_ALL or NEAREST).
     """
     o, q, start = job.orders, p.desk.q, p.desk.start
     given, closest, attempts = int(o.given), int(o.closest), int(o.attempts)
@@ -224,7 +228,7 @@ def search(rule, p, job, needs_jacobian, excess):
 
 @inner
 def conclude(p, job, made, spent, excess):
-    """Put the answer into p.desk.q, each joint on its turn nearest the start; return status, counts and errors (Answer)."""
+    """Put the answer into p.desk.q, shifted by 2 pi k to be nearest the start; return status, counts and errors (Answer)."""
     o, q, start, status = job.orders, p.desk.q, p.desk.start, made.status
     limits, following = o.limits > 0.0, o.follow > 0.0
     affordable, judged, held = spent.evaluations < o.evaluations, False, -1
@@ -242,7 +246,7 @@ def conclude(p, job, made, spent, excess):
         e = p.evaluate(q)
         p.jacobian(e)
         evaluations += 1
-        if status == CONVERGED and not e.good:  # The rounding of a full turn exceeded a tolerance.
+        if status == CONVERGED and not e.good:  # Rounding in the shift by 2 pi exceeded a tolerance.
             copy(answer, q)
         else:
             p.keep(e, made.slot)
@@ -266,7 +270,7 @@ def conclude(p, job, made, spent, excess):
 
 @inline
 def start_attempt(p, job, k, excess):
-    """Put the start of attempt k into p.desk.q (working memory), and return how long the attempt may go on.
+    """Put the start of attempt k into p.desk.q, and return the attempt's iteration limit and give-up bound (Patience).
 
     k < 0 is the attempt from q0. Attempts 0 to BEST - 1 start from the table, nearest first, and all later ones at random.
     """
@@ -291,7 +295,7 @@ def start_attempt(p, job, k, excess):
 
 
 def seek(rule, p, job, needs_jacobian, excess):
-    """Search by the rule's own `seek` if it has one, which `level_search` writes, otherwise by `search`."""
+    """Search by the solver rule's own method `seek` if it has one (for errors with priorities), otherwise by `search`."""
     return rule.seek(p, job, excess) if hasattr(rule, "seek") else search(rule, p, job, needs_jacobian, excess)
 
 
@@ -304,7 +308,7 @@ def _seek(rule, p, job, needs_jacobian, excess):
 
 @inline
 def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
-    """Do the work of the kernel that `entry` returns, whose arguments are given as views; block: scratch memory."""
+    """Do the work of the compiled search that `entry` returns, with the arguments given as views; block: scratch memory."""
     rows, ends, seeds, features = part(chain)
     N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
@@ -348,22 +352,23 @@ def run_search(step, needs_jacobian, chain, T, Q0, out, orders, block):
 
 
 def step_class(cls: type) -> type:
-    """Return the class that the compiled step of a rule reads: its `COMPILED`, or the rule's own class."""
+    """Return the class whose `step` is compiled for a solver: its attribute `COMPILED`, or the class itself."""
     return getattr(cls, "COMPILED", cls)
 
 
 @functools.cache
 def entry(cls: type) -> Callable:
-    """Return the compiled search of a rule: solve(chain, T, Q0, out, orders).
+    """Return the compiled search of a solver rule: solve(chain, T, Q0, out, orders).
 
     Its arguments are arrays of float64:
 
     - chain: all arrays of a chain or a tree (see `packed_model.join`);
     - T: target poses (N, 4, 4) [m] in the base frame, for F tips (N, F, 4, 4);
-    - Q0: starts (1 or N, n) [rad or m], used if the orders say so; joints of an answer are on the turns nearest its start;
+    - Q0: starts (1 or N, n) [rad or m], used if the orders say so; an answer's joints are shifted by 2 pi k to be nearest its
+      start;
     - out: receives N rows, each of ANSWER + n numbers (for several tips MISS F more). Its rest receives the history: for each
       evaluation PAST + n numbers, which are position error [m], rotation error [rad], number of the attempt, and q;
-    - orders: an `Orders`, a `Task` for each tip, the joint weights (n) and the parameters of the rule.
+    - orders: an `Orders`, a `Task` for each tip, the joint weights (n) and the parameters of the solver rule.
     """
     step = step_class(cls)
     needs_jacobian = getattr(step, "JACOBIAN", True)

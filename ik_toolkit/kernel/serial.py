@@ -32,7 +32,10 @@ from .starts import nearest_seeds, rnd
 
 @compiled
 class Look(NamedTuple):
-    """Errors of one tip at a configuration, in kernel units and the first joint's axes (the task's axes if only a part counts)."""
+    """Errors of one tip at a configuration; lengths are over the reach.
+
+    The axes are the first joint's, or the task's if only a part of the error counts.
+    """
 
     point: V3  # position of the tip
     linear: V3  # position error: target - tip
@@ -43,12 +46,12 @@ class Look(NamedTuple):
 
 @compiled
 class Serial(NamedTuple):
-    """The search problem of one tip: geometry, target, what counts, and the last evaluation."""
+    """The search problem of one tip: geometry, target, which part of the error counts, and the last evaluation."""
 
     desk: Desk
     rows: Array  # (L, 10) geometry of the chain, see kinematics.py
     ends: Ends  # base, tip and joint limits of a step
-    task: Array  # (TASK,) what counts, see `records.Task`
+    task: Array  # (TASK,) which part of the error counts, see `records.Task`
     goal: Array  # (GOAL,) the target
     kept: Array  # (KEPT,) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
     # (12,) pose that the method `stand` computed last: axes of the last joint by rows, then the tip's position
@@ -68,7 +71,7 @@ class Serial(NamedTuple):
         return self.look(axes, tip)
 
     def look(self, axes, tip):
-        """Return the errors for the given axes of the last joint and position of the tip."""
+        """Return the errors, as a Look, for the given axes of the last joint and position of the tip."""
         linear, angular = errors_at(self.task, self.ends, self.goal, self.kept, axes, tip)
         pp, rr = linear.square(), angular.square()
         return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)
@@ -120,8 +123,8 @@ class Serial(NamedTuple):
     def best_move(self, look, i, least):
         """Return the move of coordinate i alone that minimises the error.
 
-        The move is exact if only the position counts and the joint turns, else it minimises the linearised error. It is 0 if a
-        measure of the coordinate's effect on the error is at most `least`.
+        The move is exact if only the position counts and the joint is revolute, else it minimises the linearised error. It is 0 if
+        a measure of the coordinate's effect on the error is at most `least`.
         """
         linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
         kind = int(self.task[WHAT.kind])
@@ -142,12 +145,12 @@ class Serial(NamedTuple):
         return top / size if size > least else 0.0
 
     def try_out(self, q):
-        """Return the errors at q (n,) for a rule that tries moves; the evaluation counts towards the budget."""
+        """Return the errors at q (n,) for a solver rule that tests moves; the evaluation counts towards the budget."""
         self.desk.spent[0] += 1.0
         return self.evaluate(q)
 
     def undo(self, look):
-        """Restore the matrices `kept`, which `try_out` changed, for the Jacobian at p.desk.q; the caller has restored q itself."""
+        """Evaluate at desk.q again, because `try_out` changed the matrices `kept` for the Jacobian; the caller restores q."""
         if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
 
@@ -222,12 +225,12 @@ class Serial(NamedTuple):
         return position, angle_left(int(self.task[WHAT.kind]), errors[place, 0, 1])
 
     def report(self, place, row):
-        """Write nothing, because for one tip the `Answer` at the start of the row has all errors."""
+        """Do nothing: for one tip the `Answer` at the start of the row already has all errors."""
 
 
 @spliced
 def serial_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of one tip (Serial) with its scratch cut from a block."""
+    """Make the problem of one tip, with its scratch arrays cut from `block`."""
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
@@ -254,7 +257,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_serial(rows, ends, tasks, n, orders):
-    """Make the problem of one tip (Serial) with scratch of its own, for code that works on arrays."""
+    """Make the problem of one tip, with scratch arrays of its own, for code that works on arrays."""
     block = np.empty(space(n, 6, rows.shape[0], 0))
     block[0] = 0.0
     return serial_on(block, rows, ends, tasks, n, orders)

@@ -3,7 +3,7 @@
 Formulas, starts, tests and rules for giving up are those of the search with the rule LM. Only the joint limits differ: joints are
 held by the sign of the gradient and not of the step, because the step would then have to be computed again with joints held, almost
 always for at least one lane. A lane that is done takes the next target. Lanes never exchange data, so an answer depends on its
-target alone. Targets that take too long or need care (unreachable, half a turn away, refused) are left to the search.
+target alone. Targets that take too long or need care (unreachable, rotations by pi, invalid) are left to the ordinary search.
 """
 
 # Pyright reports calls of intrinsics, because numba itself passes their first argument.
@@ -53,7 +53,7 @@ class Lanes(NamedTuple):
     rr: Array  # (1, 8) squared rotation error of the last evaluation
     which: Array  # (8,) index of the target, -1 for a lane without one
     tries: Array  # (8,) attempts made at the target
-    starts: Array  # (8, BEST) indices of the known configurations to start from
+    starts: Array  # (8, BEST) indices of the precomputed configurations to start from
     state: Array  # (8, 1) states of the random sequences
 
 
@@ -68,7 +68,7 @@ class Call(NamedTuple):
 
 @spliced
 def make_lanes(block, n):
-    """Make Lanes without targets, with scratch cut from a block."""
+    """Make Lanes without targets, with scratch arrays from the memory `block`."""
     W = WIDTH
     Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
         block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))
@@ -90,7 +90,7 @@ def make_lanes(block, n):
 def lane_errors(rows, tip, s, turning):
     """Return the tip, its errors (linear, angular) and 1 + cos(angle left). If the latter is below HALF_TURN, `angular` is wrong.
 
-    turning: factor of the rotation error; 0 if only the position counts, else 1.
+    turning: factor of the rotation error: 0 if only the position counts, else 1.
     """
     now = fk(rows, s.Q, s.joints, s.trig)
     point = now.point + now.axes.times(tip)
@@ -101,7 +101,7 @@ def lane_errors(rows, tip, s, turning):
 
 @spliced
 def limited_step(rows, s, ends, turning, point, linear, angular, damping):
-    """Take the damped step inside the limits, holding joints that the gradient pushes past them. s.joints becomes the Jacobian."""
+    """Take the damped step inside the limits, holding joints that the gradient pushes past them; s.joints becomes the Jacobian."""
     n = rows.shape[0]
     zero, one = full(0.0), full(1.0)
     blocks = diagonal(damping)
@@ -123,7 +123,7 @@ def limited_step(rows, s, ends, turning, point, linear, angular, damping):
         if ends.turns(i) > 0.0:
             back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
             q = lane_select((q < low) | (q > high), back, q)
-        q = lane_select(q < low, full(low), q)  # After a full turn the value may be just outside by rounding.
+        q = lane_select(q < low, full(low), q)  # After a shift by 2 pi the value may be just outside by rounding.
         q = lane_select(q > high, full(high), q)
         put(s.Q, i, q)
 
@@ -169,9 +169,9 @@ def begin_attempt(o, ends, seeds, s, lane, Q0):
 
 @spliced
 def hand_in(p, o, ends, s, lane, wanted, call):
-    """Write the answer of a lane, each joint on its turn nearest the start; wanted (n,) is scratch.
+    """Write the answer of a lane, shifted by 2 pi k to be nearest the start; wanted (n,) is scratch.
 
-    If full turns bring the answer out of tolerance by rounding, nothing is written, and the target is left to the search.
+    If rounding in the shift brings the answer out of tolerance, nothing is written, and the target is left to the ordinary search.
     """
     Q0, out = call.Q0, call.out
     t, q, n = s.which[lane], p.desk.q, s.Q.shape[0]
@@ -187,7 +187,7 @@ def hand_in(p, o, ends, s, lane, wanted, call):
         # The target is in reach, so it is aimed at itself, not at the edge of the reach.
         put3(p.goal, 12, at3(p.goal, 9))
         e = p.evaluate(q)
-        if not e.good:  # A full turn changes the errors by rounding, so a tolerance that was just met may be exceeded.
+        if not e.good:  # Rounding in the shift by 2 pi may exceed a tolerance that was just met.
             return
         p.keep(e, BEST_OF_ALL)
         position, rotation = p.left(BEST_OF_ALL)
@@ -201,7 +201,10 @@ def hand_in(p, o, ends, s, lane, wanted, call):
 
 @inline
 def run_lanes(rows, chain, seeds, features, T, Q0, out, orders, block):
-    """Solve until every target is done or left to the search: the work of `lanes`, with arguments as views; block: scratch."""
+    """Solve until every target is done or left to the ordinary search: the work of `lanes`, with arguments as views.
+
+    block: scratch memory.
+    """
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)
     block[0] = 0.0

@@ -1,4 +1,4 @@
-"""Where attempts start: first at the nearest entries of a table of known configurations, then at reproducible random places.
+"""Where attempts start: first at the nearest entries of a table of precomputed configurations, then at reproducible random ones.
 
 With several tips, one of the tips that a coordinate moves chooses where the coordinate starts.
 """
@@ -14,8 +14,9 @@ from .records import WHAT, Array, Ends, copy
 from .relative import carry
 
 SEEDS = 256  # number of configurations in the table of starts; scanning more costs more than it saves in iterations
-BEST = 8  # number of attempts that start from known configurations before random ones
-FEATURES = 13  # number of features of a configuration, by which it is compared with a target, see `chain.table`
+BEST = 8  # number of attempts that start from precomputed configurations before random ones
+# numbers that describe a configuration's tip pose, by which it is compared with a target, see `chain.table`
+FEATURES = 13
 PAD = 16  # unused columns of the table that keep its rows from sharing one set of the processor's cache
 # A configuration's distance from a target is |dp / reach|^2 + ROTATION_WEIGHT |dR|^2 (Frobenius norm).
 # For one tip HOME_WEIGHT |q - home|^2 is added, so that of configurations almost equally far away the one nearest home is taken.
@@ -23,10 +24,11 @@ ROTATION_WEIGHT, HOME_WEIGHT = 0.05, 0.01
 
 
 def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, count: int) -> np.ndarray:
-    """Return random configurations (count, n) [kernel units] between `low` and `high` (n,).
+    """Return random configurations (count, n) between `low` and `high` (n,) [rad, or length over the reach].
 
-    Half of the configurations are moved halfway towards home, because people expect answers near home; so are half of each group
-    of the table. The seed is uncommon, so that no target that a user draws with default_rng(1) is in the table by accident.
+    Half of the configurations are moved halfway towards home, because people expect answers near home. Blocks of BEST rows
+    alternate, so half of each interleaved group is moved. The seed is uncommon, so that no target that a user draws with
+    default_rng(1) is in the table by accident.
     """
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (count, len(low)))
     near = np.arange(count) // BEST % 2 == 0
@@ -36,7 +38,7 @@ def known_configurations(low: np.ndarray, high: np.ndarray, home: np.ndarray, co
 
 @compiled
 class StartTable(NamedTuple):
-    """Known configurations that attempts start from, and scratch to rank them for a target."""
+    """Precomputed configurations that attempts start from, and scratch arrays to rank them for a target."""
 
     seeds: Array  # (N, n) the configurations
     # The rows of the table are divided into BEST groups, and the nearest of each group is a start.
@@ -51,7 +53,7 @@ class StartTable(NamedTuple):
 
 @inline
 def make_table(block, seeds, features, tips):
-    """Make a StartTable with its scratch cut from a block."""
+    """Make a StartTable with its scratch arrays from the memory `block`."""
     score, val = cut(block, np.float32, (seeds.shape[0], BEST))
     best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
     (total,) = cut(block, np.float64, (BEST,))
@@ -173,7 +175,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_each_tip(p, table, k, q):
-    """Set q to known start k: each joint takes the value that its tip chose, or q0 or home if that tip has no target."""
+    """Set q to precomputed start k: each joint takes the value chosen by its tip; without a target it takes q0 or home."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
@@ -204,11 +206,11 @@ def draw_some(p, table, k, q):
 
 @inner
 def choose_moves(ends, tasks, n, asked, moves, choosers):
-    """Fill the arrays `moves` and `choosers` of a Tree; joints that only move tips without a target are left out.
+    """Fill the arrays `moves` and `choosers` of a TreeProblem; joints that only move tips without a target are left out.
 
     asked (F,) is scratch: 1 if a tip takes part, because it has a target or another tip's target is relative to it.
     """
-    F, own = ends.shape[0], ends.shape[1] - n  # The last n numbers of a tip's ends say which coordinates move it.
+    F, own = ends.shape[0], ends.shape[1] - n  # The last n numbers of a tip's row flag the coordinates that move it.
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):

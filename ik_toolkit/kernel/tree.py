@@ -35,13 +35,14 @@ from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .starts import begin_each_tip, choose_moves, draw_some, rank_groups
 
-# A tip with a squared error [rad^2, reach^2] below this counts as arrived, and mostly keeps its joints in the next random start.
+# A tip with a squared error [rad^2, or squared length over the reach] below this counts as arrived, and mostly keeps its joints in
+# the next random start.
 ARRIVED = 1e-4
 
 
 @compiled
 class Looks(NamedTuple):
-    """Summary of the errors of all tips at a configuration; the errors themselves are in the arrays of the Tree."""
+    """The errors of all tips in two numbers; the single errors are in the arrays of the TreeProblem."""
 
     ee: float  # squared norm of all errors
     good: bool  # whether all errors are inside the tolerances
@@ -54,12 +55,12 @@ class TreeProblem(NamedTuple):
     desk: Desk
     rows: Array  # (L, 10) geometry of all chains, one after the other
     ends: Array  # (F, ...) base, tip and limits of each tip, see `records.Ends`
-    tasks: Array  # (F, TASK) what counts at each tip, see `records.Task`
+    tasks: Array  # (F, TASK) which part of each tip's error counts, see `records.Task`
     cut: Array  # (F + 1,) indices at which the chains begin in `rows`: chain f is rows[cut[f] : cut[f + 1]]
     moves: Array  # (F, n) 1 if the coordinate changes a counted error of the tip, else 0
     choosers: Array  # (2, n) index of the tip that chooses a coordinate's start (-1: none), and how many tips the coordinate moves
     goals: Array  # (F, GOAL) the target of each tip
-    links: Array  # (F, LINK) targets relative to another tip, see relative.py
+    links: Array  # (F, LINK) targets relative to another tip, see `relative.TURN`
     kept: Array  # (F, KEPT) matrices that `counted_error.shape` computes and `count_column` uses, see `KeptIndices`
     # (F, GOAL) pose of each tip that the method `stand` computed last: axes of the last joint, then the tip
     poses: Array
@@ -348,7 +349,7 @@ def report_tips(p, place, row):
 
 @spliced
 def tree_on(block, rows, ends, tasks, n, orders):
-    """Make the problem of several tips (Tree) with its scratch cut from a block.
+    """Make the problem of several tips, with its scratch arrays cut from `block`.
 
     A row of `ends` is `records.Ends` of a tip, then its number of rows, then n flags: 1 if the coordinate moves the tip, else 0.
     """
@@ -375,7 +376,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_tree(rows, ends, tasks, n, orders):
-    """Make the problem of several tips (Tree) with scratch of its own, for code that works on arrays."""
+    """Make the problem of several tips, with scratch arrays of its own, for code that works on arrays."""
     block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
     block[0] = 0.0
     return tree_on(block, rows, ends, tasks, n, orders)

@@ -1,1 +1,1 @@
-"""Motions over time: references for a tip to track, their shapes and waypoints, and trajectories of the joints."""
+"""Motions over time: references for a tip to track, made of shapes or waypoints, and trajectories of the joints."""

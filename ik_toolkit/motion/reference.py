@@ -18,7 +18,7 @@ from ..kernel.counted_error import FREE, POSITION
 from ..robot.pose import PROJECT_WITHIN, corrected
 from ..validate import number, one_of, positive, switch
 
-# a quantity at N times with its first and second derivative, such as poses (N, 4, 4), twists and accelerations (N, 6)
+# N samples of poses (N, 4, 4) or another quantity, and of its first and second derivative (of poses: twists, accelerations (N, 6))
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]
 MAX_STEPS = 1e7  # largest number of samples in a run; so many already take over 1 GB of memory
 
@@ -69,7 +69,7 @@ class Reference(Holds):
 
         Raises:
             InvalidOption: t is not finite or has the wrong shape.
-            InvalidTarget: The function of the reference returned something else.
+            InvalidTarget: The reference's function returned arrays of the wrong shape.
         """
         times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
         if times.ndim > 1 or not np.isfinite(times).all():
@@ -124,12 +124,12 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
     used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
     bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
     what = "is not finite"
-    # Each pose must be a rigid transform, by the same limits as a single target in `check_target`.
+    # Each pose must be a rigid transform, to the same accuracy as a single target in `check_target`.
     if not (bad.any() or reference.position_only):
         R = T[:, :3, :3]
         bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
         # If a singular value of R differs from 1 by PROJECT_WITHIN, some entry of R^T R - I exceeds a third of PROJECT_WITHIN.
-        # Testing R^T R - I first spares most samples the singular value decomposition.
+        # Testing that first avoids the singular value decomposition for most samples.
         doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
         bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
         bad |= np.linalg.det(R) < 0.0
@@ -141,7 +141,7 @@ def checked(reference: Reference, times: np.ndarray) -> tuple[np.ndarray, np.nda
 
 # ------------------------------------------------------------------------------------------------ time laws
 def _constant(x: np.ndarray) -> Samples:
-    """Return the time law of constant speed, s = x, and its two derivatives; x (N,) is the time over the duration."""
+    """Return the time law of constant speed, s = x, and its two derivatives by x (N,), the time over the duration."""
     return x, np.ones_like(x), np.zeros_like(x)
 
 
@@ -244,9 +244,9 @@ def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def interpolate_poses(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
-    """Return poses (M, F, 4, 4) at places `at` (M,) among the poses T (N, F, 4, 4).
+    """Return poses (M, F, 4, 4) at positions `at` (M,) on the path through the poses T (N, F, 4, 4).
 
-    Place 3.5 is halfway from pose 3 to pose 4. Positions lie on the straight line, rotations on the geodesic. kinds: a
+    Position 3.5 is halfway from pose 3 to pose 4. Positions lie on the straight line, rotations on the geodesic. kinds: a
     target kind per tip; the rotation of a tip whose orientation is free is copied from the pose before.
     """
     k = np.minimum(at.astype(int), max(len(T) - 2, 0))

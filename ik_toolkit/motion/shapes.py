@@ -104,8 +104,8 @@ def _round(c: np.ndarray, radius: float, u: np.ndarray, w: np.ndarray, k: float,
 def plane(normal: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """Return two unit vectors (3,) orthogonal to `normal` and to each other.
 
-    The first is the base x axis projected into the plane across `normal` (the base y axis if x is nearly the normal).
-    The second makes them right-handed with the normal. Raises InvalidOption if the normal is zero or no vector (3,).
+    The first is the base x axis projected into the plane normal to `normal` (the base y axis if x is nearly the normal). The second
+    makes them right-handed with the normal. Raises InvalidOption if the normal is zero or no vector (3,).
     """
     n = check_target(normal)[0]
     if n.shape != (3,) or not np.linalg.norm(n) > 1e-12:

@@ -16,16 +16,16 @@ ROTATION = "R_base_controller must be a rotation matrix (3, 3)"
 class Teleop:
     """Turns the poses of a hand controller into targets: clutch, scale, dead band and bounded speed.
 
-    While the clutch is engaged, the target moves as the controller has moved since it was engaged, seen along the robot's base
-    axes and scaled. Otherwise the target stays where it is, so that the hand can be brought back: nothing jumps when the clutch
-    is engaged again.
+    While the clutch is engaged, the target repeats the controller's motion since it was engaged, along the robot's base axes and
+    scaled. Otherwise the target stays where it is, so that the hand can be brought back: nothing jumps when the clutch is engaged
+    again.
 
     Args:
         T_base_tip: The pose (4, 4) or pin.SE3 at which the target starts, usually `robot.fk(q)`.
         scale: Metres of the target per metre of the controller.
         rotation_scale: Angle of the target per angle of the controller; 0 keeps the orientation.
         R_base_controller: Rotation (3, 3) from the controller's world to the robot's base.
-        dead_band: Distance [m] and angle [rad] since engaging within which the target stays still.
+        dead_band: Distance [m] and angle [rad], since the clutch was engaged, within which the target stays still.
         speed: Largest speed of the target [m/s].
         turn: Largest angular speed of the target [rad/s].
 
@@ -34,7 +34,7 @@ class Teleop:
         engaged: Whether the clutch was engaged in the last update.
 
     Raises:
-        InvalidTarget: The pose is none.
+        InvalidTarget: T_base_tip is not a pose.
         InvalidOption: Another argument is out of range, or R_base_controller is no rotation.
     """
 
@@ -49,7 +49,7 @@ class Teleop:
         speed: float = 0.25,
         turn: float = 1.0,
     ) -> None:
-        """Start with the target at a pose, the clutch not engaged."""
+        """Start with the target at T_base_tip, the clutch not engaged."""
         self.T_base_tip = _pose(T_base_tip)
         self.scale, self.rotation_scale = number(scale, "scale"), number(rotation_scale, "rotation_scale")
         R = np.eye(3) if R_base_controller is None else floats(R_base_controller, ROTATION, InvalidOption)
@@ -62,9 +62,9 @@ class Teleop:
         self.dead_band: tuple[float, float] = (float(band[0]), float(band[1]))
         self.speed, self.turn = positive(speed, "speed [m/s]"), positive(turn, "turn [rad/s]")
         self.engaged = False
-        self._released = True  # whether the clutch was released since the target was put somewhere
+        self._released = True  # whether the clutch was released since the target was last set
         self._anchor: tuple[np.ndarray, np.ndarray] | None = None
-        # The rotation vector of the controller since engaging may be longer than half a turn.
+        # The rotation vector of the controller since engaging may be longer than pi.
         self._turned = np.zeros(3)
 
     def update(self, T_controller: Any, engaged: bool, dt: float) -> np.ndarray:
@@ -76,12 +76,12 @@ class Teleop:
             dt: Time since the last update [s].
 
         Raises:
-            InvalidTarget: The controller's pose is none; the target has not moved.
+            InvalidTarget: T_controller is not a pose; the target has not moved.
             InvalidOption: dt is not above 0, or `engaged` is not True or False.
         """
         if not isinstance(engaged, bool | np.bool_):
             raise InvalidOption(f"engaged must be True or False, not {engaged!r:.60}")
-        if not engaged:  # Before the pose is looked at: a released clutch lets go, whatever the device says.
+        if not engaged:  # This comes before the pose is checked: a released clutch counts, whatever the device sends.
             self._anchor, self._released, self.engaged = None, True, False
         hand, dt = _pose(T_controller), positive(dt, "dt [s]")
         if engaged and self._anchor is None and self._released:
@@ -92,7 +92,7 @@ class Teleop:
         return self.T_base_tip.copy()
 
     def _wanted(self, hand: np.ndarray) -> np.ndarray:
-        """Return where the target would be without a bound on its speed, for a pose of the controller."""
+        """Return where the target would be for a pose of the controller if its speed were not bounded."""
         from_hand, from_tip = self._anchor  # type: ignore[misc]
         R = self.R_base_controller
         moved = R @ (hand[:3, 3] - from_hand[:3, 3])
@@ -104,19 +104,19 @@ class Teleop:
         return wanted
 
     def _approach(self, wanted: np.ndarray, dt: float) -> None:
-        """Move the target towards a pose, no faster than allowed."""
+        """Move the target towards the pose `wanted`, no faster than allowed."""
         T = self.T_base_tip = self.T_base_tip.copy()
         T[:3, 3] += _shortened(wanted[:3, 3] - T[:3, 3], self.speed * dt)
         T[:3, :3] = pin.exp3(_shortened(pin.log3(wanted[:3, :3] @ T[:3, :3].T), self.turn * dt)) @ T[:3, :3]
 
     def rebase(self, T_base_tip: Any) -> None:
-        """Put the target at another pose, such as `robot.fk(step.q)` after a stop; the clutch must be released and engaged anew."""
+        """Set the target to another pose, such as `robot.fk(step.q)` after a stop; the clutch must be released and engaged anew."""
         self.T_base_tip = _pose(T_base_tip)
         self._anchor, self._released, self.engaged = None, False, False
 
 
 def _pose(T: Any) -> np.ndarray:
-    """Return a pose as a (4, 4) array of its own. Raises InvalidTarget."""
+    """Return a pose as a new (4, 4) array. Raises InvalidTarget."""
     made, _ = check_target(T)
     if made.ndim != 2:
         raise InvalidTarget("a pose (4, 4) is needed, not a position")
@@ -124,7 +124,7 @@ def _pose(T: Any) -> np.ndarray:
 
 
 def _nearest(v: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the rotation vector of the same rotation as v that is nearest the one before, so that turns go past half a turn."""
+    """Return the rotation vector of the same rotation as v that is nearest to `before`; its angle may exceed pi."""
     size = math.sqrt(float(v @ v))
     if size == 0.0:
         turns, axis = np.rint(np.linalg.norm(before) / (2.0 * math.pi)), before

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compile.jit import cached
 
-# Half width [samples] of the moving average of s, ds/dt and d2s/dt2. Without it the tip would err where d2s/dt2 jumps.
+# Half width [samples] of a moving average over s, ds/dt and d2s/dt2, which avoids errors of the tip where d2s/dt2 jumps.
 ROUNDED = 2
 TINY = 1e-12  # a joint with |dq/ds| below this times (1 + |d2q/ds2|) does not limit the acceleration d2s/dt2
 
@@ -29,8 +29,8 @@ def time_law(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the highest rates ds/dt along a path, at its grid points.
 
-    A joint's acceleration is within its limit at both ends of every interval. With a limit at one end alone, single
-    samples of tracked runs had twice the acceleration allowed.
+    A joint's acceleration is within its limit at both ends of every interval. With a limit at one end alone, single samples of
+    tracked runs had twice the allowed acceleration.
 
     Args:
         slope: First derivatives dq/ds (N + 1, n) of the joint values.
@@ -95,21 +95,19 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 
 @cached
 def sweep(slope, bend, steps, acceleration, names, gain, z, joint):
-    """Lower z = (ds/dt)^2 (N + 1,) in place until all joints keep their acceleration limits (one pass back, one forth).
+    """Lower z = (ds/dt)^2 (N + 1,) in place until all joints keep their acceleration limits (one backward and one forward pass).
 
-    joint (N + 1,) receives the index, from `names` (n,), of the joint that limits each z. If the bound `gain` on
-    d2s/dt2 lowers z before or after a slow point, the joint that limits that point is named. In one interval the
-    largest z is the optimum of a linear program in (z, u); u is eliminated by combining each of its lower bounds with
-    each of its upper bounds.
+    joint (N + 1,) receives the index, from `names` (n,), of the joint that limits each z. If the bound `gain` on d2s/dt2 lowers z
+    before or after a slow point, the joint that limits that point is named. In one interval the largest z is the optimum of a
+    linear program in (z, u); u is eliminated by combining each of its lower bounds with each of its upper bounds.
     """
     n, last = slope.shape[1], steps.shape[0]
     low, low_z, low_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
     high, high_z, high_by = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(2 * n + 2, np.int64)
     for k in range(last - 1, -1, -1):
         h, top, by = steps[k], z[k], -1
-        # The bounds on u = d2s/dt2 are kept in the form low - low_z z <= u <= high - high_z z.
-        # The first pair keeps z + 2 h u, the z at the end of the interval, between 0 and z[k + 1].
-        # The second pair keeps |u| <= gain.
+        # The bounds on u = d2s/dt2 have the form low - low_z z <= u <= high - high_z z. The first pair keeps z + 2 h u, the z at
+        # the end of the interval, between 0 and z[k + 1]. The second pair keeps |u| <= gain.
         low[0], low_z[0], low_by[0] = 0.0, 0.5 / h, -1
         high[0], high_z[0], high_by[0] = 0.5 * z[k + 1] / h, 0.5 / h, joint[k + 1]
         low[1], low_z[1], low_by[1] = -gain, 0.0, -1

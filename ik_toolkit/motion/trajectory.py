@@ -29,7 +29,7 @@ class Piece(NamedTuple):
     s: np.ndarray  # (G,) values of s at the grid points of the time law
     speed: np.ndarray  # (G,) ds/dt [1/s] at the grid points of the time law; linear in time between them
     t: np.ndarray  # (G,) time [s] at the grid points of the time law, from 0
-    at: np.ndarray  # (M,) index, or fraction between indices, of each knot among the path's poses; NaN in a free motion
+    at: np.ndarray  # (M,) position of each knot on the path (3.5: halfway from pose 3 to pose 4); NaN in a free motion
 
     @property
     def duration(self) -> float:
@@ -51,8 +51,7 @@ class Piece(NamedTuple):
         """Evaluate the piece at times t (N,) [s] from its start.
 
         Returns:
-            Joint values, rates and accelerations (N, n), and where each sample is among the path's poses (N,), as in
-                `at`.
+            Joint values, rates and accelerations (N, n), and the position of each sample on the path (N,), as in `at`.
         """
         s, rate, gain = coordinate_at(np.clip(t, 0.0, self.t[-1]), self.t, self.s, self.speed)
         rate, gain = rate[:, None], gain[:, None]
@@ -64,14 +63,13 @@ class Piece(NamedTuple):
 class Trajectory:
     """A motion in time of n joints, sampled at N times (read-only).
 
-    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,):
-    the index of the path pose reached, with a fraction between two poses, NaN while the robot changes from one branch
-    of solutions to another; success; message: a sentence, which says why if the motion ends early. velocity,
-    acceleration (n,): the joint limits, which hold at every instant, not only at the samples. deviation (m, rad): bound
-    on how far a tip leaves the interpolated poses; clearance [m] as in PathResult. pieces: the motion itself, each
-    piece from rest to rest. robot: the robot that moves; collision: the CollisionModel it keeps clear of, or None.
-    stops: the poses (in the units of place) at which the robot stops because no smooth curve was found there. slower:
-    the stretches (from, to), in the same units, where joint limits keep the tip below the tip speed asked for.
+    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,): position on
+    the path (3.5: halfway from pose 3 to pose 4), NaN while the robot changes from one branch of solutions to another; success;
+    message: a sentence, which says why if the motion ends early. velocity, acceleration (n,): the joint limits, which hold at every
+    instant, not only at the samples. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in
+    PathResult. pieces: the motion itself, each piece from rest to rest. robot: the robot that moves; collision: the CollisionModel
+    it keeps clear of, or None. stops: the positions on the path at which the robot stops because no smooth curve was found there.
+    slower: the ranges of positions (from, to) where joint limits keep the tip below the requested tip speed.
     """
 
     robot: Any
@@ -194,8 +192,7 @@ def sample(pieces: tuple[Piece, ...], t: np.ndarray) -> tuple[np.ndarray, np.nda
     """Evaluate consecutive pieces at times t (N,) [s] from the start of the first.
 
     Returns:
-        Joint values, rates and accelerations (N, n), and where each sample is among the path's poses (N,), as in
-            `Piece.at`.
+        Joint values, rates and accelerations (N, n), and the position of each sample on the path (N,), as in `Piece.at`.
     """
     starts = np.cumsum([0.0, *(piece.duration for piece in pieces)])
     owner = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(pieces) - 1)

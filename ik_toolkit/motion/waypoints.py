@@ -16,7 +16,8 @@ from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
 # [s] Least time between two points of a spline: scipy computes its third power and the inverse of that power.
 SHORTEST = 1e-100
-RADIAN_AS_METRES = 0.25  # [m/rad] weight of rotations when a duration is shared out among waypoints
+# [m/rad] length that counts as much as a rotation of 1 rad when a duration is divided among waypoints
+RADIAN_AS_METRES = 0.25
 
 
 def waypoints(
@@ -30,7 +31,7 @@ def waypoints(
 
     Args:
         targets: At least two poses (4, 4), or positions (3,), base frame [m].
-        duration: Time for the whole motion [s], shared out by distance, where 1 rad counts as 0.25 m.
+        duration: Time for the whole motion [s], divided in proportion to distance, where 1 rad counts as 0.25 m.
         times: When each target is reached [s], increasing.
         law: "minimum-jerk" moves in straight lines and stops at each target; "spline" passes through them along a cubic
             spline (with twice differentiable rotations) that is at rest in position at both ends, and needs scipy.
@@ -129,7 +130,7 @@ def _smooth(position: Any, rotation: Any, end: float, now: np.ndarray) -> Sample
     T[:, :3, 3], V[:, :3], A[:, :3] = position(now), position(now, 1), position(now, 2)
     if rotation is not None:
         T[:, :3, :3] = rotation(now).as_matrix()
-        # RotationSpline returns angular rate and acceleration in the moving frame, so they are turned into base axes.
+        # RotationSpline returns angular rate and acceleration in the moving frame, so they are rotated into base axes.
         V[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 1))
         A[:, 3:] = np.einsum("nij,nj->ni", T[:, :3, :3], rotation(now, 2))
     return T, V, A

@@ -1,1 +1,1 @@
-"""Whole paths: from poses to one joint motion, verified between the poses and timed."""
+"""Paths: from a sequence of poses to one joint motion, verified between the poses and timed."""

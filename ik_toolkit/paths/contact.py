@@ -20,11 +20,11 @@ from ..robot.geometry.distance import Clearance
 from ..robot.joints import Joints
 from .certificate import Contact
 
-# LARGEST is the first margin factor tested [rad]; it gives 1.5 cm for a lever arm of one metre.
-# Each further margin factor is FINER times smaller than the one before.
+# LARGEST is the first margin factor tested [rad]; it gives a margin of 1.5 cm for a lever arm of one metre. Each further margin
+# factor is FINER times smaller than the one before.
 LARGEST, FINER = 0.015, 4.0
 FLOOR = 1e-4  # smallest margin [m] of the pair with the longest lever arm; nearer shapes count as not proven
-# A check may make EACH collision tests per row of a curve, but at least AT_LEAST; what is then left counts as not proven.
+# A check may make EACH collision tests per row of a curve, but at least AT_LEAST; what is then untested counts as not proven.
 EACH, AT_LEAST = 30, 20_000
 
 
@@ -50,7 +50,7 @@ class Margins:
         self.spent = 0
 
     def approach(self, dq: np.ndarray) -> np.ndarray:
-        """Return the margin factors (S,) [rad] that the joint moves dq (S, n) [rad or m] use up at most, over all pairs."""
+        """Return by how much (S,) [rad] the margin factor may shrink, over all pairs, in the joint moves dq (S, n) [rad or m]."""
         if not self.arms.shape[1]:
             return np.zeros(len(dq))
         return (np.abs(dq) @ (self.arms / self.size)).max(axis=1)
@@ -71,9 +71,9 @@ class Margins:
         return not pin.computeCollisions(model, data, boxes, full, True)
 
     def around(self, q: np.ndarray, first: int = 0) -> tuple[float, int]:
-        """Return the largest of the margin factors levels[first:] that q (n,) keeps, and its index.
+        """Return the largest of the margin factors levels[first:] with which q (n,) is free of contact, and its index.
 
-        The factor is 0 if q keeps none of them but touches nothing, and -1 if it touches.
+        The factor is 0 if all of them are too large but nothing touches, and -1 if shapes touch.
         """
         for k in range(first, len(self.levels)):
             if self.free(q, self.levels[k]):
@@ -92,14 +92,14 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
     pin.forwardKinematics(model, data, robot._fill(robot.rest.copy(), robot.home))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
-    # For each joint of the model: its index in q, and how far it turns and slides per unit of q.
+    # For each joint of Pinocchio's model: its index in q, and how far it turns and slides per unit of q.
     moved: dict[int, tuple[int, float, float]] = {}
     for j in range(1, model.njoints):
         leader = model.joints[lead.get(j, j)]
         if leader.nv == 1 and leader.idx_q in place:
             screw = np.asarray(data.joints[j].S).reshape(6)
             moved[j] = (place[leader.idx_q], float(np.linalg.norm(screw[3:])), float(np.linalg.norm(screw[:3])))
-    # Lever arms are stored per joint of the model, so that joints which carry both shapes of a pair can be left out.
+    # Lever arms are stored per joint of Pinocchio's model, so that joints which carry both shapes of a pair can be left out.
     own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))
     for k, shape in enumerate(geometry.geometryObjects):
         shape.geometry.computeLocalAABB()
@@ -128,13 +128,13 @@ def find_contacts(
     Args:
         collision: a CollisionModel.
         curve: (M, n) [rad or m]; rows of NaN are skipped.
-        at: (M,) places of the rows among the poses of the path.
+        at: (M,) position of each row on the path (3.5: halfway from pose 3 to pose 4).
         moving: (M-1,) whether the robot moves from each row to the next; other segments are not checked.
         sag: (M-1, n) upper bound on each joint's deviation from the straight line between two rows; default 0.
 
     Returns:
         The proven clearance [m] (0: not proven), contacts (one per row, or per segment between rows without contact, at
-            most), and places not proven free.
+            most), and positions on the path that are not proven free.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)
@@ -195,7 +195,7 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
 
 
 class _Stretch(NamedTuple):
-    """Result for a segment: whether it is proven free, the margin factor left [rad], at which share (0 to 1) it touches, or -1."""
+    """Result for a segment: whether it is proven free, the margin factor left [rad], and where (share 0 to 1) it touches, or -1."""
 
     proven: bool
     spare: float
@@ -205,9 +205,9 @@ class _Stretch(NamedTuple):
 def _between(
     margins: Margins, a: np.ndarray, b: np.ndarray, ends: tuple[float, float], moves: tuple[float, float], most: int
 ) -> _Stretch:
-    """Test the joint move from a to b (n,) by bisection, until the margins at both ends of every part cover the part.
+    """Test the straight joint move from a to b (n,) for contact, by bisection, until margins prove every part free.
 
-    ends: margin factors that a and b keep; moves: margin factor used up by the straight line, which halves with each
+    ends: margin factors with which a and b are free; moves: margin factors used up by the straight line, which halve with each
     bisection, and by the deviation from it, which does not; most: largest number of tests in all.
     """
     proven, spare = True, math.inf
@@ -230,8 +230,8 @@ def _between(
 
 
 SECONDS = 2.0  # time limit [s] of the search of `connect`
-NODES = 20_000  # largest number of random points, so that a hopeless search also ends on a fast machine
-STEP = 0.25  # longest step of a tree towards a random point [rad or kernel units]
+NODES = 20_000  # largest number of random points, so that a search without success also ends on a fast machine
+STEP = 0.25  # longest step of a tree towards a random point [rad, or length over the reach]
 SHORTCUTS = 60  # number of attempts to cut corners of the motion found
 ALONG = 5_000  # largest number of collision tests of one straight move
 
@@ -286,13 +286,13 @@ def _free(margins: Margins, a: np.ndarray, b: np.ndarray) -> bool:
 
 
 class _Branches:
-    """A tree of RRT-Connect: configurations connected by straight joint moves that are proven free of contact."""
+    """One of the two trees of RRT-Connect: configurations connected by straight joint moves that are proven free of contact."""
 
     def __init__(self, root: np.ndarray) -> None:
         self.points, self.parents = [root], [-1]
 
     def extend(self, margins: Margins, robot: Joints, target: np.ndarray) -> int | None:
-        """Grow the tree one step from its nearest point towards a target (n,); return the new index (None: blocked)."""
+        """Grow the tree one step from its nearest point towards a target (n,); return the new point's index, None if blocked."""
         points = np.array(self.points)
         near = int(np.argmin((((points - target) / robot.chain.unit) ** 2).sum(axis=1)))
         way = target - points[near]

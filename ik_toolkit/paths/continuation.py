@@ -1,9 +1,9 @@
 """Numerical continuation: a solution of one pose is followed from pose to pose along the path.
 
 Each step takes the last configuration as its start and corrects it to the next pose with the least joint motion
-(`null_space.onto_target`). A step is accepted only if no joint moves further than its largest step, and if the tip,
-halfway along the straight joint motion, stays near the interpolated pose; otherwise the step is halved. So two
-solutions that are merely close are never joined. One solution followed along the path is called a track.
+(`null_space.onto_target`). A step is accepted only if no joint moves further than its largest step, and if the tip, halfway along
+the straight joint motion, stays near the interpolated pose; otherwise the step is halved. So two solutions that are merely close
+are never joined. One solution followed along the path is called a track.
 """
 
 import math
@@ -68,21 +68,21 @@ def within(q, old, most):
 
 
 class Guided(NamedTuple):
-    """A path that solutions are continued along, and what bounds them, see `carry_along`."""
+    """A path that solutions are continued along, and the bounds they must keep, see `carry_along`."""
 
-    T: Array  # (N, 4, 4) or (N, F, 4, 4) its poses
-    pose: Array  # scratch, like one of the poses
+    T: Array  # (N, 4, 4) or (N, F, 4, 4) the path's poses
+    pose: Array  # scratch for one pose
     box: Bounds
-    most: Array  # (n,)
-    deviation: Array  # (2,)
+    most: Array  # (n,) largest step of each joint
+    deviation: Array  # (2,) how far [m], [rad] a tip may leave the interpolated pose
 
 
 @spliced
 def advance_to_pose(p, o, weights, path, t, u, old, new):
-    """Continue q (in p.desk), a solution of pose number t, to a solution of pose u, in steps that are halved where they fail.
+    """Continue p.desk.q from a solution of pose number t to a solution of pose u, in steps that are halved where they fail.
 
-    p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`. old (n,) and new (n,) are scratch.
-    Returns False if no continuous motion was found.
+    p, o: the problem and its Orders; weights (n,): joint weights; path: see `Guided`. old (n,) and new (n,) are scratch. Returns
+    False if no continuous motion was found.
     """
     q, pose, deviation = p.desk.q, path.pose, path.deviation
     a, b = flat(path.T[t]), flat(path.T[u])
@@ -122,13 +122,12 @@ def advance_to_pose(p, o, weights, path, t, u, old, new):
 def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Continue the solutions `seeds` (M, n) of the poses numbered `at` (M,) towards both ends of the path.
 
-    Each solution is followed as far as it goes. Joint values are in kernel units. rows, ends, orders: arrays of a Plan
-    with one attempt; T (N, 4, 4) or (N, F, 4, 4): the poses; limits (3, n): lower limit, upper limit, and 1 where both
-    are finite; most (n,): largest step of each joint from pose to pose; deviation (2,): how far [m], [rad] a tip may
-    leave the interpolated pose halfway between two poses.
+    Each solution is followed as far as it goes. Joint values are in rad, or lengths over the reach. rows, ends, orders: arrays of a
+    Plan with one attempt; T (N, 4, 4) or (N, F, 4, 4): the poses; limits (3, n): lower limit, upper limit, and 1 where both are
+    finite; most (n,): largest step of each joint from pose to pose; deviation (2,): how far [m], [rad] a tip may leave the
+    interpolated pose halfway between two poses.
 
-    Writes the configurations of seed m to Q[:, columns[m]] (N, n), and the first and last pose reached to
-    span[columns[m]].
+    Writes the configurations of seed m to Q[:, columns[m]] (N, n), and the first and last pose reached to span[columns[m]].
     """
     n, tips = seeds.shape[1], ends.size // ends.shape[-1]
     block, pose = np.empty(space(n, 6 * tips, rows.shape[0], 0)), np.empty_like(T[0])
@@ -141,7 +140,7 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
 
 @inline
 def carry_on_views(rows, ends, orders, path, tracks, block):
-    """Do the work of `carry_along` on views; tracks: its seeds, at, columns, Q and span; block: scratch memory."""
+    """Do the work of `carry_along` on views; tracks: its arguments seeds, at, columns, Q and span; block: scratch memory."""
     seeds, at, columns, Q, span = tracks
     n, N = seeds.shape[1], path.T.shape[0]
     o = read(Orders, orders)
@@ -171,17 +170,17 @@ def carry_on_views(rows, ends, orders, path, tracks, block):
 MOST = 300  # largest number of tracks (continued solutions) for a redundant robot, to bound time and memory
 ISOLATED = 4096  # largest number of tracks for a robot with finitely many solutions: enough for all of them
 STARTS = 1000  # number of random starts from which a pose is solved
-POOL = 400  # number of solutions of a redundant robot from which well-spaced ones are chosen
-SAME = 1e-3  # two solutions whose joints all differ by less than this count as the same [rad or kernel units]
+POOL = 400  # number of solutions of a redundant robot from which widely spaced ones are chosen
+SAME = 1e-3  # solutions whose joints all differ by less count as the same [rad, or length over the reach]
 THIN = 0.25  # least distance of a new track from others of a redundant robot, as a share of the largest joint step
 CHUNK = 8  # number of tracks that a thread continues in one task
 
 
 def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.ndarray:
-    """Choose at most `count` well-spaced configurations of found (M, n).
+    """Choose at most `count` widely spaced configurations of found (M, n).
 
-    Each time the one is chosen that is farthest from those in `have` (K, n) and those chosen before, if its distance (the
-    largest difference of a joint) is above `least`.
+    Each time the one is chosen that is farthest from those in `have` (K, n) and those chosen before, if its distance (the largest
+    difference of a joint) is above `least`.
     """
     gap = np.full(len(found), np.inf)
     joints = np.ascontiguousarray(found.T)  # NumPy takes a maximum faster over the first axis than over the last.
@@ -204,8 +203,8 @@ def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.
 class Tracks:
     """Solutions continued along the N poses of a path, called tracks.
 
-    Q (N, size or more, n) [kernel units, float32] holds their configurations; track k exists from pose span[k, 0] to
-    pose span[k, 1] inclusive. `size` is the number of tracks.
+    Q (N, size or more, n) [rad, or length over the reach; float32] holds their configurations; track k exists from pose span[k, 0]
+    to pose span[k, 1] inclusive. `size` is the number of tracks.
     """
 
     def __init__(self, problem: Problem, most: int, threads: int, seed: int) -> None:
@@ -220,7 +219,7 @@ class Tracks:
     span = property(lambda self: self._span[: self.size])
 
     def at(self, t: int) -> np.ndarray:
-        """Return the configurations (m, n) [kernel units] at pose number t of all tracks that exist there."""
+        """Return the configurations (m, n) [internal units] at pose number t of all tracks that exist there."""
         span = self.span
         return self._Q[t, : self.size][(span[:, 0] <= t) & (t <= span[:, 1])].astype(float)
 
@@ -234,8 +233,8 @@ class Tracks:
     def end_with_reason(self, listed: Callable[[np.ndarray], Any]) -> bool:
         """Return whether every track that ends between two poses has to: at a limit, or where its solution vanishes (a fold).
 
-        Each is continued in small parts of the way to the pose that it does not reach. One part beyond its end no solution that
-        keeps the limits may be within the largest joint step. `listed` lists all solutions of poses, as does
+        Each is continued in small parts of the way to the pose that it does not reach. One part beyond its end there must be no
+        solution within the limits and the largest joint step. `listed` lists all solutions of poses, as does
         `exact_branches.every_solution`.
         """
         p, N, parts = self.problem, len(self.problem.T), int(0.25 / SHORTEST)
@@ -265,7 +264,7 @@ class Tracks:
         return bool(sure.all() and not (legal & (np.abs(near) <= p.most).all(axis=2)).any())
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
-        """Continue the solutions `seeds` (M, n) [kernel units] of the poses numbered `at` (M,) while there is room."""
+        """Continue the solutions `seeds` (M, n) [internal units] of the poses numbered `at` (M,) while there is room."""
         seeds = np.ascontiguousarray(seeds[: self.most - self.size], dtype=float)
         columns = np.arange(self.size, self.size + len(seeds))
         if self.size + len(seeds) > self._Q.shape[1]:

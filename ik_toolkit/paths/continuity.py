@@ -23,14 +23,14 @@ from .contact import find_contacts
 from .freedom import freedom, missed
 from .smoothing import settle_rows as settle_rows
 
-# Largest number of rounds of inserting rows. Bounds fall with the square of the number of pieces, so few suffice.
+# Largest number of rounds of inserting rows. Bounds fall with the square of the number of pieces, so few rounds suffice.
 ROUNDS = 12
 # A motion between two poses that is k times as long as max_step (k >= 1) is divided into at most 256 k pieces.
 # A motion that needs more pieces counts as not continuous there.
 MOST_PIECES = 256
 MOST_ROWS = 200_000  # largest number of rows of a curve
-LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for rotation vectors up to half a turn
-LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, up to half a turn
+LOG_SLOPE = 1.3  # bound on the derivative of SO(3)'s inverse left Jacobian, for rotation vectors up to pi
+LOG_GAIN = 0.5 * math.pi  # bound on the norm of SO(3)'s inverse left Jacobian, up to pi
 
 
 class Speeds(NamedTuple):
@@ -56,8 +56,8 @@ def check(
 
     Every row without NaN must be inside the tolerances of its target, or as near as an arm with too few joints comes.
 
-    plan, kinds: the solver's Plan and a target kind per tip; curve (M, n) [rad or m]; at (M,): places of its rows among
-    the poses T (N, F, 4, 4); cut (M-1,): whether the motion breaks between two rows; collision: a CollisionModel or
+    plan, kinds: the solver's Plan and a target kind per tip; curve (M, n) [rad or m]; at (M,): positions of its rows on
+    the path through T (N, F, 4, 4); cut (M-1,): whether the motion breaks between two rows; collision: a CollisionModel or
     None.
     """
     judged = bounds(plan, kinds, curve, at, T)
@@ -81,12 +81,12 @@ def densify(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Insert solved rows until steps are below max_step (rad, m) and deviations below path_tolerance (m, rad).
 
-    q (N, n) [rad or m] are solutions of the poses T (N, F, 4, 4), NaN where a pose is not reached. The motion breaks
-    between pose k and the next for k in breaks. Between two poses that no continuous joint motion connects, no row is
-    inserted, and `check` reports the deviation.
+    q (N, n) [rad or m] are solutions of the poses T (N, F, 4, 4), NaN where a pose is not reached. The motion breaks between pose k
+    and the next for k in breaks. Between two poses that no continuous joint motion connects, no row is inserted, and `check`
+    reports the deviation.
 
-    Returns the curve (M, n), the places of its rows among the poses (M,), and whether it breaks after each row (M-1,).
-    Raises InvalidOption if max_step is so small that there would be more than MOST_ROWS rows.
+    Returns the curve (M, n), the position of each row on the path (M,), and whether the curve breaks after each row (M-1,). Raises
+    InvalidOption if max_step is so small that there would be more than MOST_ROWS rows.
     """
     robot = plan.robot
     step = np.where(robot.slides, max_step[1], max_step[0])
@@ -118,9 +118,9 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[~new] = curve  # interpolating towards a row of NaN has turned old rows into NaN
+        rows[~new] = curve  # interpolation has spoilt old rows that are followed by a row of NaN
         rows[new], good = settle_between(plan, kinds, rows[new], interpolate_poses(T, places[new], kinds))
-        # Where an inserted row is not solved, the segment between its two poses gets no rows at all.
+        # Where an inserted row has no solution, the segment between its two poses gets no rows at all.
         given_up[np.unique(places[new][~good].astype(int))] = True
         keep = ~new | ~given_up[np.minimum(places, len(q) - 2).astype(int)]
         curve, at = rows[keep], places[keep]
@@ -142,7 +142,7 @@ def settle_on_targets(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> 
 
 
 def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Move rows onto targets like `settle_on_targets`, but accept the nearest pose of an arm with too few joints."""
+    """Do the same as `settle_on_targets`, but accept the nearest pose of an arm with too few joints."""
     q, good = settle_on_targets(plan, kinds, q, T)
     return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
 
@@ -159,9 +159,9 @@ def bounds(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return upper bounds [m] and [rad], each (M-1,), on how far any tip leaves the interpolated pose between two rows.
 
-    The rows of the curve (M, n) [rad or m] are solutions at the places `at` (M,) among the poses T (N, F, 4, 4). sag
-    (M-1, n): upper bound on each joint's deviation from the straight line between two rows (default 0). beyond (2,
-    M-1): by how much [m], [rad] the rows themselves exceed the tolerances (default 0).
+    The rows of the curve (M, n) [rad or m] are solutions at the positions `at` (M,) on the path through the poses T (N, F, 4, 4).
+    sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows (default 0). beyond (2, M-1): by how
+    much [m], [rad] the rows themselves exceed the tolerances (default 0).
     """
     robot, o = plan.robot, plan.options
     beyond = np.zeros((2, len(curve) - 1)) if beyond is None else beyond
@@ -194,7 +194,7 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
     D = np.empty((len(q), len(rows)))
     joint_levers(rows, chain.ends, q, chain.unit, D)
     owner = rows[:, 8].astype(int)
-    # A joint has either an angle (ratio) or a length [m] (stroke) per kernel unit of its coordinate; the other is 0.
+    # Per internal unit of its coordinate a joint turns by an angle (ratio) or slides by a length [m] (stroke); the other is 0.
     ratio, stroke = np.abs(rows[:, 4]), np.abs(rows[:, 6]) * chain.scale
     turns, slides = ratio * move[:, owner], stroke * move[:, owner]
     sag = (sag / chain.unit)[:, owner]
@@ -219,7 +219,7 @@ class Between:
 
         tip: bounds on the tip's motion; poses, goal (M, 4, 4): the tip's pose and target at the rows; other: None, or
         the bounds and poses of the tip that the target is relative to; frame: "base", "tip" or "target", the axes of
-        mask and slack.
+        the weights (mask) and dead bands (slack).
         """
         self.swing = angles_between(goal[1:, :3, :3], goal[:-1, :3, :3])  # angle [rad] between neighbouring targets
         self.tip, self.ref_turn, self.ref_twist = tip, self.swing, np.zeros_like(self.swing)
@@ -249,7 +249,7 @@ class Between:
     def position(self, counts: Any) -> np.ndarray:
         """Return by how much [m] (M-1,) the counted position error may exceed its value at the rows.
 
-        counts: the tip's Counts (mask, slack, frame), which say which part of the error counts.
+        counts: which part of the tip's error counts (Counts: weights, dead bands, frame).
         """
         if counts.mask is None and counts.slack is None:
             return 0.125 * self.bend + self.off  # The norm of the whole error does not depend on the axes.

@@ -1,14 +1,14 @@
-"""All solutions of all poses of a path, and the choice of full turns along it.
+"""All solutions of all poses of a path, and the choice of multiples of 2 pi along it.
 
 A path needs all solutions to prove that it has the fewest reconfigurations. Two kinds of arm have them in closed form: three
 parallel axes, or six axes of which 2, 3, 4 are parallel and 5, 6 meet (Universal Robots). The geometry is that of Hawkins (2013),
-"Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms", with joint screws instead of its tables. For other arms
-of six revolute joints the elimination lists and certifies them.
+"Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms", with joint screws instead of its tables. For other arms of
+six revolute joints the elimination lists and certifies them.
 
-A joint whose range exceeds a full turn has each solution several times, whole turns apart. Whether a continuous piece
-of a path fits the limits of such a joint depends on how far the joint winds up along the whole piece, which no single
-step shows. So paths are first searched without these limits (see `unwound`). If the best path does not fit, the joint's
-solutions are copied to every turn (see `copies`), and the limits are kept from pose to pose.
+A joint whose range exceeds 2 pi has each solution several times, 2 pi apart. Whether a continuous piece of a path fits the limits
+of such a joint depends on how far the joint winds up along the whole piece, which no single step shows. So paths are first searched
+without these limits (see `unwound`). If the best path does not fit, the joint's solutions are copied, shifted by 2 pi, to wherever
+they are inside the limits (see `copies`), and the limits are kept from pose to pose.
 """
 
 from typing import Any
@@ -28,7 +28,7 @@ EXACT = 1e-5
 
 
 def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return what `solutions` does, by the elimination for other arms of six revolute joints; None for all others."""
+    """Return all solutions as `solutions` does, for other arms of six revolute joints by the elimination; None for all others."""
     found = solutions(plan.robot, T)
     exact = elimination_plan(plan) if found is None else None
     if exact is None:
@@ -43,8 +43,8 @@ def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Return all solutions (N, K, n) [rad] of the poses T (N, 4, 4), and for each pose (N,) whether they are proven to be all.
 
-    A pose with fewer than K solutions has rows of NaN. Joint limits and full turns are ignored. Returns None for an arm
-    of another structure.
+    A pose with fewer than K solutions has rows of NaN. Joint limits and shifts by 2 pi are ignored. Returns None for an arm of
+    another structure.
     """
     s = read_screws(robot.chain)
     if not isinstance(s, Screws) or not s.turns.all():
@@ -116,9 +116,10 @@ def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.nda
 
 
 def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the joints k, k + 1, k + 2, whose axes are parallel, so that they make the displacements E (N, 4, 4) from q = 0.
+    """Find angles of three joints with parallel axes that together make given displacements from q = 0.
 
-    Returns the solutions (N, 2, 3) [rad], NaN where none exists, and whether (N,) their number is beyond doubt.
+    k: index of the first of the three joints; E (N, 4, 4): the displacements. Returns the solutions (N, 2, 3) [rad], NaN where none
+    exists, and whether (N,) their number is beyond doubt.
     """
     a, N = s.axis[k], len(E)
     signs = np.sign(s.axis[k : k + 3] @ a)
@@ -173,8 +174,8 @@ ROUNDING = 1e-6  # [rad] by which a joint limit may be exceeded, because solutio
 def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Return whether (N, K) each configuration of the tracks Q (N, K, n) exists and keeps the limits.
 
-    A track is one solution continued along the poses, from pose span[k, 0] to pose span[k, 1]. limits (2 or more, n):
-    lower and upper; joints (n,): which joints must keep them. All in kernel units.
+    A track is one solution continued along the poses, from pose span[k, 0] to pose span[k, 1]. limits (2 or more, n): lower and
+    upper; joints (n,): which joints must keep them. All in internal units (rad, lengths over the reach).
     """
     t = np.arange(len(Q))[:, None]
     there = (span[:, 0] <= t) & (t <= span[:, 1])
@@ -184,10 +185,10 @@ def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarra
 
 
 def copies(Q: np.ndarray, span: np.ndarray, i: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Copy tracks to every full turn of joint i on which part of them lies inside the joint's limits low, high [rad].
+    """Copy tracks, with joint i shifted by 2 pi k, wherever part of them then lies inside the joint's limits low, high [rad].
 
-    A track is one solution continued along the poses: Q (N, K, n), from pose span[k, 0] to pose span[k, 1] (K, 2).
-    Returns the new tracks and spans.
+    A track is one solution continued along the poses: Q (N, K, n), from pose span[k, 0] to pose span[k, 1] (K, 2). Returns the new
+    tracks and spans.
     """
     t = np.arange(len(Q))[:, None]
     there = (span[:, 0] <= t) & (t <= span[:, 1])
@@ -213,19 +214,19 @@ def unwound(
     ends: tuple[np.ndarray | None, np.ndarray | None],
     fixed: list[bool],
 ) -> set[int]:
-    """Choose the full turns of the joints `free` (n,) along a path q (N, n) [kernel units], in place.
+    """Choose the shifts by 2 pi of the joints `free` (n,) along a path q (N, n) [internal units], in place.
 
-    Rows of NaN, where a pose is not reached, separate continuous pieces. Each continuous piece is unwrapped and put on
-    the turn inside its limits that is nearest the end of the previous piece; the first piece is put nearest ends[0], or
-    without it nearest the middle of the limits.
+    Rows of NaN, where a pose is not reached, separate continuous pieces. Each continuous piece is unwrapped and shifted by 2 pi k
+    inside its limits, nearest the end of the previous piece; the first piece is put nearest ends[0], or without it nearest the
+    middle of the limits.
 
     Args:
         q: (N, n) configurations at the poses, NaN where there is none.
-        free: (n,) whether the full turns of a joint are chosen here.
+        free: (n,) whether the shift of a joint is chosen here.
         breaks: poses after which the path reconfigures.
         limits: (2, n) lower and upper, infinite for endless joints.
         ends: start and end configurations (n,) of the path, None where not given.
-        fixed: whether the path must start at ends[0], and end at ends[1], on exactly the same turn.
+        fixed: whether the path must start at ends[0], and end at ends[1], exactly, not only modulo 2 pi.
 
     Returns:
         The joints whose winding does not fit their limits.

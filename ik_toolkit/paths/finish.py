@@ -20,7 +20,7 @@ from .result import pieces
 from .smoothing import smooth_rows
 
 TRIES = 12  # largest number of paths verified; each excludes the steps that failed in earlier ones
-HELD = 2  # number of poses kept unchanged on either side of a place where the shortened motion fails
+HELD = 2  # where the shortened motion fails, this many poses on either side keep their joint values
 ROUNDING = 1e-9  # share of max_step by which rounding may let a step exceed it
 SHORTENED = 3  # largest number of attempts to shorten a path; each attempt keeps more poses unchanged
 
@@ -28,9 +28,9 @@ SHORTENED = 3  # largest number of attempts to shorten a path; each attempt keep
 class ProvenMotion(NamedTuple):
     """A path, its motion between the poses, and what is proven about that motion.
 
-    found: the path as the search found it; q (N, n) [rad or m]: a solution of each pose, NaN where there is none; curve
-    (M, n): q and the rows inserted between; at (M,): places of the curve's rows among the poses; continuity: what is
-    proven.
+    found: the path as the search found it; q (N, n) [rad or m]: a solution of each pose, NaN where there is none; curve (M, n): q
+    and the rows inserted between; at (M,): position of each row on the path (3.5: halfway from pose 3 to pose 4); continuity: what
+    is proven.
     """
 
     found: Found
@@ -38,16 +38,16 @@ class ProvenMotion(NamedTuple):
     curve: np.ndarray
     at: np.ndarray
     continuity: Continuity
-    leaps: list[float]  # places among the poses after which a step or the tip's deviation is too large
+    leaps: list[float]  # positions on the path after which a step or the tip's deviation is too large
 
     @property
     def failures(self) -> list[float]:
-        """Return the places among the poses where the motion is discontinuous or not proven free of contact."""
+        """Return the positions on the path where the motion is discontinuous or not proven free of contact."""
         return [*self.leaps, *(one.place for one in self.continuity.contacts), *self.continuity.unproven]
 
 
 def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Move the rows q (N, n) [kernel units] onto their poses and return them in [rad or m]; rows of NaN stay."""
+    """Move the rows q (N, n) [rad, or length over the reach] onto their poses; return them in [rad or m]. Rows of NaN stay."""
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
     # The search stores configurations in single precision, so held joints get their exact values back.
@@ -136,8 +136,8 @@ STEPS = 40  # largest number of Gauss-Newton steps; ten usually suffice
 QUADRATIC_BELOW = 0.5
 # Weight of squared second differences against joint steps; its square root is the number of poses that round off a corner.
 SMOOTHNESS = 10.0
-ROUNDS = 6  # largest number of rounds of smoothing; each also holds the poses near a contact of the previous round
-WINDOW = 4  # number of poses held on either side of a pose in contact, doubled in each further round
+ROUNDS = 6  # largest number of rounds of smoothing; each also keeps the poses near a contact of the previous round
+WINDOW = 4  # number of poses kept unchanged on either side of a pose in contact, doubled in each further round
 
 
 def smooth(
@@ -151,10 +151,9 @@ def smooth(
 ) -> np.ndarray:
     """Shorten and smooth a motion q (N, n) [rad or m] through poses T (N, F, 4, 4), staying inside the tolerances.
 
-    max_step (rad, m): no step grows beyond the larger of it and q's longest step. fixed (N,): poses whose rows stay.
-    bad: a function of a motion (N, n) that returns the numbers of the poses where it is not acceptable, such as those
-    in contact; these and their neighbours are held at q, and the rest is smoothed again. Returns q itself if nothing
-    better is found.
+    max_step (rad, m): no step grows beyond the larger of it and q's longest step. fixed (N,): poses whose rows stay. bad: a
+    function of a motion (N, n) that returns the indices of the poses where it is not acceptable, such as those in contact; these
+    and their neighbours keep their values in q, and the rest is smoothed again. Returns q itself if nothing better is found.
     """
     robot = plan.robot
     held = np.zeros(len(q), dtype=bool) if fixed is None else np.array(fixed, dtype=bool)
@@ -191,8 +190,8 @@ WIDER = 1.5  # factor by which the spacing of poses is raised until at most MOST
 def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
     """Insert interpolated poses between poses T (N, F, 4, 4) that are farther apart than FAR.
 
-    kinds: a target kind per tip. Returns all poses (M, F, 4, 4) and their places (M,) among T (3.5: halfway from pose 3
-    to pose 4).
+    kinds: a target kind per tip. Returns all poses (M, F, 4, 4) and their positions on the path (M,) (3.5: halfway from pose 3 to
+    pose 4).
     """
     gaps = np.zeros(len(T) - 1)
     for f, (arm, kind) in enumerate(zip(robot.arms, kinds, strict=True)):
@@ -214,19 +213,19 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
 
 
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
-    """Return the requested poses after which a path breaks.
+    """Convert breaks of a path with inserted poses to the requested poses after which they are.
 
-    breaks: the same breaks as indices of all M poses, inserted ones included; at (M,): places of these poses among the
+    breaks: the breaks as indices of all M poses, inserted ones included; at (M,): positions of these poses on the path through the
     requested ones.
     """
     return sorted({int(at[k]) for k in breaks})
 
 
 def collapsed(motion: ProvenMotion, at: np.ndarray) -> ProvenMotion:
-    """Express a motion through M poses, at places `at` (M,) among the requested ones, by the requested poses alone.
+    """Express a motion through M poses, at positions `at` (M,) on the path through the requested poses, by the latter alone.
 
-    Inserted poses become rows of the curve only. A motion that breaks between two requested poses stops at the first
-    and continues at the second.
+    Inserted poses become rows of the curve only. A motion that breaks between two requested poses stops at the first and continues
+    at the second.
     """
     asked = np.flatnonzero(at == np.round(at))
     if len(asked) == len(at):

@@ -48,7 +48,7 @@ def fraction(search: Search, motion: ProvenMotion) -> float:
         return 1.0
     reached = 0.0 if first is None else float(np.interp(motion.at[first.stop - 1], at, way))
     if freedom(p.single, p.kinds).lacks:
-        return reached  # The arm cannot reach interpolated poses, so it cannot be followed further between two poses.
+        return reached  # The arm cannot reach interpolated poses, so it is not followed beyond a pose that it reaches.
 
     def follow(q: np.ndarray, begin: float) -> float:
         """Return the share of the path's length reached from q (n,) [rad or m], a solution at the share `begin`."""

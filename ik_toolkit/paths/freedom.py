@@ -1,7 +1,7 @@
 """The degrees of freedom of an arm's tips: with fewer than the targets need, interpolated poses cannot be followed.
 
-Between two poses that it reaches, such an arm moves as near to the interpolated poses as it can. Between the poses, the
-error that it cannot avoid is not counted against the path tolerance. At the poses themselves every error counts.
+Between two poses that it reaches, such an arm moves as near to the interpolated poses as it can. The unavoidable error between the
+poses is not counted against the path tolerance. At the poses themselves every error counts.
 """
 
 from typing import Any, NamedTuple
@@ -21,8 +21,8 @@ FLAT = 1e-5
 class Freedom(NamedTuple):
     """Which components of the targets of a path the joints can change.
 
-    rank: number of independent components of the targets that the joints can move (generic rank of the task Jacobian).
-    lacks: whether this rank is too low to follow the interpolated poses between two poses.
+    rank: number of independent components of the targets that the joints can move (generic rank of the task Jacobian). lacks:
+    whether this rank is too low to follow the interpolated poses between two poses.
     """
 
     rank: int
@@ -30,7 +30,7 @@ class Freedom(NamedTuple):
 
 
 def freedom(plan: Any, kinds: tuple) -> Freedom:
-    """Return the Freedom that a plan's joints, without those of weight 0, have for targets of these kinds (one per tip)."""
+    """Return the Freedom that the joints, without those of weight 0, have for targets of these kinds (one kind per tip)."""
     key = "freedom", kinds
     if key not in plan.memo:
         plan.memo[key] = _freedom(plan, kinds)
@@ -82,8 +82,8 @@ def _free_axes(plan: Any, kinds: tuple) -> list[np.ndarray | None]:
 def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
     """Return by how much [m], [rad] (2, M-1) a curve's rows exceed the tolerances because the arm has too few joints.
 
-    The result is 0 for an arm with enough joints. Of each segment between two rows of the curve (M, n), the larger
-    value of both ends is taken. at (M,): places of the rows among the poses T (N, F, 4, 4).
+    The result is 0 for an arm with enough joints. For each segment between two rows of the curve (M, n), it is the larger value of
+    both ends. at (M,): positions of the rows on the path through the poses T (N, F, 4, 4).
     """
     return off_the_poses(plan, kinds, curve, at, T) if freedom(plan, kinds).lacks else np.zeros((2, len(curve) - 1))
 

@@ -1,4 +1,4 @@
-"""The input of a path search: poses, their kinds, joint limits and largest steps, packed as arrays in kernel units."""
+"""The input of a path search: poses, their kinds, joint limits and largest steps, as arrays in internal units."""
 
 from typing import Any, NamedTuple
 
@@ -18,28 +18,28 @@ from .freedom import freedom
 # Default largest step of a joint between two rows of a path [rad], [m], as in CppFlow.
 # The search itself uses at least these steps, because a smaller max_step is met at the end by inserting rows.
 STEP = (np.radians(7.0), 0.02)
-# For an arm with too few joints to follow interpolated poses, the search gets bounds that no motion reaches.
-# ANY_STEP is the largest joint step [rad], [m], and ANY_DEVIATION the largest deviation of a tip [m], [rad].
+# An arm with too few joints cannot follow interpolated poses, so the search must not bound steps and deviations: the bounds are
+# larger than any motion. ANY_STEP: joint step [rad], [m]; ANY_DEVIATION: deviation of a tip [m], [rad].
 ANY_STEP, ANY_DEVIATION = (1e3, 1e6), (1e9, 1e9)
 
 
 class Problem:
     """Poses T (N, 4, 4), or (N, F, 4, 4) for F tips, of the target kinds `kinds`, ready for the compiled path search.
 
-    Kernel units are radians for a revolute joint, and metres divided by the robot's scale for a prismatic one.
+    Internal units are radians for a revolute joint, and metres divided by the robot's scale for a prismatic one.
 
-    most (n,): largest step of each joint between two poses [kernel units], at least STEP
-    deviation (2,): how far [m], [rad] a tip may leave the interpolated pose between two poses
-    poses (N, F, 4, 4): T with one axis for the tips
-    at (N,): place of each pose among the requested ones (3.5 is halfway from pose 3 to pose 4)
-    stand (n,): values [kernel units] at which joints of weight 0 are held, from q0 or otherwise home
-    plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
-    rows, ends, orders: the arrays of `single` that compiled functions take
-    limits (3, n): lower limit, upper limit [kernel units], and 1 where both are finite
-    endless (n,): whether a joint is revolute without limits
-    turning: indices of revolute joints with limits whose range exceeds a full turn
-    redundant: whether there are more joints than the targets need, so that solutions are not isolated
-    room (3, n): limits in the search; if not `redundant`, `turning` joints have none, as their turns are chosen later
+        most (n,): largest step of each joint between two poses [internal units], at least STEP
+        deviation (2,): how far [m], [rad] a tip may leave the interpolated pose between two poses
+        poses (N, F, 4, 4): T with one axis for the tips
+        at (N,): position of each pose on the path through the requested ones (3.5 is halfway from pose 3 to pose 4)
+        stand (n,): values [internal units] at which joints of weight 0 are held, from q0 or otherwise home
+        plan, single: the solver's Plan, and one that makes a single attempt of an iterative search
+        rows, ends, orders: the arrays of `single` that compiled functions take
+        limits (3, n): lower limit, upper limit [internal units], and 1 where both are finite
+        endless (n,): whether a joint is revolute without limits
+        turning: indices of revolute joints with limits whose range exceeds 2 pi
+        redundant: whether there are more joints than the targets need, so that solutions are not isolated
+        room (3, n): limits in the search; if not `redundant`, `turning` joints have none, as their shifts by 2 pi are chosen later
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Problem:
         q0: np.ndarray | None = None,
         at: np.ndarray | None = None,
     ) -> None:
-        """Pack the arrays; max_step (rad, m), deviation (m, rad), q0 (n,) [rad or m] and `at` as described above."""
+        """Pack the arrays; max_step (rad, m), deviation (m, rad), q0 (n,) [rad or m] and `at` as described for the class."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
         self.poses = T.reshape(len(T), -1, 4, 4)
@@ -65,7 +65,7 @@ class Problem:
         self.stand = (robot.home if q0 is None else q0) / self.unit
         able = freedom(self.single, kinds)
         turn, slide = ANY_STEP if able.lacks else np.maximum(max_step, STEP)
-        if able.lacks:  # Interpolated poses cannot be reached, so the motion between poses is judged when it is known.
+        if able.lacks:  # Interpolated poses cannot be reached: the motion is checked only after the search.
             self.deviation = np.array(ANY_DEVIATION)
         self.most = np.where(robot.slides, slide, turn) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
@@ -80,9 +80,9 @@ class Problem:
             self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf
 
     def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
-        """Search pose number t once from each start Q0 (M, n) [rad or m].
+        """Solve pose number t with one attempt from each start Q0 (M, n) [rad or m].
 
-        Returns the solutions found (m, n) [kernel units], with revolute joints on the full turn nearest the middle of
+        Returns the solutions found (m, n) [internal units], with revolute joints shifted by 2 pi k to be nearest the middle of
         their limits, and the distance [m] by which the pose is proven out of reach (0 if it is not proven).
         """
         single, n = self.single, self.robot.n
@@ -99,7 +99,7 @@ class Problem:
         return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Return Q (m, n) [kernel units]; each joint that can make a full turn is moved to the turn nearest its mid-range."""
+        """Return Q (m, n) [internal units] with each joint that may wrap shifted by 2 pi k to be nearest its mid-range."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False
@@ -110,22 +110,23 @@ class Problem:
         return Q
 
     def inside(self, q: np.ndarray) -> np.ndarray:
-        """Return q (M, n) [rad or m] clipped to the joint limits, which rounding in kernel units may exceed."""
+        """Return q (M, n) [rad or m] clipped to the joint limits, which the conversion of units may exceed by rounding."""
         return np.clip(q, self.robot.lower, self.robot.upper) if self.plan.options.limits else q
 
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Move Q (m, n) [kernel units] onto the poses numbered t (m,); return them and whether each is reached (m,)."""
+        """Move Q (m, n) [internal units] onto the poses numbered t (m,); return them and whether each pose is reached (m,)."""
         rows, good = settle_on_targets(self.single, self.kinds, Q * self.unit, self.poses[t])
         return rows / self.unit, good
 
 
 # ------------------------------------------------------------------------------------------------------ with a priority
 class Minima(NamedTuple):
-    """How the nearest poses of a path are sought."""
+    """Constants of the search for a path through the nearest reachable poses."""
 
     starts: int = 200  # random starts from which the first pose is solved
     followed: int = 8  # largest number of minima of the first pose that are followed along the path
-    jump: float = 0.5  # [rad or arm reaches] a joint that moves further between two poses has changed its branch
+    # [rad, or length over the reach] a joint that moves further between two poses has changed its branch
+    jump: float = 0.5
 
 
 MINIMA = Minima()
@@ -134,8 +135,8 @@ MINIMA = Minima()
 def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | None) -> np.ndarray:
     """Return the poses nearest to T (N, 4, 4) or (N, F, 4, 4) that one posture of the arm reaches.
 
-    Each of several minima of the first pose is followed from pose to pose, and the one is taken that misses the fewest poses,
-    jumps least often, and then has the least errors of the lower levels. A pose whose first level is out of reach stays as it is.
+    Each of several minima of the first pose is followed from pose to pose. The one is taken that misses the fewest poses, then has
+    the fewest jumps, then the least errors of lower priority. A pose whose errors of first priority cannot be met stays as it is.
 
     Args:
         solver: A Solver with the option `priority`.
@@ -157,7 +158,7 @@ def nearest_poses(solver: Any, T: np.ndarray, kinds: tuple, q0: np.ndarray | Non
 def _follow(plan: Any, T: np.ndarray, kinds: tuple, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return joint values (N, n) at the poses, each found near the one before, and whether each meets the first level (N,).
 
-    Where a minimum of the lower levels ends, the joints go to another one by steps, as far as the first level allows.
+    Where a minimum of the lower levels ends, the joints move to another one in steps, as far as the first level allows.
     """
     robot = plan.robot
     single = plan.varied(restarts=0, follow=STEP[0])

@@ -23,20 +23,21 @@ from .shortest_path import CONTACT, DEAD, Program, Tester, free_path, middle_fir
 
 
 class Effort(NamedTuple):
-    """How much a search does."""
+    """Constants that set how much work a search does."""
 
-    every: int = 20  # every 20th pose is an anchor if solutions are finitely many, so that none is missed
+    # if solutions are finitely many, every 20th pose is an anchor (solved from many starts), so that none is missed
+    every: int = 20
     anchors: int = 13  # first anchors for a redundant robot; few suffice, because its solutions can be continued far
     share: int = 40  # largest number of tracks (continued solutions) that an anchor adds for a redundant robot
     tried: int = 3  # number of solutions tested for contact, per track that an anchor may add
     patience: int = 2  # the search ends after this many successive rounds of further anchors without a gain
-    rounds: int = 8  # in so many rounds at most, listed solutions that lie on no track are added; two are usual
+    rounds: int = 8  # listed solutions that lie on no track are added in at most this many rounds; two are usual
     # The first search keeps a margin of `near` [rad] times the longest lever arm of a pair of shapes: 3 mm for a metre.
     near: float = 0.003  # It makes it easy to prove the motion between poses free of contact.
     probes: int = (
-        9  # after this many poses of a gap (a run of poses without tracks) had no solution, the others are given up
+        9  # in a gap (a run of poses without tracks), the other poses are given up after this many without a solution
     )
-    least: int = 20_000  # A search may make `budget` collision tests per pose, but at least so many in all.
+    least: int = 20_000  # A search may make `budget` collision tests per pose, but at least `least` in all.
     budget: int = 200
 
 
@@ -49,9 +50,9 @@ def _runs(places: np.ndarray) -> list[np.ndarray]:
 
 
 def model_near(model: Any, limits: np.ndarray) -> Callable[[Any], bool]:
-    """Return a function of q (n,) that says whether any two parts of a CollisionModel are nearer than the margin EFFORT.near.
+    """Return a function of q (n,) that says whether any two parts are nearer than the margin EFFORT.near.
 
-    limits (2, n) [rad or m]: lower and upper; they bound the lever arms.
+    model: a CollisionModel; limits (2, n) [rad or m]: lower and upper joint limits, which bound the lever arms.
     """
     margins = Margins(model, np.where(np.isfinite(limits), np.abs(limits), 0.0).max(axis=0))
     return lambda q: not margins.free(q, EFFORT.near)
@@ -63,7 +64,7 @@ def _within(best: tuple[int, int], allowed: float) -> bool:
 
 
 class Found(NamedTuple):
-    """A path found: q (N, n) [kernel units] and its tracks (N,); at poses that it does not pass q is NaN and the track -1.
+    """A path found: q (N, n) [internal units] and its tracks (N,); at poses that it does not pass q is NaN and the track -1.
 
     breaks: poses after which it reconfigures; contacts: number of poses at which it is in contact.
     """
@@ -93,11 +94,10 @@ class Search:
         seed: int,
         progress: Callable[[float, str], None],
     ) -> None:
-        """Take the options of a search.
+        """Store the arguments of a search.
 
-        model: a CollisionModel or None; q0, q_end (n,) [kernel units] or None: start and end of the path, or
-        configurations near which it starts and ends; seed: number that fixes the random starts; progress: function of a
-        share (0 to 1) and a text.
+        model: a CollisionModel or None; q0, q_end (n,) [internal units] or None: start and end of the path, or configurations near
+        which it starts and ends; seed: number that fixes the random starts; progress: function of a share (0 to 1) and a text.
         """
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
         self.collides: Any = None
@@ -109,9 +109,9 @@ class Search:
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        # All solutions (N, K, n) of the poses [kernel units], whether (N,) that is proven; None if they cannot be listed.
+        # All solutions (N, K, n) of the poses [internal units], whether (N,) that is proven; None if they cannot be listed.
         self.listing, self.legal = self.list_solutions()  # legal (N, K): which of them keep the joint limits
-        self.copied: set[int] = set()  # joints of more than a full turn, whose tracks are copied to every turn
+        self.copied: set[int] = set()  # joints with a range above 2 pi whose tracks are copied with shifts by 2 pi
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path starts exactly at q0, and whether it ends exactly at q_end
 
@@ -152,7 +152,7 @@ class Search:
         return len(seeds)
 
     def without_contact(self, seeds: np.ndarray, count: int) -> np.ndarray:
-        """Return the first `count` of the configurations seeds (m, n) [kernel units] that are free of contact.
+        """Return the first `count` of the configurations seeds (m, n) [internal units] that are free of contact.
 
         If all are in contact, return the first quarter of `count`, so that a path in contact can still be found.
         """
@@ -182,7 +182,7 @@ class Search:
         self.fill()
 
     def solves(self, q: np.ndarray, t: int) -> bool:
-        """Return whether q (n,) [kernel units] reaches pose number t."""
+        """Return whether q (n,) [internal units] reaches pose number t."""
         moved, good = self.problem.settled(q[None], np.array([t]))
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
@@ -212,10 +212,10 @@ class Search:
         self.found = self.best()
 
     def build(self) -> None:
-        """Build the dynamic program, with copies of the tracks on all full turns of the joints in `copied`."""
+        """Build the dynamic program; tracks are copied with shifts by 2 pi of the joints in `copied`."""
         p, tracks = self.problem, self.tracks
         Q, span = tracks.Q[:, : tracks.size], tracks.span
-        self.wound = p.endless.copy()  # (n,) joints whose full turns do not count in the dynamic program
+        self.wound = p.endless.copy()  # (n,) joints whose values count modulo 2 pi in the dynamic program
         if not p.redundant and len(span):
             self.wound[[i for i in p.turning if i not in self.copied]] = True
             for i in self.copied:
@@ -235,7 +235,7 @@ class Search:
     def best(self, allowed: float | None = None) -> Found:
         """Return the best path to the last pose or, with `allowed`, to the farthest pose that so many reconfigurations reach.
 
-        Tracks are copied to all turns of a joint whose winding along the best path does not fit its limits.
+        If a joint's winding along it does not fit its limits, its tracks are copied with shifts by 2 pi, and all is repeated.
         """
         while True:
             found, unfit = self.made(allowed)
@@ -304,7 +304,7 @@ class Search:
     def prove(self) -> None:
         """Set `lower_bound` if the number of reconfigurations is proven to be the least.
 
-        That is so if it is 0, or if every solution of every pose lies on a track, and every track ends for a reason.
+        That is so if it is 0, or if every solution of every pose lies on a track, and every track is proven to end where it does.
         """
         if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
             self.lower_bound = 0
@@ -321,14 +321,14 @@ class Search:
             self.link()
         else:
             return
-        # A branch at one pose alone, whose neighbours are sure, is entered and left by reconfigurations, which saves none.
+        # A solution missed at one pose alone, between complete lists, is entered and left by reconfigurations: it saves none.
         beside = np.pad(sure, 1, constant_values=True)
         known = sure | (beside[:-2] & beside[2:] & (self.tracks.alive() > 0))
         if known.all() and self.tracks.end_with_reason(lambda T: every_solution(p.single, T)):
             self.lower_bound = len(self.found.breaks)
 
     def list_solutions(self) -> tuple[tuple[np.ndarray, np.ndarray] | None, np.ndarray]:
-        """Return `listing` and `legal`, see __init__."""
+        """Return the attributes `listing` and `legal`, see the comments in __init__."""
         p = self.problem
         isolated = p.kinds == (POSE,) and not counts_in_part(p.kinds, p.plan.options) and not len(p.plan.held)
         listed = every_solution(p.single, p.T) if isolated and not p.redundant else None
@@ -341,7 +341,7 @@ class Search:
         return (Q, listed[1]), ((Q >= low) & (Q <= high)).all(axis=2)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Return whether (N, K) each of the solutions Q (N, K, n) [kernel units] lies on a track; full turns are ignored."""
+        """Return whether (N, K) each of the solutions Q (N, K, n) [internal units] lies on a track, modulo 2 pi."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):

@@ -1,4 +1,4 @@
-"""The result of `solve_path`: a joint motion through poses, what is proven of it, and a sentence with advice."""
+"""The result of `solve_path`: a joint motion through poses, what is proven about it, and a message with advice."""
 
 import json
 from dataclasses import dataclass, field
@@ -56,7 +56,7 @@ class PathResult:
         position_error: (N,) [m], the counted error at each pose, the largest of all tips, computed with Pinocchio.
         orientation_error: (N,) [rad], likewise; None if every orientation is free.
         curve: (M, n) [rad or m], q and the rows inserted between; the motion is linear in the joints from row to row.
-        at: (M,) place of each row of curve among the poses (3.5 is halfway from pose 3 to pose 4).
+        at: (M,) position of each row of curve on the path (3.5 is halfway from pose 3 to pose 4).
         continuity: what is proven about the motion between the poses.
         reconfigurations, lower_bound: changes of branch, and their proven least number (None: not proven).
         unreachable: the poses that are not reached.
@@ -265,8 +265,8 @@ class PathResult:
 def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     """Return the continuous pieces of a curve (M, n), each as a slice of its rows.
 
-    A piece contains no NaN and no break; breaks are between pose k and the next, for k in breaks. at (M,): places of
-    the rows among the poses.
+    A piece contains no NaN and no break; breaks are between pose k and the next, for k in breaks. at (M,): positions of the rows on
+    the path (3.5: halfway from pose 3 to pose 4).
     """
     finite = np.asarray(np.isfinite(curve).all(axis=1))
     cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion breaks between two rows

@@ -19,14 +19,14 @@ from ..kernel.kinematics import TAU
 # A state is a track at a pose. DEAD: it does not exist or violates a limit; otherwise what is known of contact.
 DEAD, UNTESTED, FREE, TOUCHING = range(4)
 # A state's parent is the track k of the state before it on the best path, or -2 - k if it is reached from there by a
-# reconfiguration; a state without one has the parent NONE.
+# reconfiguration. NONE is the parent of a state that has none.
 NONE = -1
 CONTACT = 1 << 20  # A pose in contact counts as this many reconfigurations, more than any path has.
 
 
 @inline
 def shortest_difference(d, endless):
-    """Return a joint value or difference d [rad]; if endless > 0, moved by full turns into the range from -pi to pi."""
+    """Return a joint value or difference d [rad]; if endless > 0, modulo 2 pi in the range from -pi to pi."""
     return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 
@@ -78,9 +78,9 @@ def link_layers(
 ):
     """Run the dynamic program over K tracks and N poses (layers) from layer `first` on; results before it are kept.
 
-    Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]
+    Q (N, K, n): configurations of the tracks [internal units], which exist from pose span[k, 0] to span[k, 1]
     state (N, K): DEAD, UNTESTED, FREE or TOUCHING
-    most (n,): largest step of each joint; endless (n,): 1 if full turns of a joint do not count
+    most (n,): largest step of each joint; endless (n,): 1 if a joint's values count modulo 2 pi
     price (3, n): [0]: cost per unit of a joint's move; [1]: cost per unit of its square;
         [2, :2]: cost of a step longer than `most`, and of a reconfiguration
     begin (2, K): reconfigurations and cost counted for starting on each track; toll (N, K): extra cost of a state
@@ -144,7 +144,7 @@ def link_layers(
                     at = shortest_difference(float(Q[t, b, axis]), round)
                     low = window(keys, size, shortest_difference(at - reach, round))
                     for j in range(low, size if round == 0.0 else low + size):
-                        j -= size if j >= size else 0  # the values of an endless joint form a ring
+                        j -= size if j >= size else 0  # the sorted values of an endless joint are searched as a ring
                         if shortest_difference(keys[j] - at, round) > reach:
                             break
                         a = near[j]
@@ -165,16 +165,18 @@ def link_layers(
 
 
 def sorted_tracks(values: np.ndarray, endless: float) -> np.ndarray:
-    """Return the indices (N, K) that sort the values (N, K) [kernel units] of a joint at each pose, see `link_layers`."""
+    """Return the indices (N, K) that sort the values (N, K) [internal units] of a joint at each pose, see `link_layers`."""
     keys = values.astype(float)
     if endless > 0.0:
         keys = np.where(np.abs(keys) > 0.5 * TAU, keys - TAU * np.rint(keys / TAU), keys)
     return np.argsort(keys, axis=1, kind="stable").astype(np.int32)
 
 
-LONG = 1e3  # cost [kernel units] of a step longer than allowed, more than the length of any path
-LEAP = 1.0  # cost of a reconfiguration in addition to its count; its joint move is off the path and costs nothing
-SUSPECT = 50.0  # extra cost of an untested state between two in contact on one track, so that it is used last
+LONG = 1e3  # cost [internal units] of a step longer than allowed, more than the length of any path
+# cost of a reconfiguration in addition to its count; its own joint move is not part of the path and costs nothing
+LEAP = 1.0
+# extra cost of an untested state between two in contact on one track, so that it is used only if nothing else is left
+SUSPECT = 50.0
 HITS = 4  # number of states found in contact after which the dynamic program is first run again
 SAMPLED, PAIRED = 5, 64  # numbers of poses and tracks sampled to choose the joint by whose value states are sorted
 COARSE = 16  # After a first contact every track is tested at every 16th pose.
@@ -183,18 +185,18 @@ COARSE = 16  # After a first contact every track is tested at every 16th pose.
 class Program:
     """The dynamic program over K tracks and N poses; a track is one solution continued along the poses.
 
-    Q (N, K, n): configurations of the tracks [kernel units], which exist from pose span[k, 0] to span[k, 1]. state (N,
-    K): what is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of reconfigurations and
-    cost that a path pays for beginning, or ending, on each track.
+    Q (N, K, n): configurations of the tracks [internal units], which exist from pose span[k, 0] to span[k, 1]. state (N, K): what
+    is known of contact (DEAD, UNTESTED, FREE, TOUCHING). begin, end (2, K): number of reconfigurations and cost that a path pays
+    for beginning, or ending, on each track.
     """
 
     def __init__(self, Q: np.ndarray, span: np.ndarray, most: np.ndarray, endless: np.ndarray) -> None:
-        """Start with every state untested; most (n,): largest steps; endless (n,): joints whose turns do not count."""
+        """Start with every state untested; most (n,): largest steps; endless (n,): joints whose values count modulo 2 pi."""
         N, K, _ = Q.shape
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
         self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
-        # `price` has at least two columns, because its last row holds two prices.
+        # Two columns are needed at least, because the last row holds two prices.
         self.price = np.zeros((3, max(Q.shape[2], 2)))
         self.price[0] = 1.0
         self.price[1] = 1.0 / most
@@ -282,10 +284,10 @@ def middle_first(size: int) -> np.ndarray:
 
 
 class Tester:
-    """Tests states of a Program (a track at a pose) for collision, each at most once; `left` tests remain."""
+    """Tests states of a Program (a track at a pose) for collision, each at most once; `left`: number of tests that remain."""
 
     def __init__(self, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
-        """Test with the function collides(q), q (n,) [rad or m], at most `budget` times; unit (n,): kernel units."""
+        """Test with the function collides(q), q (n,) [rad or m], at most `budget` times; unit (n,): size of the internal units."""
         self.collides, self.unit, self.left = collides, unit, budget
         self.program: Any = None
         self.looked = False  # whether all tracks were tested at every 16th pose, after a first contact

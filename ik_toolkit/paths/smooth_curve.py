@@ -25,20 +25,22 @@ from .continuity import bounds, settle_between
 from .freedom import off_the_poses
 
 ROUNDS = 12  # largest number of rounds of inserting rows; each halves the distance between the rows
-LEAST = 1e-9  # rows of a curve nearer than this are merged [rad or m]
-FINE = 0.0125  # largest move of a joint between two points at which a spline is examined [rad or kernel units]
+LEAST = 1e-9  # neighbouring rows of a curve that differ by less are merged [rad or m]
+# largest move of a joint between two points at which a spline is examined [rad, or length over the reach]
+FINE = 0.0125
 FEWEST, MOST = 4, 64  # least and largest number of examined points between two rows
 # A pose at which the path turns by more than this angle [rad] is a corner, not a sample of a smooth curve.
 CORNER = math.radians(60.0)
-ARC = 1.25  # factor on an arc's sagitta (height over its chord), because a spline leaves the chords further
+ARC = 1.25  # factor on the sagitta (height over its chord) of an arc, because a spline leaves the chords further
 
 
 class Curve(NamedTuple):
-    """A cubic spline of the joints over a path coordinate s, and what is proven of it.
+    """A cubic spline of the joints over a path coordinate s, and what is proven about it.
 
-    knots (M,): values of s; cubics (4, M-1, n): coefficients between two knots, in s - knot, highest power first; at
-    (M,): place of each knot among the poses; deviation [m], turn [rad]: bounds on how far a tip leaves the chords
-    between the poses; clearance [m]: proven least distance of any two parts, infinite if collisions are not checked.
+    knots (M,): values of s; cubics (4, M-1, n): coefficients between two knots, in s - knot, highest power first; at (M,): position
+    of each knot on the path (3.5: halfway from pose 3 to pose 4); deviation [m], turn [rad]: bounds on how far a tip's position and
+    rotation leave the chords between the poses; clearance [m]: proven least distance of any two parts, infinite if collisions are
+    not checked.
     """
 
     knots: np.ndarray
@@ -70,8 +72,8 @@ def smooth_curve(plan: Plan, result: Any, allowed: np.ndarray, run: slice) -> Cu
 def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.ndarray) -> Curve | None:
     """Fit a spline through rows of a curve, and insert rows until it is near enough to the chords and free of contact.
 
-    curve (M, n) [rad or m]; at (M,): places of its rows among the poses; arcs: gives the poses for the inserted rows.
-    Returns None if an inserted row cannot be solved, or ROUNDS do not suffice.
+    curve (M, n) [rad or m]; at (M,): positions of its rows on the path; arcs: gives the poses for the inserted rows. Returns None
+    if an inserted row cannot be solved, or ROUNDS do not suffice.
     """
     curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
     if len(curve) < 2:
@@ -94,10 +96,10 @@ def _fitted(plan: Plan, result: Any, arcs: "Arcs", curve: np.ndarray, at: np.nda
 def _judged(
     plan: Plan, result: Any, allowed: np.ndarray, curve: np.ndarray, at: np.ndarray
 ) -> tuple[Curve, np.ndarray]:
-    """Return the spline through the rows `curve` (M, n) [rad or m], and whether (M-1,) it fails between two rows.
+    """Return the spline through the rows `curve` (M, n) [rad or m], and whether (M-1,) it is unacceptable between two rows.
 
-    It fails if a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or if the motion is not proven free of
-    contact. at (M,): places of the rows among the poses.
+    That is where a tip leaves the chord by more than `allowed` (2, N-1) [m], [rad], or where the motion is not proven free of
+    contact. at (M,): positions of the rows on the path.
     """
     robot = plan.robot
     knots = coordinate(curve, robot.chain.unit)
@@ -123,8 +125,8 @@ def _judged(
 def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Divide the intervals of a spline so finely that no joint moves further than about FINE within a part.
 
-    curve (M, n) [kernel units]: the joint values at the knots. Returns the number of parts of each interval (M-1,), and
-    the knots and cubics of the same spline over all parts.
+    curve (M, n) [internal units]: the joint values at the knots. Returns the number of parts of each interval (M-1,), and the knots
+    and cubics of the same spline over all parts.
     """
     steps = np.abs(np.diff(curve, axis=0)).max(axis=1) / FINE
     parts = np.clip(np.ceil(steps), FEWEST, MOST).astype(int)
@@ -137,10 +139,10 @@ def _subdivided(curve: np.ndarray, knots: np.ndarray, cubics: np.ndarray) -> tup
 
 
 def _places(plan: Plan, result: Any, rows: np.ndarray, at: np.ndarray, parts: np.ndarray) -> np.ndarray:
-    """Return the place among the poses of each row of a spline: the point of the chord that is nearest the tips.
+    """Return the position on the path of each row of a spline: the point of the chord that is nearest the tips.
 
-    rows (K, n) [rad or m]: the spline at the ends of all parts; at (M,): places of the rows that were interpolated;
-    parts (M-1,): number of parts between two of these. The result (K,) never decreases.
+    rows (K, n) [rad or m]: the spline at the ends of all parts; at (M,): positions of the rows that were interpolated; parts
+    (M-1,): number of parts between two of these. The result (K,) never decreases.
     """
     share = np.concatenate([np.arange(k) / k for k in parts] + [[1.0]])
     k = np.append(np.repeat(np.arange(len(parts)), parts), len(parts) - 1)
@@ -201,7 +203,7 @@ class Arcs:
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, allowed: np.ndarray) -> None:
-        """Find the chords that the tips may leave as far as an arc does; arguments as of the class."""
+        """Find the chords that the tips may leave as far as an arc does; the arguments are those of the class."""
         self.T, self.kinds, self.allowed = T, kinds, allowed
         self.wide = np.ones(allowed.shape[1], dtype=bool)
         if len(T) > 1:
@@ -232,7 +234,7 @@ class Arcs:
         return made
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
-        """Return the interpolated poses (M, F, 4, 4) at the places `at` (M,) among the poses."""
+        """Return the interpolated poses (M, F, 4, 4) at the positions `at` (M,) on the path (3.5: halfway from pose 3 to 4)."""
         made = interpolate_poses(self.T, at, self.kinds)
         wide = self.wide[at.astype(int).clip(0, len(self.wide) - 1)]
         for a, b, f, way, places, turns in self._splines if wide.any() else ():
@@ -249,15 +251,17 @@ class Arcs:
 def _distinct(curve: np.ndarray, at: np.ndarray, since: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Leave out the rows of a curve (M, n) that equal the row before.
 
-    at (M,): places of the rows among the poses; since (M,): places where the motion to each row begins. Both are
-    returned, too.
+    at (M,): positions of the rows on the path; since (M,): positions where the motion to each row begins. Both are returned, too.
     """
     moved = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
     return curve[moved], at[moved], since[moved]
 
 
 def coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Return the path length in joint space [kernel units] up to each row (M,); unit (n,): kernel unit [rad or m]."""
+    """Return the path length in joint space [internal units] up to each row (M,).
+
+    unit (n,): internal unit of each joint [rad or m].
+    """
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)))
 
 
@@ -273,7 +277,7 @@ def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
         raise MissingExtra("scipy", "paths") from None
     cubics = CubicSpline(knots, curve, bc_type="not-a-knot" if len(curve) > 3 else "natural").c
     a, b, c, d = cubics
-    with np.errstate(divide="ignore", invalid="ignore"):  # Turning points are the roots of 3 a x^2 + 2 b x + c.
+    with np.errstate(divide="ignore", invalid="ignore"):  # Extrema of a joint are the roots of 3 a x^2 + 2 b x + c.
         root = np.sqrt(b * b - 3.0 * a * c)
         turning = np.nan_to_num([(-b - root) / (3.0 * a), (-b + root) / (3.0 * a), -0.5 * c / b])
     x = np.where((turning > 0.0) & (turning < np.diff(knots)[:, None]), turning, 0.0)

@@ -20,15 +20,15 @@ from ..kernel.dispatch import problem_on
 from ..kernel.null_space import REFERENCE, make_bounds, onto_target
 from ..kernel.records import HEAD, TASK, Ends, Orders, copy, read
 
-# Weight of squared task errors against squared joint differences; a step leaves 1e-9 rad of an error of 1e-2 rad.
+# Weight of squared task errors against squared joint differences; a step reduces an error of 1e-2 rad to 1e-9 rad.
 TASK_WEIGHT = 1e7
-RIDGE = 1e-9  # added to the diagonal, so that the system is positive definite even if no difference involves a pose
+RIDGE = 1e-9  # added to the diagonal, so that the system is positive definite even at poses that no difference involves
 ARRIVED = 1e-24  # A correction onto a target ends below this squared error (lengths over the reach), which is rounding.
 PASSES = 4  # largest number of times a step is solved, each time with more joints held at their limits
 GAIN = 1e-4  # The iteration ends when a full step improves the cost by less than this share.
 GROW, SHRINK = 1.6, 0.3  # factors on the largest allowed joint move after an accepted and after a rejected step
-SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below this [rad or kernel units].
-ON_LIMIT = 1e-12  # A joint nearer a limit than this counts as being at the limit [rad or kernel units].
+SHORTEST = 1e-4  # The iteration ends when the largest joint move falls below this [rad, or length over the reach].
+ON_LIMIT = 1e-12  # A joint nearer a limit than this counts as being at the limit [rad, or length over the reach].
 
 
 class Price(NamedTuple):
@@ -36,12 +36,13 @@ class Price(NamedTuple):
 
     first: float
     second: float
-    rounding: float  # length below which a joint's step counts by its square, see `cost_of` [rad or kernel units]
+    # length below which a joint's step counts by its square, see `cost_of` [rad, or length over the reach]
+    rounding: float
 
 
 @inline
 def path_problem(rows, ends, orders, n, block):
-    """Return the problem of the poses of a path, on views, with its orders, joint limits, joint weights and `Ends`."""
+    """Return the problem of the poses of a path, with its Orders, joint limits (Bounds), joint weights and `Ends`; on views."""
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
@@ -53,10 +54,10 @@ def path_problem(rows, ends, orders, n, block):
 
 @inner
 def cost_of(Q, price, longest):
-    """Return the cost of a path Q (N, n) [kernel units], and its largest joint step as a multiple of `longest` (n,).
+    """Return the cost of a path Q (N, n) [internal units], and its largest joint step as a multiple of `longest` (n,).
 
-    The length of a joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for
-    short ones.
+    The length of a joint's step x is sqrt(x^2 + rounding^2) - rounding, which is like |x| for long steps and like x^2 for short
+    ones.
     """
     first, second, rounding = price
     N, n = Q.shape
@@ -155,8 +156,8 @@ def linearise(p, o, T, now, fixed, H, g):
 def newton_step(H, g, now, fixed, weights, box, held, A, x):
     """Solve H x = -g for the step x (N n,) of the path `now` (N, n), within the joint limits.
 
-    Fixed poses and joints of weight 0 are held. Joints at a limit that the step would push beyond are held as well, and
-    the step is solved again. held (N n,) and A are scratch.
+    Fixed poses and joints of weight 0 do not move. Joints at a limit that the step would push beyond are held as well, and the step
+    is solved again. held (N n,) and A are scratch.
     """
     N, n = now.shape
     for k in range(N):

@@ -1,7 +1,7 @@
 """`solve_path`: from poses to one joint motion.
 
-Between orientations 180 degrees apart there are two shortest rotations. `HalfTurns` chooses one of them by rotating the
-second pose by far less than its tolerance, so that the interpolation everywhere else is unique.
+Between orientations 180 degrees apart there are two shortest rotations. `HalfTurns` chooses one of them by rotating the second pose
+by far less than its tolerance, so that the interpolation everywhere else is unique.
 """
 
 import math
@@ -34,7 +34,7 @@ from .path_search import Search
 from .result import PathResult, PathStatus, Reconfiguration, path_sentence
 
 TOLERANCE = (1e-3, math.radians(1.0))  # default largest deviation [m], [rad] of a tip from the interpolated poses
-# Largest number of further searches, which turn half turns (180 degrees) the other way round where the path breaks.
+# Largest number of further searches that reverse rotations of 180 degrees where the path breaks.
 OTHER_WAYS = 4
 DT = 0.01  # sampling interval of a Reference [s]
 EXACT = 1e-13  # Columns of an exact rotation matrix deviate less than this from orthonormal ones; rounding is 1e-15.
@@ -124,9 +124,7 @@ def solve_path(
     model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
     wanted, places = None, None
-    if (
-        solver.options.priority is not None
-    ):  # The search follows poses that the arm can reach, between those asked for as well.
+    if solver.options.priority is not None:  # The search follows poses within reach, also between the requested ones.
         dense, places = inserted(robot, T.reshape(len(T), -1, 4, 4), kinds)
         wanted, T = T, nearest_poses(solver, dense.reshape(-1, *robot.pose_shape), kinds, q0)
         exact: dict[str, Any] = {**options, "priority": None, "slack": None}
@@ -154,13 +152,12 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # half turns the other way may need fewer
+            search.lower_bound = None  # with some rotations of 180 degrees reversed, fewer may be possible
         search.progress(0.9, "shortening and verifying the path")
         tried = [search]
         if wanted is None and search.found.breaks and len(search.problem.T) > len(T):
-            # Beside a singular pose a motion may keep the path tolerance without meeting the poses inserted.
             tried.append(fresh(between=False, longer=int(np.bincount(search.problem.at[:-1].astype(int)).max())))
-            tried[1].run()
+            tried[1].run()  # Near a singular pose a motion may keep the path tolerance without the inserted poses.
             bounds = [one.lower_bound for one in tried if one.lower_bound is not None]
             search.lower_bound = tried[1].lower_bound = min(1, *bounds) if len(bounds) == len(tried) else None
         results = [_result(one, allowed, step, tolerance, model, seed, began) for one in tried]
@@ -177,7 +174,7 @@ def solve_path(
 
 
 def _silent(share: float, words: str) -> None:
-    """Ignore a report of progress."""
+    """Do nothing: the progress function if the caller gives none."""
 
 
 # --------------------------------------------------------------------------------------------------------------- reading
@@ -189,7 +186,7 @@ def _allowed(value: str | int) -> float:
 
 
 def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
-    """Return the two positive numbers of option `name`; one number counts for both. Raises InvalidOption."""
+    """Return the two positive numbers of the option `name`; a single number is used for both. Raises InvalidOption."""
     if value is None:
         return default
     pair = floats(value, f"{name} must be one number, or two", InvalidOption)
@@ -200,7 +197,7 @@ def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, f
 
 
 def _between(value: Any, options: Options) -> tuple[float, float]:
-    """Return path_tolerance [m], [rad] or its default. Raises InvalidOption if not above the poses' own tolerance."""
+    """Return path_tolerance [m], [rad] or its default. Raises InvalidOption if it is not above the poses' own tolerance."""
     at = (options.position_tolerance, options.orientation_tolerance)
     pair = _pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
     for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
@@ -233,7 +230,7 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
 
 
 def _exact(T: np.ndarray) -> np.ndarray:
-    """Return which of the poses T (..., 4, 4) are rigid to rounding and nearer than FAR, so need no correction."""
+    """Return which of the poses T (..., 4, 4) need no correction: rigid to rounding, and nearer than FAR."""
     R = T[..., :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):  # Poses that are not finite compare as not exact.
         off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
@@ -294,7 +291,7 @@ def _result(
 
 
 def _against(made: PathResult, wanted: np.ndarray | None) -> PathResult:
-    """Return the path; if it leads through the nearest poses, with its errors from those that were `wanted`, and a sentence."""
+    """Return the path; if it leads through nearest poses, with its errors from those that were `wanted`, and a longer message."""
     if wanted is None:
         return made
     errors = errors_at_rows(made.robot, made.q, wanted, made.kinds, made.options)
@@ -308,19 +305,19 @@ def _against(made: PathResult, wanted: np.ndarray | None) -> PathResult:
     return replace(made, position_error=errors[:, 0], orientation_error=orientation, message=f"{made.message}; {words}")
 
 
-DOUBT = 0.1  # A rotation that differs from half a turn by less than 0.1 orientation tolerances may go either way.
-SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than half a turn, well above rounding (1e-16)
+DOUBT = 0.1  # A rotation that differs from pi by less than 0.1 orientation tolerances may be reversed.
+SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than pi, well above rounding (1e-16)
 
 
 class HalfTurns:
     """The P rotations of 180 degrees between neighbouring poses, each of which may go either way round.
 
-    gaps (P,): the pose before each half turn; tips (P,): the tip that turns; axes (P, 3): the chosen unit axis in base
-    axes. At first each half turn of a tip goes the opposite way to the tip's half turn before.
+    gaps (P,): the pose before each such rotation; tips (P,): the tip that turns; axes (P, 3): the chosen unit axis in base axes. At
+    first each such rotation of a tip goes the opposite way to the tip's previous one.
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, tolerance: float) -> None:
-        """Find the half turns among poses T (N, F, 4, 4) of these kinds; tolerance [rad]: of the orientation."""
+        """Find the rotations of 180 degrees among poses T (N, F, 4, 4) of these kinds; tolerance [rad]: of the orientation."""
         self._T = T
         gaps, tips, axes = [], [], []
         for f, kind in enumerate(kinds):
@@ -332,7 +329,7 @@ class HalfTurns:
             )
             before = np.zeros(3)
             for k in np.flatnonzero((sine <= DOUBT * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
-                # For a half turn about the unit axis a, this is the matrix a a'.
+                # For a rotation of 180 degrees about the unit axis a, this is the matrix a a'.
                 square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)
                 axis = square[:, np.argmax(np.diag(square))]
                 before = axis * ((-1.0 if axis @ before > 0.0 else 1.0) / np.linalg.norm(axis))
@@ -342,7 +339,7 @@ class HalfTurns:
         self.gaps, self.tips, self.axes = np.array(gaps, dtype=int), tips, np.array(axes).reshape(-1, 3)
 
     def turn_round(self, gaps: list[int]) -> bool:
-        """Reverse the half turns that follow the poses in `gaps`; return False if there are none."""
+        """Reverse the rotations of 180 degrees that follow the poses in `gaps`; return False if there are none."""
         meant = np.isin(self.gaps, gaps)
         self.axes[meant] *= -1.0
         return bool(meant.any())

@@ -22,11 +22,12 @@ GRID = 200  # least number of grid points of the time law of a smooth piece
 TOO_FAST = 1.001  # A piece that exceeds its limits by no more than this factor is slowed down as a whole.
 LOWERED = 8  # largest number of times that the path speed is lowered where limits are exceeded between grid points
 ROUNDED = 1e-9  # share by which the time law is slowed down, to allow for rounding
-MOST_SAMPLES = 1e7  # largest number of samples of a trajectory, so that a far too high rate is an error
-NOWHERE = np.full(2, np.nan)  # NaN as the place of both ends of a free motion, which is nowhere among the poses
-KEPT = 0.99  # A tip counts as keeping the speed asked for if it has at least this share of it.
+MOST_SAMPLES = 1e7  # a trajectory with more samples is refused: its rate is surely a mistake
+# NaN, as the positions on the path of both ends of a free motion, which is not on the path
+NOWHERE = np.full(2, np.nan)
+KEPT = 0.99  # A tip counts as keeping the requested speed if it has at least this share of it.
 NUDGE = 1e-6  # step of the finite difference for a tip's speed, as a share of the length of the curve
-TOLD = 3  # largest number of places that a message lists
+TOLD = 3  # largest number of positions that a message lists
 
 
 def retime(
@@ -82,8 +83,9 @@ def through(
 ) -> Trajectory:
     """Return the motion through configurations Q (N, n) [rad or m], straight in the joints, at rest at each one.
 
-    `place` of the result counts configurations. Limits, rate and errors are as in `PathResult.retime`. With a
-    CollisionModel as `collision` the motion goes around obstacles, or ends where no way around was found.
+    `place` of the result counts configurations (3.5: halfway from configuration 3 to 4). Limits, rate and errors are as in
+    `PathResult.retime`. With a CollisionModel as `collision` the motion goes around obstacles, or ends where no way around was
+    found.
     """
     limits, rate = _limits(robot, velocity, acceleration), positive(rate, "rate [1/s]")
     rows = np.array([robot.check_q(q) for q in Q])
@@ -133,7 +135,7 @@ def _without_repeats(result: Any) -> Any:
 
 
 def _listed(places: list[Any]) -> str:
-    """Return the first TOLD of some places as text, and the number of the others."""
+    """Return the first TOLD of some positions as text, and the number of the others."""
     more = len(places) - TOLD
     return ", ".join(f"{one:g}" if isinstance(one, float) else one for one in places[:TOLD]) + (
         f" and {more} more" if more > 0 else ""
@@ -202,7 +204,7 @@ def _tip_rates(robot: Joints, piece: Piece, s: np.ndarray) -> np.ndarray:
 
 
 def _kept_speed(robot: Joints, pieces: tuple[Piece, ...], asked: float) -> tuple[tuple[tuple[float, float], ...], str]:
-    """Return the ranges (first, last place among the poses) where the fastest tip is slower than `asked` [m/s], and words.
+    """Return the ranges of the path (first, last position) where the fastest tip is slower than `asked` [m/s], and a text on them.
 
     Free motions between two branches of solutions are left out.
     """
@@ -259,7 +261,7 @@ def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray],
     knots = piece.knots
     between = max(2, math.ceil(GRID / (len(knots) - 1)))
     step = np.diff(knots) / between
-    # From rest to a low tip speed takes a small part of the first interval, within which the acceleration is constant.
+    # Acceleration from rest to a low tip speed takes a small part of the first interval, so this is divided more finely.
     nearer = 4.0 ** -np.arange(1.0, 8.0)
     ends = [knots, knots[0] + nearer * step[0], knots[-1] - nearer * step[-1]]
     grid = np.unique(np.concatenate([*ends, *(knots[:-1] + k * step for k in range(1, between))]))
@@ -277,7 +279,7 @@ def _fastest(piece: Piece, robot: Joints, limits: tuple[np.ndarray, np.ndarray],
 
 
 def _ceiling(robot: Joints, piece: Piece, grid: np.ndarray, tip_speed: float) -> np.ndarray:
-    """Return the highest ds/dt (G,) at which no tip exceeds `tip_speed` [m/s] at a grid point and half way to its neighbours."""
+    """Return the highest ds/dt (G,) at which no tip exceeds `tip_speed` [m/s], at a grid point and half way to its neighbours."""
     if tip_speed == math.inf:
         return np.full(len(grid), np.inf)
     middle = _tip_rates(robot, piece, 0.5 * (grid[1:] + grid[:-1]))
@@ -320,8 +322,8 @@ def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> Piece:
     """Return the time-optimal straight joint motion from a to b (n,) [rad or m], from rest to rest.
 
-    It accelerates fully, keeps the highest speed and brakes fully. at (2,): places of a and b among the poses; limits:
-    joint speeds and accelerations (n,).
+    It accelerates fully, keeps the highest speed and brakes fully. at (2,): positions of a and b on the path; limits: joint speeds
+    and accelerations (n,).
     """
     way = b - a
     length = float(np.abs(way).max())

@@ -178,6 +178,7 @@ def plot_batch(batch: BatchResult) -> Any:
 def plot_calibration(found: Calibration) -> Any:
     """Draw the residuals of all measurements for the nominal and the corrected arm, and the errors with their 95 % intervals."""
     turns = {one.name: one.turns for one in found.unknowns}
+    base = {one.name for one in found.unknowns if one.group == "base"}
     with drawing() as plt:
         height = 1.0 + 0.17 * max(12, *(sum(turns[name] == kind for name in found.errors) for kind in (False, True)))
         figure, axes = plt.subplots(1, 3, figsize=(11.0, height), layout="constrained", width_ratios=(3, 2, 2))
@@ -192,7 +193,11 @@ def plot_calibration(found: Calibration) -> Any:
         )
         axes[0].legend(fontsize=8)
         for axis, kind, scale, unit in ((axes[1], False, 1e3, "mm"), (axes[2], True, 180.0 / np.pi, "deg")):
-            some = [(name, scale * x, scale * half) for name, (x, half) in found.errors.items() if turns[name] == kind]
+            # The base may be metres away, beside which no error of the arm could be seen; the table has it.
+            shown = [
+                (name, *values) for name, values in found.errors.items() if turns[name] == kind and name not in base
+            ]
+            some = [(name, scale * x, scale * half) for name, x, half in shown]
             y = -np.arange(len(some))
             axis.errorbar(
                 [x for _, x, _ in some], y, xerr=[half for *_, half in some], fmt="o", color=COLOURS[0], ms=3.5, lw=1.2

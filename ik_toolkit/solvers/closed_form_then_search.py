@@ -19,22 +19,22 @@ from .options import PLAIN
 from .postprocess import finish_failures
 from .status import SEARCHED
 
-STARTS, STEPS = 64, 24  # Number of starts, and of steps, of the last search, `into_tolerances`.
+STARTS, STEPS = 64, 24  # number of starts, and of steps from each, in `into_tolerances`, the last search
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 
 
 def error_size(rows: np.ndarray, length: float) -> np.ndarray:
-    """Return the squared error (N,) of result rows (N, ANSWER + n); a position error of `length` [m] is worth 1 rad."""
+    """Return the squared error (N,) of result rows (N, ANSWER + n); a position error of `length` [m] counts as much as 1 rad."""
     return (rows[:, AT.position] / length) ** 2 + rows[:, AT.rotation] ** 2
 
 
 def with_search(plan: Any, closed: Callable) -> Callable:
     """Return a solve function, called like that of `kernel.search.entry`: a closed form, then a search where it fails.
 
-    plan: the closed form's Plan; closed: its solve function, see `protocol.ClosedForm.loop`. The search gets the plan's
-    options and holds the joints that the closed form holds. It begins as usual; for targets that are still unsolved it
-    begins once more where the closed form ended. A row that stays unsolved keeps the closed form's status, except
-    STALLED, which proves nothing and is replaced by the status of the search. Its q is the best configuration found.
+    plan: the closed form bound to a robot; closed: its solve function, see `protocol.ClosedForm.loop`. The search has the same
+    options and holds the joints that the closed form holds. It begins as usual; for targets that are still unsolved it begins once
+    more where the closed form ended. A row that stays unsolved keeps the closed form's status, except STALLED, which proves nothing
+    and is replaced by the status of the search. Its q is the best configuration found.
     """
     robot = plan.robot
     silent = np.empty((0, PAST + robot.n))
@@ -72,7 +72,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         for joint, value in held.items():
             start[:, joint] = value
         if plan.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
-            return  # A joint is held where the limits forbid it, so there is nothing else to find.
+            return  # A joint is held outside its limits, so a search cannot find anything.
         ended = np.array(out[failed, ANSWER:])
         kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of history; with more targets there is no history.

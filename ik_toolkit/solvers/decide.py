@@ -1,7 +1,7 @@
-"""Decides what a short search leaves open: the elimination finds a solution, or certifies that there is none.
+"""Decides targets that a short search leaves unsolved: the elimination finds a solution, or certifies that there is none.
 
-A search that fails says nothing about the target. For six revolute joints all solutions can be listed
-(`closed_form/elimination`), and a list that is certified and has no legal member is a proof, as far as a certificate is one.
+A search that fails says nothing about the target. For six revolute joints all solutions can be listed (`closed_form/elimination`).
+If a certified list has no member within the limits, that is a numerical proof that there is no solution.
 """
 
 import functools
@@ -27,47 +27,49 @@ from .status import DECIDED, NEAREST
 from .task import POSES
 
 OPEN = (STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, SINGULAR)  # statuses that prove nothing
-# Options that a decision honours; with any other the search goes on alone.
+# Options that this decision respects; with any other option the search goes on alone.
 HONOURED = {
     "position_tolerance", "orientation_tolerance", "limits", "q0_outside", "check", "seed", "length_scale", "closest",
 }  # fmt: skip
 
 
 class DecisionMargins(NamedTuple):
-    """How clear a certificate must be, as a search may stop anywhere within its tolerances e (lengths over the arm's size)."""
+    """Margins by which a certificate must be clear, as a search may stop anywhere within its tolerances e [over the arm's size]."""
 
-    attempts: int = 3  # attempts of the search that come first; they solve most targets, in a tenth of the time
+    attempts: int = 3  # attempts of the search before the elimination; they solve most targets, in a tenth of the time
     near: float = 0.1  # solutions that break a limit by less [rad] are moved onto it and polished
-    # Two complex solutions that are at most this many sqrt(e) from real ones may have a real pose within e between them.
+    # If two complex solutions are at most this many sqrt(e) from being real, a real pose between them may be within e of the
+    # target.
     gap: float = 30.0
-    same: float = (
-        1e-6  # [rad] an answer is the nearest solution if it is farther from q0 than the nearest listed by no more
-    )
-    gain: float = 10.0  # a solution that breaks a limit by d has errors of gain * d at it, which must be this many e
+    same: float = 1e-6  # [rad] an answer at most this much farther from q0 than the nearest one listed is the nearest
+    # with a solution d beyond a limit, the error at the limit is at least about gain * d, which must exceed e by this factor
+    gain: float = 10.0
+    # With looser tolerances nothing is decided: from 5 mm on, poses within them were found where the exact pose has no solution.
+    loosest: float = 5e-4  # [rad, or lengths over the reach]
 
 
 MARGINS = DecisionMargins()
 
 
 class Blocked(NamedTuple):
-    """The solution that breaks its limits least, where every solution breaks one."""
+    """Where every solution breaks a limit: the solution that breaks its limits least."""
 
     q: np.ndarray  # joint values (n,) [rad]
     joint: str  # joint that breaks its limit most
     excess: float  # by how much [rad]
-    solutions: int  # number of solutions without limits
+    solutions: int  # number of solutions if limits are ignored
 
 
 class Listed(NamedTuple):
-    """All solutions that the elimination lists of a target."""
+    """All solutions of a target that the elimination lists."""
 
-    q: np.ndarray  # (K, n) [rad], on the full turns inside the limits that are nearest the start
+    q: np.ndarray  # (K, n) [rad], shifted by 2 pi k into the limits, nearest the start
     excess: np.ndarray  # (K, n) by how much each joint breaks its limits [rad]
     certificate: Any
 
 
 def elimination_plan(plan: Plan) -> Plan | None:
-    """Return the plan of the elimination with the options of a search's plan, or None if it cannot do what is asked."""
+    """Return the elimination with the options of a search's plan, or None if it cannot do what is asked."""
     robot, o = plan.robot, replace(plan.options, closest=False)
     if robot.n != 6 or robot.pose_shape != (4, 4):
         return None
@@ -80,11 +82,12 @@ def elimination_plan(plan: Plan) -> Plan | None:
 
 
 def deciding(plan: Plan) -> "Deciding | None":
-    """Return the plan that decides what a search's plan leaves open for poses, or None where its options or robot forbid it."""
+    """Return the search completed by the elimination, for poses, or None where the options or the robot forbid it."""
     o = plan.options
     asked = {f.name for f in fields(Options) if getattr(o, f.name) != f.default}
     plain = plan.row.name == GENERAL and plan.rule == plan.row.load()() and not plan.robot.constraints
-    if not plain or not asked <= HONOURED or elimination_plan(plan) is None:
+    loose = max(o.position_tolerance / plan.robot.reach, o.orientation_tolerance) > MARGINS.loosest
+    if not plain or loose or not asked <= HONOURED or elimination_plan(plan) is None:
         return None
     return Deciding(plan.robot, plan.row, plan.rule, o)
 
@@ -100,7 +103,7 @@ def _apart(a, b):
 
 @inline
 def _take(made, row):
-    """Write q, errors and status of the result row `made` to `row`."""
+    """Copy q, errors and status of the result row `made` to `row`, and mark it as decided by the elimination."""
     row[AT.status], row[AT.excess] = made[AT.status], DECIDED
     row[AT.position], row[AT.rotation] = made[AT.position], made[AT.rotation]
     for i in range(N):
@@ -109,10 +112,11 @@ def _take(made, row):
 
 @cached
 def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
-    """Write what is decided on M targets to their result rows `out` (M, width), with AT.excess = DECIDED; others stay as they are.
+    """Write what the elimination decides on M targets to their result rows `out` (M, width), with AT.excess = DECIDED or NEAREST.
 
-    A solution within the limits, or near them and polished onto them, solves a target. If the list is certified, nothing is
-    near a limit or near real, and no pose beyond the limits is within the tolerances, there is none.
+    A solution within the limits, or near them and moved onto them by Newton steps, solves a target. There is none if the list of
+    solutions is certified, none of them is near a limit or nearly real, and no pose beyond the limits is within the tolerances.
+    Other targets stay undecided, and their rows as they are.
 
     Args:
         rows: (L, 10) geometry of the chain.
@@ -121,9 +125,9 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
         found: (M, SIZES.rows, SIZES.columns) answers of `kernel.elimination.answer.solve_loops`.
         box: (2, n) lower and upper limits [rad].
         Q0: (M, n) starts [rad].
-        orders: (2, .) orders of the elimination's plan, with limits and without.
-        terms: (4,) `near` and the least excess times gain (see `decide.DecisionMargins`), the length [m] that counts as much as
-            one radian where configurations that fail are compared, and `same` if the solution nearest the start is asked for, or 0.
+        orders: (2, .) option arrays (`records.Orders`) of the elimination, with limits and without.
+        terms: (4,) `near`; the least limit excess times gain for certainty (see `DecisionMargins`); the length [m] that counts as
+            one radian where failures are compared; and `same` if the solution nearest the start is asked for, or 0.
         out: (M, width) results of the short search.
     """
     edge, clear, length, same = terms
@@ -165,7 +169,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             choose(rows, ends[1], T[t], Q, STEPS, -1, start, orders[1], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
             if made[0] == CONVERGED:
-                continue  # A pose beyond the limits is within the tolerances, though none is exact.
+                continue  # false alarm: only a pose beyond the limits is within the tolerances
         if count > 0:  # solutions moved onto their limits
             choose(rows, ends[0], T[t], Q[:count], 0, -1, start, orders[0], silent, made)
             row[AT.evaluations] += made[AT.evaluations]
@@ -176,7 +180,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
 
 def said_of(exact: Plan, T: np.ndarray, within: float = 0.0) -> np.ndarray:
-    """Return what the elimination's plan says of targets T (N, 4, 4), see `kernel.elimination.binding.answers`."""
+    """Return the elimination's answers for targets T (N, 4, 4), see `kernel.elimination.binding.answers`."""
     p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
     return answers(forms_of(p.tobytes()), p, np.ascontiguousarray(T), within)
 
@@ -186,12 +190,12 @@ class Deciding(Plan):
 
     @functools.cached_property
     def first(self) -> Plan:
-        """The short search."""
+        """The short search that comes first."""
         return self.varied(restarts=MARGINS.attempts - 1, closest=False)
 
     @functools.cached_property
     def exact(self) -> Plan:
-        """The elimination."""
+        """The elimination, with the same options."""
         return elimination_plan(self)  # pyright: ignore[reportReturnType]
 
     @functools.cached_property
@@ -201,16 +205,16 @@ class Deciding(Plan):
 
     @functools.cached_property
     def error(self) -> float:
-        """The larger of both tolerances [rad, or sizes of the arm]."""
+        """The larger of both tolerances [rad, or length over the arm's size]."""
         size = self.exact.orders(POSES, True)[-1]
         return max(self.options.position_tolerance / size, self.options.orientation_tolerance)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the request."""
+        """Make the plan picklable: it is made again from robot, solver and options."""
         return Deciding, super().__reduce__()[1]
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Deciding":
-        """Return the same plan for a copy of the robot."""
+        """Return the same plan for a copied robot."""
         return Deciding(*deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
@@ -221,7 +225,7 @@ class Deciding(Plan):
         return row
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Write what is decided on the targets T (N, 4, 4) that the short search left open to its result rows out (N, width).
+        """Let the elimination decide on the targets T (N, 4, 4) that the short search left unsolved; out (N, width): result rows.
 
         Where the elimination is not certain, the whole search goes on.
         """
@@ -244,7 +248,7 @@ class Deciding(Plan):
         out[left] = made
 
     def _fixed(self, given: bool) -> tuple[np.ndarray, ...]:
-        """Return what `decide_rows` takes and does not depend on the targets: rows, ends, box, orders and terms."""
+        """Return those arguments of `decide_rows` that do not depend on the targets: rows, ends, box, orders and terms."""
         if ("fixed", given) not in self.memo:
             exact, free, o = self.exact, self.exact_free, self.options
             terms = (
@@ -259,7 +263,7 @@ class Deciding(Plan):
 
     @functools.cached_property
     def within(self) -> float:
-        """How far from real a root may be for a pose within the tolerances to be near its configuration."""
+        """How far from the unit circle a complex root may be if a real pose near it is to be within the tolerances."""
         return min(1.0, MARGINS.gap * math.sqrt(self.error))
 
     @property
@@ -269,7 +273,7 @@ class Deciding(Plan):
         return np.array([self.robot.lower, self.robot.upper] if self.options.limits else [-free, free])
 
     def list_at(self, T: np.ndarray, near: np.ndarray) -> Listed:
-        """List the solutions of T (4, 4), on the full turns nearest to `near` (n,)."""
+        """List the solutions of T (4, 4), shifted by 2 pi k to be nearest to `near` (n,)."""
         said = solutions_of(self.exact.orders(POSES, True)[WEIGHTS + self.robot.n :], T)
         q, excess = np.empty_like(said.q), np.empty_like(said.q)
         into_limits(said.q, np.vstack([self.box, near]), q, excess)

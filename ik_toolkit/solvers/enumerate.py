@@ -25,14 +25,14 @@ ONE_ATTEMPT: dict[str, Any] = {
 
 
 class SearchThresholds(NamedTuple):
-    """Thresholds of the numerical search, in rad or parts of the robot's scale."""
+    """Thresholds of the numerical search; angles in rad, lengths over the robot's reach."""
 
-    same: float = 1e-3  # solutions are the same if no joint differs by more [rad or arm reaches]
+    same: float = 1e-3  # solutions are the same if no joint differs by more [rad, or length over the reach]
     # Tolerance of the search; with 1e-6, equal solutions near singular poses would differ too much to be merged.
     tight: float = 1e-9
-    flat: float = 1e-4  # directions with a smaller singular value (lengths over scale) may lead along a family
-    stride: float = 0.02  # step along a direction of a family, too long to return to an isolated solution
-    directions: int = 256  # number of directions tried for families, enough to find all joints that move
+    flat: float = 1e-4  # directions with a smaller singular value of the Jacobian may lead along a self-motion
+    stride: float = 0.02  # step along such a direction, too long for the search to return to an isolated solution
+    directions: int = 256  # number of directions tried for self-motions, enough to find all joints that move
 
 
 THRESHOLDS = SearchThresholds()
@@ -117,9 +117,9 @@ def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.n
 
 
 def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redundant: bool) -> tuple[Family, ...]:
-    """Find families of solutions: there the Jacobian leaves a direction free, and a step along it leads to another solution.
+    """Find self-motions: there the Jacobian leaves a direction free, and a step along it leads to another solution.
 
-    A singular pose alone is no family, because the search comes back to an isolated solution from beside it.
+    At an isolated singular solution there is none, because the search returns to it after the step.
     """
     robot = found.robot
     if not len(found) or counts_in_part(kinds, single.options):
@@ -169,16 +169,16 @@ def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
 
 
 def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Return the largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, without full turns of revolute joints."""
+    """Return the largest joint difference (K,) [rad, or length over the scale] of Q (K, n) from q, modulo 2 pi where revolute."""
     apart = np.abs(Q - q) / unit
     apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
     return apart.max(axis=1)
 
 
 def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
-    """Return whether (n,) each joint may be moved by full turns, and whether it must stay inside its limits when moved."""
+    """Return whether (n,) each joint may be shifted by 2 pi, and whether it must stay inside its limits when shifted."""
     robot = plan.robot
-    if not plan.options.limits and robot.chain.plain:  # full turns may be added to every angle
+    if not plan.options.limits and robot.chain.plain:  # multiples of 2 pi may be added to every angle
         return ~robot.slides, False
     return robot.chain.turns > 0, plan.options.limits
 

@@ -25,7 +25,7 @@ from .status import constraints_of
 from .task import POSES, Counts, read_target, what_counts
 
 SINGULAR = 1e-3  # least singular value of the Jacobian [lengths in m] below which a curve's end is called singular
-APART = 1e-6  # solutions of the real joints are the same if no joint differs by more [rad]; each occurs twice for a free position
+APART = 1e-6  # solutions are the same if no joint differs by more [rad]; with a free position each is found twice
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_turns: bool = False) -> Any:
@@ -84,7 +84,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
 
 
 def on_all_turns(found: Solutions, plan: Plan, start: np.ndarray, count: int) -> Solutions:
-    """Return each solution on every full turn inside the limits, nearest to start (n,) first; at most `count` of them."""
+    """Return each solution with all shifts by 2 pi k inside the limits, nearest to start (n,) first; at most `count` of them."""
     robot = plan.robot
     if not plan.options.limits:
         raise InvalidOption("all_turns lists the full turns inside the limits, so it cannot be given with limits=False")
@@ -105,7 +105,7 @@ def on_all_turns(found: Solutions, plan: Plan, start: np.ndarray, count: int) ->
 
 
 def _read(solver: Any, target: Any) -> tuple[np.ndarray, Any, str]:
-    """Return the target as an array (1, ...), its kinds and a notice; a plain valid pose costs next to nothing."""
+    """Return the target as an array (1, ...), its kinds and a notice; a valid pose array is passed on at once."""
     plain = type(target) is np.ndarray and target.dtype == np.float64 and target.flags.carray
     if plain and target.shape == solver._pose == (4, 4) and is_rigid(target):
         return target[None], POSES, ""
@@ -113,7 +113,7 @@ def _read(solver: Any, target: Any) -> tuple[np.ndarray, Any, str]:
 
 
 def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the kernel's options, the closed form's parameters, and the box (4, n) of limits, reference and weights."""
+    """Return the compiled code's options, the closed form's parameters, and the box (4, n) of limits, reference and weights."""
     kept = plan.memo
     if kinds not in kept:
         robot = plan.robot
@@ -159,7 +159,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         result = spread_rows(result, count)
         result._put(complete=False)
     if made.certificate is not None:
-        result._put(branches=None)  # These solutions have no names.
+        result._put(branches=None)  # The elimination's solutions have no shoulder, elbow and wrist signs.
         result._put(certificate=made.certificate._replace(status="FAMILY") if result.families else made.certificate)
     return result
 
@@ -188,22 +188,22 @@ def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
 
 
 # ------------------------------------------------------------------------------------------------------------- free rotations
-# A free rotation is one more joint of the loop, at the tip: five revolute joints with a free turn are six, as are three with a
-# position, whose three rotations are free.
+# A free rotation acts like one more revolute joint at the tip: five revolute joints with a free turn make six, and so do three with
+# a position as target, whose three rotations are free.
 def free_axes(plan: Plan, kinds: tuple) -> np.ndarray | None:
     """Return the axes (M, 3) of the tip about which it may turn, if the target has no other freedom; None otherwise."""
     robot, (counts, *others) = plan.robot, what_counts(plan.robot, plan.options)
     if others or robot.pose_shape != (4, 4) or counts != Counts(None, None, counts.free_turn, counts.frame):
         return None
     if kinds == (POSITION,):
-        return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None  # any three axes do, but special ones
+        return rpy_matrix((0.3, -0.5, 0.8)) if counts.free_turn is None else None  # any three axes in general position
     if kinds == POSES:
         return None if counts.free_turn is None else np.array([counts.free_turn])
     return np.array([kinds[0][1]]) if kinds[0][0] == AXIS and counts.free_turn is None else None
 
 
 def loop_of(plan: Plan, kinds: tuple) -> np.ndarray | None:
-    """Return the numbers (52,) of the arm with its virtual joints (see `kernel.elimination.answer`), or None if it has not six."""
+    """Return the array (52,) of the arm with its virtual joints (see `answer.solve_loops`), or None if these are not six."""
     from ..kernel.elimination.binding import make_arm
     from .closed_form.geometry import read_screws
 
@@ -253,7 +253,7 @@ def listed_with_free_turns(plan: Plan, T: np.ndarray, kinds: tuple, start: np.nd
 
 
 def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) -> tuple[Solutions | None, str]:
-    """Return samples of the self-motions of an arm of seven joints at T (1, 4, 4), None if none is found; and where was looked."""
+    """Sample the self-motions of an arm of seven joints at T (1, 4, 4): return Solutions or None, and where was searched."""
     robot, cuts = plan.robot, slicings_of(plan)
     where = " and of ".join(robot.joint_names[cut.joint] for cut in cuts)
     where = where and f"{FOLLOWING.slices} slices of {where}"
@@ -281,7 +281,7 @@ def on_self_motions(plan: Plan, T: np.ndarray, start: np.ndarray, count: int) ->
 
 
 def family_of(robot: Any, curve: SelfMotion) -> Family:
-    """Return what a person is told of a curve: the joint that moves most leads, with its range."""
+    """Return a self-motion curve as a Family for the user: the joint that moves most leads, with its range."""
     width = curve.upper - curve.lower
     order = [int(i) for i in np.argsort(-width, kind="stable") if width[i] > FOLLOWING.same]
     names, lead = robot.joint_names, order[0]

@@ -1,4 +1,4 @@
-"""Says how a solve ended, in one sentence with what to try."""
+"""The message of a solve: how it ended, in one sentence with what to try."""
 
 from dataclasses import replace
 from typing import Any
@@ -14,9 +14,9 @@ from .options import GROUPS
 from .status import DECIDED, NEAREST, SEARCHED, Status, constraints_of
 from .task import Counts, all_errors, counted_rows, what_counts
 
-ATTEMPTS = 20  # number of starts of a search for a part of the target
+ATTEMPTS = 20  # number of starts of a search for the position of a pose alone
 FAINT = 1e-3  # weight of the orientation in a search for the position, so that the position comes first
-NEAR = 1e-4  # [arm reaches] position error at which a search for the position ends
+NEAR = 1e-4  # [length over the reach] position error at which a search for the position ends
 
 ADVICE = {
     Status.CONVERGED: "",
@@ -32,7 +32,7 @@ ADVICE = {
     Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",
 }
 
-# The configuration returned with a failure is the best that the closed form or the search after it found.
+# With a failed closed form, the configuration returned is the best that it or the search after it found.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form: the branch within limits nearest q0; residual {left}",
     Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the closest configuration found is {left} away{at}",
@@ -46,7 +46,7 @@ BROKEN = "every branch violates a joint limit"
 
 
 def sentence(result: Any) -> str:
-    """Say in one sentence how a result ended and what to try; of several tips a failure says what is left at each."""
+    """Return one sentence on how a solve ended and what to try; after a failure with several tips, with the errors left at each."""
     row, status, plan = result._of.row, result.status, result._of.plan
     left, starts = _left(result), result.restarts + 1
     if status == Status.CONSTRAINT_OPEN:
@@ -103,7 +103,7 @@ def _joints(n: int) -> str:
 
 
 def _decided_says(result: Any, left: str) -> str:
-    """Say what the elimination found out about a target."""
+    """Say what the elimination found: a solution, that there is none, or which limit all solutions break."""
     if result._of.row[AT.excess] == NEAREST:
         return f"the nearest of all solutions within the limits (certified by elimination); residual {left}"
     if result.status == Status.CONVERGED:
@@ -141,23 +141,23 @@ def _cause(result: Any) -> str:
 
 
 def _left(result: Any) -> str:
-    """Say in words which errors are left at q; of several tips the largest."""
+    """Say which errors are left at q; of several tips the largest."""
     each, unit = unweighted(result)
     turned = [angle for _, angle in each if angle is not None]
     return _said(max(position for position, _ in each), max(turned, default=None), unit)
 
 
 def _said(position: float, turned: float | None, unit: bool) -> str:
-    """Say the errors of a tip in words; unit: whether they are in metres and radians (False: they are weighted numbers)."""
+    """Say the errors of a tip; unit: True if they are in metres and radians, False if they are weighted numbers."""
     if not unit:
         return "a weighted error of " + figure(position) + ("" if turned is None else f", {figure(turned)}")
     return length(position) + ("" if turned is None else f", {angle(turned)}")
 
 
 def unweighted(result: Any) -> tuple[list[tuple[float, float | None]], bool]:
-    """Return the counted errors of each tip, and whether they are in [m] and [rad], without the weights of the tip's mask.
+    """Return the counted errors of each tip without the weights of the mask, and whether they are in [m] and [rad].
 
-    In a solved row of a batch, which keeps no target, weights that are not 0 or 1 cannot be taken out.
+    They are not for a solved row of a batch with weights other than 0 and 1: it keeps no target, so its weights stay in.
     """
     of = result._of
     masks = [counts.mask for counts in what_counts(result.robot, of.plan.options) if counts.mask]
@@ -221,7 +221,7 @@ def _failure(result: Any, left: str, starts: int) -> str:
         return f"closest {left} after {starts} starts"
     if status == Status.STALLED and result._of.plan.descends:
         return f"no further progress at {left} from the target: a local minimum of the error"
-    if status == Status.STALLED:  # A published method may come to rest elsewhere than at the best it found.
+    if status == Status.STALLED:  # A published method may end elsewhere than at the best configuration it found.
         return f"no further progress: the search came to rest, and the nearest it came to the target is {left}"
     if status == Status.LIMIT_BLOCKED:
         joints = ", ".join(result.limited_joints)
@@ -260,7 +260,7 @@ def too_few_joints(result: Any) -> str:
     of, texts = result._of, []
     rows = counted_rows(result.robot, of.kinds, of.plan.options).reshape(-1, 2, 3).sum(axis=2)
     for arm, (lengths, angles) in zip(result.robot.arms, rows.tolist(), strict=True):
-        # Components that never change need no joint: either they are met, or `impossible` names them.
+        # Components that never change use up no joint: either they are met, or `impossible` names them.
         still = {0: 3, 1: 2, 3: 0}.get(arm.mobility.turns, 0)
         fixed = max(0, lengths - len(arm.mobility.normals)) + max(0, angles - still)
         able = arm.mobility.directions
@@ -273,7 +273,7 @@ def too_few_joints(result: Any) -> str:
 
 
 def position_alone(result: Any, turned: bool) -> str:
-    """Return a sentence that a pose's position can be reached, and how far off the nearest orientation found there is; or ''.
+    """Return a sentence that a pose's position can be reached, and by how much the orientation is then off; or ''.
 
     turned: whether another sentence already tells the orientation error, which is then left out.
     """

@@ -12,13 +12,13 @@ from ..errors import InvalidOption, floats, near_match
 from ..robot.geometry.collision import CollisionModel, as_margin
 from ..robot.pose import named_axis
 
-# The options in PLAIN choose or finish one answer, so a plan that is varied to search for more answers leaves them out.
+# The options in PLAIN choose or finish one answer; solves that look for further answers reset them to these values.
 PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000  # Limit on the iterations of an attempt.
-SLICE = 256  # evaluations in the first slice of a timed solve, about 0.25 ms; after each slice the clock is read
-FOLLOW = 0.5  # follow=True allows each joint to move this far [rad or arm reaches]
+SLICE = 256  # evaluations in the first run of a solve with a timeout, about 0.25 ms; after each run the clock is read
+FOLLOW = 0.5  # [rad, or length over the reach] with follow=True each joint may move this far
 # The objectives have these numbers in kernel/null_space.py.
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
@@ -38,18 +38,18 @@ class Options:
 
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
     restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
-    attempts. timeout: the same budget in seconds, which is not deterministic; max_evaluations=result.fk_evaluations gives the
-    same answer again. The first slice, of 256 evaluations, is always made. seed: number that fixes the random starts.
-    length_scale: the q of a failure has the least error nearby, in which a position error of this length [m] counts as much as
-    one radian (None: the robot's reach). limits: keep joints inside their limits; calls also take narrower ones, a dict from
-    joints to (lower, upper) or a pair of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a full turn or more
-    may go on from the other end of its range, where it stops otherwise (None: the solver's own way; the default search wraps,
-    the published methods stop). q0_outside: 'clamp' (with a notice) or 'refuse'.
+    attempts. timeout: the same budget in seconds, which is not deterministic; max_evaluations=result.fk_evaluations gives the same
+    answer again. At least 256 evaluations are always made. seed: number that fixes the random starts. length_scale: after a failure
+    q has the least error nearby, in which a position error of this length [m] counts as much as one radian (None: the robot's
+    reach). limits: keep joints inside their limits; calls also take narrower ones, a dict from joints to (lower, upper) or a pair
+    of arrays (see `robot.narrowed`). wrap: whether a bounded joint with a range of 2 pi or more may go on from the other end of its
+    range, where it stops otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside:
+    'clamp' (with a notice) or 'refuse'.
 
     These options say which part of the errors counts. A tip has the errors x, y, z [m] (target - tip) and rx, ry, rz [rad] (the
     rotation vector left), along the axes of `frame`: 'base', 'tip' or 'target'. First, free_turn is a tip axis ("z", or three
-    numbers) about which rotation is free. Then slack (6,) are half widths inside which there is no error (inf, or pi for a
-    rotation, frees a component). Then mask (6,) are weights (0 = free). Each is one value for every tip or a dict by tip, and
+    numbers) about which rotation is free. Then slack (6,) are half widths of dead bands, inside which the error is zero (inf, or pi
+    for a rotation, frees a component). Then mask (6,) are weights (0 = free). Each is one value for every tip or a dict by tip, and
     the tolerances hold for what is left.
 
     priority: which errors come first. "position" solves the position to its tolerance and makes the orientation as good as that
@@ -60,10 +60,10 @@ class Options:
     joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0.
     objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
     'manipulability'. history: keep errors and q of every iteration. check: re-check with Pinocchio. avoid_collisions: True (the
-    robot's own links), a margin [m] to keep between them, or a CollisionModel: only answers that touch nothing count, and the
-    search goes on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further
-    than this [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It cannot be
-    combined with closed forms, closest, restarts or objective.
+    robot's own links), a margin [m] to keep between them, or a CollisionModel: only answers without contact count, and the search
+    goes on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further than this
+    [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. It cannot be combined with
+    closed forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6
@@ -98,7 +98,7 @@ class Options:
 
     @property
     def budget(self) -> int | None:
-        """FK evaluations of one run of the kernel; with a timeout this is a first slice, and the kernel runs again with more."""
+        """FK evaluations of the first run of the compiled search; with a timeout, longer runs follow."""
         return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 
@@ -106,12 +106,12 @@ NAMES = tuple(field.name for field in fields(Options))
 Numbers = Sequence[float] | np.ndarray
 
 
-End = float | None  # an end of a narrowed range; None leaves it as it is
+End = float | None  # an end of a narrowed joint range; None leaves that end as it is
 Limits = bool | Mapping[str, tuple[End, End] | Sequence[End]] | Sequence[Numbers | None] | np.ndarray
 
 
 class PathOptions(TypedDict, total=False):
-    """Options (see `Options`) that `solve_path` takes by keyword: tolerances, limits, and what counts of the errors."""
+    """Options (see `Options`) that `solve_path` takes by keyword: tolerances, limits, and which part of the errors counts."""
 
     tolerance: float
     position_tolerance: float
@@ -127,7 +127,7 @@ class PathOptions(TypedDict, total=False):
 
 
 class BatchOptions(PathOptions, total=False):
-    """What `solve_batch` takes by keyword, for editors and type checkers: options (see `Options`) and parameters of our solvers."""
+    """Keyword arguments of `solve_batch`, for editors and type checkers: options (see `Options`) and parameters of our solvers."""
 
     max_iterations: int | None
     restarts: int | None
@@ -159,14 +159,14 @@ class BatchOptions(PathOptions, total=False):
 
 
 class AllOptions(BatchOptions, total=False):
-    """What `solve_all` takes by keyword; its `check` is True or False, whereas that of a batch is a share."""
+    """Keyword arguments of `solve_all`; its `check` is True or False, whereas that of a batch is a fraction of the results."""
 
     check: bool
     history: bool
 
 
 class SolveOptions(AllOptions, total=False):
-    """What `solve` and `Solver` take by keyword; their `starts` are a table, whereas those of `solve_all` are a number."""
+    """Keyword arguments of `solve` and `Solver`; their `starts` are configurations, whereas those of `solve_all` are a number."""
 
     starts: Any
     timeout: float | None
@@ -184,7 +184,7 @@ def avoided(value: Any) -> bool | float | CollisionModel:
 def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
     """Validate keyword options; `tolerance` sets both tolerances. Raises InvalidOption naming the option.
 
-    `parameters` are names of a solver's own, one of which may have been meant by an unknown name.
+    `parameters` are the solver's own parameter names, which may be suggested for a misspelt name.
     """
     values = dict(given)
     if "tolerance" in values:
@@ -281,7 +281,7 @@ def counting(name: str, value: Any) -> Any:
 
 
 def levels_of(value: Any) -> tuple[tuple[tuple[str, str], ...], ...]:
-    """Return the option `priority` as levels, most important first, each of pairs (tip, "position" or "orientation").
+    """Convert the option `priority` to levels, most important first, each a tuple of pairs (tip, "position" or "orientation").
 
     The tip "" means every tip. Raises InvalidOption.
     """

@@ -1,4 +1,4 @@
-"""A plan: a robot, a rule and options as arrays of the kernel, which are made once, kept here only, and used by every call.
+"""A plan: a solver bound to a robot and options, as arrays of the compiled search that are made once and used by every call.
 
 If some joints are held, they have their values of the first start in every start of a search.
 """
@@ -25,27 +25,27 @@ from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row, search_for
 from .task import group_levels, kernel_tasks, relatives, what_counts
 
-MARGIN = 1.0 - 1e-9  # share of a tolerance that the kernel uses, so that rounding in Pinocchio cannot disagree
-# A plan caches arrays for this many kinds of target; every free axis is a kind of its own.
+MARGIN = 1.0 - 1e-9  # share of a tolerance that the compiled search uses, so that rounding in Pinocchio cannot disagree
+# A plan caches arrays for this many kinds of target; each axis about which a target is free is a kind of its own.
 KINDS_KEPT = 64
 CLOSEST = 16  # number of solutions compared if the one nearest q0 is asked for
 # The single attempt of `follow` gets at least 100 iterations, because no other attempt comes after it.
 FOLLOW_ITERATIONS = 100
-WITHOUT_LIMITS = 20  # number of attempts without limits that test whether limits block a target
+WITHOUT_LIMITS = 20  # number of attempts without limits that test whether limits keep the arm from a target
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
 class Plan:
     """A solver as it runs on a robot: the compiled loop, the arrays it takes, and the steps that finish its answers.
 
-    `kernel` is the compiled loop (see `kernel.search.entry`), `home` (1, n) the start if none is given, `held` the
-    indices in q of the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
+    `kernel` is the compiled loop (see `kernel.search.entry`), `home` (1, n) the start if none is given, `held` the indices in q of
+    the joints with weight 0; `steps` and `improving` finish an answer (see `postprocess.finishing`).
     """
 
-    bare = False  # whether failures of a batch are left where the search ended, see `stripped`
+    bare = False  # True: failures of a batch are left where the search ended, see `stripped`
 
     def __init__(self, robot: Any, row: Row, rule: Any, options: Options) -> None:
-        """Validate what does not depend on the target. Raises UnknownSolver (for example a rule for one tip), InvalidOption."""
+        """Validate what does not depend on the target. Raises UnknownSolver (for example a method for one tip), InvalidOption."""
         if reason := misfit(row, rule, robot):
             raise UnknownSolver(reason)
         if options.joint_weights is not None and len(options.joint_weights) != robot.n:
@@ -76,8 +76,8 @@ class Plan:
     def descends(self) -> bool:
         """Whether a failure's q is moved to the configuration nearby that is closest to the target.
 
-        It is True for the general search, also after a closed form, unless `follow` is given. The published methods keep
-        the configuration at which they ended.
+        True for the general search, also after a closed form, unless `follow` is given. The published methods keep the
+        configuration at which they ended.
         """
         return self.row.name == GENERAL and not self.options.follow
 
@@ -86,7 +86,7 @@ class Plan:
         return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
 
     def stripped(self) -> "Plan":
-        """Return the same plan for a batch whose failures stay where the search ended: for counting, where their q is not used."""
+        """Return the same plan, but leaving the failures of a batch where the search ended: for counting, which does not use q."""
         made = copy.copy(self)
         made.bare = True
         return made
@@ -98,33 +98,33 @@ class Plan:
         return self.varied(**{**PLAIN, "limits": False, "follow": 0.0, **attempts})
 
     def search(self, **options: Any) -> "Plan":
-        """Return the general search with the same options, some of them changed."""
+        """Return a plan of the general search with the same options, some of them changed."""
         asked = replace(self.options, **options)
         row = find_row(search_for(asked.priority))
         return Plan(self.robot, row, row.load()(), asked)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the request; the compiled loop is bound again. Raises InvalidOption if the rule would not be found."""
+        """Make the plan picklable: the compiled loop is bound again. Raises InvalidOption if the solver cannot be imported."""
         importable(self.rule, f"the rule of '{self.row.name}'")
         return Plan, (self.robot, self.row, self.rule, self.options), {"bare": True} if self.bare else None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "Plan":
-        """Return the same plan for a copy of the robot."""
+        """Return the same plan for a copied robot."""
         return Plan(*copy.deepcopy((self.robot, self.row, self.rule, self.options), memo))
 
     # ---------------------------------------------------------------------------------------------------------- running
     @property
     def first(self) -> "Plan":
-        """The plan whose loop comes first; `decide` finishes what it leaves open."""
+        """The plan that runs first; `decide` may then solve what it leaves unsolved."""
         return self
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Decide, in place, the result rows (N, width) of targets T that the first loop has left open: here it leaves none."""
+        """Decide, in place, the result rows (N, width) of targets T left unsolved by the plan `first`; here nothing is done."""
 
     def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; rows of `out` (N, width) are written.
+        """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; write the rows of `out` (N, width).
 
-        start (1 or N, n) is the caller's if `given`.
+        start (1 or N, n); given: whether it comes from the caller.
         """
         chain, orders = self.ready(kinds, start, given)
         self.kernel(chain, T, start, out.reshape(-1), orders)
@@ -139,7 +139,7 @@ class Plan:
     def note(
         self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the result row (width,) of one target T (1, ...) and its history (at most `count`, PAST + n)."""
+        """Return the result row (width,) of one target T (1, ...) and its history (at most `count` rows of PAST + n numbers)."""
         chain, orders = ready
         out = np.empty(self.width + count * (PAST + self.robot.n))
         self.kernel(chain, T, start, out, orders)
@@ -148,7 +148,7 @@ class Plan:
 
     # --------------------------------------------------------------------------------------------------------- preparing
     def ready(self, kinds: tuple, start: np.ndarray, given: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the kernel takes from a plan: all arrays of the chain packed in one, and the options (Orders)."""
+        """Return the arguments of the compiled search: all arrays of the chain packed in one, and the options (Orders)."""
         found = self._ready.get((kinds, given))
         if found is None:
             arrays, last = self.arrays(kinds, start), self._joined
@@ -173,7 +173,7 @@ class Plan:
     def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
         """Return the chain's arrays for a call from `start` (1 or N, n): rows, ends, seeds and features.
 
-        In every start of `seeds` the held joints have their values in the first row of `start`.
+        In every start of `seeds` the held joints have the values of the first row of `start`.
         """
         found = self._table(kinds[0] == POSITION)
         if self._plain:
@@ -185,7 +185,7 @@ class Plan:
         return last[1]
 
     def _table(self, position_only: bool) -> tuple:
-        """Return the arrays of the chain, with the rule's own table of starts if it has one."""
+        """Return the arrays of the chain, with the solver's own table of starts if it has one."""
         found = self._tables.get(position_only)
         if found is None:
             robot, found = self.robot, self.chain
@@ -197,7 +197,7 @@ class Plan:
         return found
 
     def orders(self, kinds: tuple, given: bool) -> np.ndarray:
-        """Return the kernel's option array for kinds of target, with or without a start given. Raises InvalidOption."""
+        """Return the option array (Orders) for kinds of target, with or without a start from the caller. Raises InvalidOption."""
         packed = self._packed.get((kinds, given))
         if packed is None:
             if len(self._packed) >= KINDS_KEPT:
@@ -273,7 +273,10 @@ def held_joints(options: Options) -> np.ndarray:
 
 
 def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
-    """Return arrays of a chain or tree in which all starts, also random ones, have the `held` joints at `at` (kernel units)."""
+    """Fix the `held` joints of a chain or tree at the values `at` [internal units] in all starts, also random ones.
+
+    Returns the changed arrays.
+    """
     rows, ends, seeds, _ = arrays
     ends, seeds, n = ends.copy(), seeds.copy(), seeds.shape[1]
     seeds[:, held] = at
@@ -283,7 +286,7 @@ def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
 
 
 def with_seeds(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> tuple:
-    """Return the arrays of a chain, or a tree's, with another table of starts (N, n) in kernel units."""
+    """Return the arrays of a chain or tree with another table of starts (N, n) [rad, or length over the reach]."""
     if ends.ndim == 1:
         return rows, ends, seeds, table(rows, ends, seeds)
     parts = zip(split_rows(rows, ends, seeds.shape[1]), ends, strict=True)

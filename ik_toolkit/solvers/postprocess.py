@@ -1,9 +1,9 @@
 """The steps that finish an answer: each takes a SolveRecord and returns it, changed or not.
 
-A failure is finished first (`finish_failure`): the search continues as far as its timeout allows, a test shows whether limits
-are the cause, and q descends to the closest configuration. `plan.improving` are the steps that may replace a converged q
-(collisions, objective), in single calls and in batches. `plan.steps` are all steps of a single call: history, improving, the
-check by Pinocchio, and the test of the description's constraints.
+A failure is finished first (`finish_failure`): the search continues as far as its timeout allows, a test shows whether limits are
+the cause, and q is moved to the closest configuration. `plan.improving` are the steps that may replace a converged q (collisions,
+objective), in single calls and in batches. `plan.steps` are all steps of a single call: history, improving, the check by Pinocchio,
+and the test of the robot description's constraints.
 """
 
 from collections.abc import Callable
@@ -26,9 +26,10 @@ class Limits(NamedTuple):
     """Limits on the work of finishing an answer."""
 
     improving: int = 200  # largest number of steps in the null space that improve an answer
-    descending: int = 500  # largest number of evaluations (0.3 us each) from a failure to the closest configuration
-    begins: int = 20  # number of random configurations where the descent begins as well if a length_scale is given
-    # Each slice of a timed search is so many times as long as the last and repeats it, which costs at most a third more.
+    descending: int = 500  # largest number of evaluations (0.3 us each) to minimise the error after a failure
+    # number of random configurations from which that minimisation also starts if a length_scale is given
+    begins: int = 20
+    # Each run of a timed search is this many times as long as the last and repeats it, which costs at most a third more.
     growth: int = 4
 
 
@@ -36,7 +37,7 @@ MOST = Limits()
 
 
 def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
-    """Return the finishing steps of a single call, and those that improve an answer, as a plan's options ask."""
+    """Return the finishing steps of a single call, and those that improve an answer, according to a plan's options."""
     o = plan.options
     improving: tuple[Step, ...] = () if o.objective is None else (improve,)
     if o.avoid_collisions is not False:  # 0.0 is a margin [m], not False
@@ -53,10 +54,10 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def finish_failure(outcome: Any) -> Any:
-    """Finish a search that has not converged."""
+    """Finish the answer of a search that has not converged, see `finish_failures`."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
-    if outcome.row[AT.status] != TOO_FAR:  # A control loop may meet this at every step, and no step finishes it.
+    if outcome.row[AT.status] != TOO_FAR:  # TOO_FAR may occur in every cycle of a control loop; nothing is finished.
         finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
 
@@ -72,8 +73,8 @@ def finish_failures(
 ) -> None:
     """Finish, in place, those of the result rows (m, width) of targets T whose status is one of `ended`.
 
-    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then, if the plan
-    descends, the row's q is moved to the configuration nearby that is closest to the target.
+    LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then, if the solver asks for
+    it (`plan.descends`), the row's q is moved to the configuration nearby that is closest to the target.
     """
     these = np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1))
     if not len(these):
@@ -91,14 +92,14 @@ def finish_failures(
 def _descended(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> np.ndarray:
     """Return rows (m, width) with their configurations moved to a local minimum of the error.
 
-    The search compares its attempts by errors whose lengths are divided by about the reach. If the option length_scale is
-    given, another attempt may be the best one, so the descent begins at the start and at random configurations as well.
+    The search compares its attempts by errors whose lengths are divided by about the reach. If the option length_scale is given,
+    another attempt may be the best one, so the minimisation also begins at the start and at random configurations.
     """
     from ..kernel.closest import approach_targets
 
     o, robot = plan.options, plan.robot
     here = slice(ANSWER, ANSWER + robot.n)
-    beyond = slice(ANSWER + robot.n + 2, None, MISS)  # Distances proven out of reach are kept.
+    beyond = slice(ANSWER + robot.n + 2, None, MISS)  # by how much targets are proven out of reach does not change
     begins = [rows[:, here].copy()]
     if o.length_scale is not None and not len(plan.held):
         begins += [start, *robot.random_q(np.random.default_rng(o.seed), MOST.begins)]
@@ -122,11 +123,11 @@ def _descended(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given:
 
 
 def extend(outcome: Any) -> Any:
-    """Continue a search that used up its slice, as far as its timeout allows.
+    """Continue a search that used up its first budget, as far as its timeout allows.
 
-    A search with a larger budget of evaluations begins exactly like one with a smaller budget. So each slice is a longer
-    run from the beginning, and max_evaluations=result.fk_evaluations gives the same answer. A slice gets no more
-    evaluations than fit into the time left at the pace of the last one.
+    A search with a larger budget of evaluations begins exactly like one with a smaller budget. So each run is a longer one from the
+    beginning, and max_evaluations=result.fk_evaluations gives the same answer. A run gets no more evaluations than fit into the
+    time left at the pace of the last one.
     """
     plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
     began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
@@ -141,10 +142,10 @@ def extend(outcome: Any) -> Any:
 
 
 def record(outcome: Any) -> Any:
-    """Run once more with room for the history; how much is needed is known from the evaluations of the first run.
+    """Run the solve again with room for the history; the evaluations of the first run tell how many rows are needed.
 
-    An answer that was moved by full turns nearer to the start, or a failure that was moved to the closest configuration,
-    was evaluated after the search, so it is the last row.
+    If the answer was then shifted by 2 pi nearer to the start, or a failure moved to the closest configuration, this final q was
+    evaluated after the search, so it is the last row.
     """
     plan = outcome.plan
     ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
@@ -155,7 +156,8 @@ def record(outcome: Any) -> Any:
         history = np.vstack([history, [last[AT.position], last[AT.rotation], last[AT.attempt], *q]])
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
-    attempt = history[:, 2].astype(int) * (not plan.row.closed)  # The search after a closed form is not told from it.
+    # Rows of a closed form and of the search after it all count as attempt 0.
+    attempt = history[:, 2].astype(int) * (not plan.row.closed)
     columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, PAST:]}
     return outcome._replace(history=columns | {"attempt": attempt})
 
@@ -182,7 +184,7 @@ def confirm(outcome: Any) -> Any:
     if outcome.row[AT.status] != CONVERGED or inside(errors, plan):
         return outcome
     if kinds == (POSE,):
-        # A target rotation with few digits is replaced by the nearest exact one: the angle left to it is just as inexact.
+        # A target rotation that is orthonormal only to 1e-6 is replaced by the nearest exact one before the angle is measured.
         mended = check_target(outcome.T[0])[0]
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)
@@ -196,13 +198,13 @@ def confirm(outcome: Any) -> Any:
 
 
 def keep_constraints(outcome: Any) -> Any:
-    """Make a success whose q breaks a constraint of the description a failure."""
+    """Turn a success into a failure if its q breaks a constraint of the robot description."""
     mark_open(outcome.plan, rows := outcome.row[None].copy())
     return outcome._replace(row=rows[0])
 
 
 def mark_open(plan: Any, rows: np.ndarray) -> None:
-    """Set the status of converged rows (m, width) whose q breaks a constraint of the robot's description."""
+    """Set the status CONSTRAINT_OPEN in converged rows (m, width) whose q breaks a constraint of the robot's description."""
     if plan.robot.constraints:
         for k in np.flatnonzero(rows[:, AT.status] == CONVERGED):
             if not constraints_of(plan.robot, rows[k, ANSWER : ANSWER + plan.robot.n], plan.options).holds:
@@ -215,7 +217,7 @@ def confirmed(plan: Any, q: np.ndarray, T: np.ndarray, kinds: tuple) -> bool:
 
 
 def inside(errors: Any, plan: Any) -> bool:
-    """Return whether the errors of every tip are inside their tolerances; with a priority those of the first level."""
+    """Return whether the errors of every tip are inside their tolerances; with a priority only those of the first level."""
     p, r = plan.options.position_tolerance, plan.options.orientation_tolerance
     if plan.options.priority is None:
         return all(position <= p and (angle or 0.0) <= r for position, angle in errors)

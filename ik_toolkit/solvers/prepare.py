@@ -13,11 +13,11 @@ from .solve import Solver
 
 
 def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> None:
-    """Compile what single calls and batches of solvers need, some ten seconds each; kernels already on disk are only loaded.
+    """Compile what single calls and batches of solvers need, some ten seconds each; code compiled before is only loaded from disk.
 
     Args:
-        solvers: Names of solvers. The default 'auto' is everything that `ik.solve`, `Solver` and `solve_batch` take by
-            default, several tips included.
+        solvers: Names of solvers. The default 'auto' is everything that `ik.solve`, `Solver` and `solve_batch` take by default,
+            several tips included.
         progress: Function that is called with a text before each part.
 
     Raises:
@@ -37,7 +37,7 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 
 
 def _call(robot: Any, name: str) -> bool:
-    """Call a solver for a pose, for a position and out of reach, alone and in a batch; return False if it takes none of them."""
+    """Call a solver for a pose, a position and an unreachable target, singly and in a batch; return False if none is taken."""
     T, fits = robot.chain.forward(robot.home)[0][0], False
     calls: list[Callable[[], Any]] = []
     for one in (T, T[..., :3, 3].copy()):
@@ -45,7 +45,7 @@ def _call(robot: Any, name: str) -> bool:
     far = T.copy()
     far[..., :3, 3] += 9.0 * robot.reach
     calls.append(lambda: Solver(robot, name)(far))
-    if name == "auto":  # A pose that the limits forbid is decided by the elimination, which also lists all solutions.
+    if name == "auto":  # A pose that only the limits forbid goes to the elimination, which also lists all solutions.
         beyond = robot.chain.forward(robot.home + 2.0)[0][0]
         calls += [lambda: Solver(robot)(beyond), lambda: Solver(robot).all(T, starts=1)]
     for call in calls:

@@ -1,7 +1,7 @@
 """Presets: named parameters of a solver with the tolerance and iteration limit they are meant for, in TOML files.
 
-A preset file has `solver`, optionally `robot`, `position` and `source`, a table [parameters] (fields of the rule) and a
-table [options]. Shipped ones are in the folder presets/; `ik tune` writes others.
+A preset file has `solver`, optionally `robot`, `position` and `source`, a table [parameters] (of the solver class) and a table
+[options]. Shipped ones are in the folder presets/; `ik tune` writes others.
 """
 
 import tomllib
@@ -57,7 +57,7 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 
 
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
-    """Make the solver rule of a registry row with a preset, some parameters changed. Raises InvalidOption."""
+    """Make a solver of a registry row from a preset, with some parameters (`values`) changed. Raises InvalidOption."""
     cls = row.load()
     if cls.preset is None:
         have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))
@@ -67,7 +67,7 @@ def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None
 
 
 def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
-    """Return the starts of a rule as an array (M, n), clipped to the robot's limits. Raises InvalidOption."""
+    """Return the starts of a solver as an array (M, n), clipped to the robot's limits. Raises InvalidOption."""
     array = np.atleast_2d(floats(starts, f"{solver}: starts must be numbers", InvalidOption))
     if array.ndim != 2 or array.shape[1] != robot.n or not len(array) or not np.isfinite(array).all():
         raise InvalidOption(
@@ -79,7 +79,7 @@ def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
 def write_preset(
     path: Path, solver: str, parameters: dict[str, Any], options: dict[str, Any], about: dict[str, Any]
 ) -> None:
-    """Write a preset that `--preset FILE` and `preset(FILE)` read; numbers keep every bit."""
+    """Write a preset file for `--preset FILE` and `preset(FILE)`; numbers are written without loss."""
     lines = [f"solver = {_toml(solver)}", *(f"{key} = {_toml(value)}" for key, value in about.items())]
     for title, table in (("parameters", parameters), ("options", options)):
         lines += ["", f"[{title}]", *(f"{key} = {_toml(value)}" for key, value in table.items() if value is not None)]

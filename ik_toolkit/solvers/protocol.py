@@ -1,9 +1,9 @@
 """The interface of a solver, and the defaults for what a class leaves out.
 
-A rule is one step of an iterative method; the search does everything else (kernel/search.py). A closed form lists the
-branches of one target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or
-`@closed_form`, which add what the class leaves out. The rest of the toolkit never tests a solver's name or class. It uses
-these calls, or the registry row (`registry.Row`), which says what must be known without importing the class.
+A rule is one step of an iterative method; the search does everything else (kernel/search.py). A closed form lists the branches of
+one target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or `@closed_form`, which add what the
+class leaves out. The rest of the toolkit never tests a solver's name or class. It uses these methods, or the solver's row in the
+registry (`registry.Row`), which can be read without importing the class.
 """
 
 import inspect
@@ -25,7 +25,7 @@ from .registry import GENERAL, Row, find_row
 from .task import counted_rows, counts_in_part
 
 Class = TypeVar("Class", bound=type)
-SHOWN = 16  # number of branches of a continuous family that an explanation shows
+SHOWN = 16  # number of samples of a self-motion that an explanation shows
 
 
 @dataclass(frozen=True)
@@ -56,31 +56,33 @@ class Asked:
 
 
 class Rule(Protocol):
-    """One step of an iterative method.
+    """One step of an iterative method (a solver rule).
 
     `step(p, e)` is compiled, writes p.desk.dq (n,) and returns 0, SINGULAR_STEP or WAITING (see `solvers.rules`).
     """
 
     hold = False
-    """Whether a step is redone without the joints that it would push past a limit, or cut off at the limit."""
+    """True: joints that a step would push past a limit are held and the step is computed again; False: it is clipped there."""
     wrap = False
-    """Whether a bounded joint with a full turn or more may continue from the other end of its range."""
+    """Whether a bounded joint with a range of 2 pi or more may continue from the other end of its range."""
     preset: Any = None
     """Class method preset(name) that returns a rule with published or tuned parameters (see `presets`), or None."""
     space: Any = None
-    """Class method space(robot, position_only, initial) that returns what `ik tune` searches (`tuning_space.Space`), with maps= if
-    there may be several; None, the default, means the fields called damping and gain."""
+    """Class method space(robot, position_only, initial) that returns what `ik tune` searches (`tuning_space.Space`).
+
+    A method with several maps also takes maps=. None, the default, means that the fields damping and gain are tuned.
+    """
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
         """Return the numbers of the compiled step: a NamedTuple with `step`, an array, or (default) the rule itself."""
         return self
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule does not do what is asked ("needs as many task rows as joints, ..."), or ''."""
+        """Return why the rule cannot do what is asked ("needs as many task rows as joints, ..."), or '' if it can."""
         return ""
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Return starts (M, n) [rad or m] to choose from if no q0 is given; default None: home, or known configurations."""
+        """Return starts (M, n) [rad or m] to choose from if no q0 is given; None, the default, means home or precomputed starts."""
         return None
 
     def options(self) -> dict[str, Any]:
@@ -97,21 +99,21 @@ class Rule(Protocol):
 
 
 class ClosedForm(Protocol):
-    """All branches of one target at once, for the structures that the closed form recognises."""
+    """All branches (solutions) of one target at once, for the structures that the closed form recognises."""
 
     wrap = True
     hold = False
 
     @staticmethod
     def recognise(chain: Any) -> Fit:
-        """Return whether a chain has the structure, how nearly, and the numbers of the closed form."""
+        """Return whether a chain has the structure, with what deviation, and the parameters of the closed form."""
         ...
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return all branches of T (4, 4), and about `count` members of a family.
+        """Return all branches of T (4, 4), and about `count` samples of a self-motion.
 
-        p is the result of `pack`; box (4, n) has lower limits, upper limits, reference configuration [rad or m] and
-        distance weights.
+        p is the result of `pack`; box (4, n) has lower limits, upper limits, reference configuration [rad or m] and distance
+        weights.
         """
         ...
 
@@ -124,18 +126,18 @@ class ClosedForm(Protocol):
         return listed_branches(robot, self.every(robot, p, T, box, SHOWN))
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
-        """Return the numbers of the closed form, by default those that `recognise` found.
+        """Return the parameters of the closed form for a robot, by default those that `recognise` found.
 
-        Raises UnknownSolver if it does not fit.
+        Raises UnknownSolver if the robot does not fit.
         """
         return fitted(self, robot).parameters
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the closed form does not do what is asked, or ''."""
+        """Return why the closed form cannot do what is asked, or '' if it can."""
         return ""
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Return {index in q: value [rad or m]} of the joints that the parameters hold at a value."""
+        """Return {index in q: value [rad or m]} of joints that the closed form's parameters fix; by default there are none."""
         return {}
 
     preset, space = Rule.preset, Rule.space
@@ -155,7 +157,7 @@ def rule(cls: Class) -> Class: ...
 @overload
 def rule(*, step: type) -> Callable[[Class], Class]: ...
 def rule(cls: Any = None, *, step: Any = None) -> Any:
-    """Make a NamedTuple class with a `step` a rule; use it as a class decorator.
+    """Make a NamedTuple class with a `step` a rule (iterative method); use it as a class decorator.
 
     Args:
         cls: The class; its fields are the rule's parameters.
@@ -165,8 +167,7 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
         The class, with the defaults of `protocol.Rule` for what it leaves out.
 
     Raises:
-        TypeError: There is no step, nothing for numba to pass (no fields), or a field is named like an
-            option.
+        TypeError: There is no step, there are no fields (numba passes no empty NamedTuple), or a field is named like an option.
     """
 
     def mark(cls: Any) -> Any:
@@ -217,7 +218,7 @@ def _filled(cls: Any, protocol: Any) -> Any:
 
 # -------------------------------------------------------------------------------------------------------------- asking
 def misfit(row: Row, solver: Any, robot: Any) -> str:
-    """Return why a solver cannot run on a robot, whatever the target, or ''."""
+    """Return why a solver cannot run on a robot, whatever the target, or '' if it can."""
     if row.one_tip and len(robot.tips) > 1:
         return f"solver '{row.name}' is for one tip; for several use '{GENERAL}'"
     if row.closed and (reason := solver.recognise(robot.chain).reason):
@@ -226,7 +227,7 @@ def misfit(row: Row, solver: Any, robot: Any) -> str:
 
 
 def fitted(form: Any, robot: Any) -> Fit:
-    """Return the structure that a closed form recognises in a robot. Raises UnknownSolver with the reason if it does not fit."""
+    """Return how a robot fits a closed form. Raises UnknownSolver with the reason if it does not."""
     if reason := misfit(find_row(form), form, robot):
         raise UnknownSolver(reason)
     return form.recognise(robot.chain)
@@ -241,7 +242,7 @@ def require(row: Row, solver: Any, asked: Asked) -> None:
 
 
 def refusal(row: Row, solver: Any, asked: Asked) -> str:
-    """Return why a solver does not do what is asked on a robot it fits, or ''; the solver's name comes before it."""
+    """Return why a solver that fits the robot cannot do what is asked, or ''; messages put the solver's name before it."""
     o = asked.options
     if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
         return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"
@@ -256,7 +257,7 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
 
 
 def parameters(row: Row, solver: Any, asked: Asked) -> np.ndarray:
-    """Return the numbers of the compiled step. Raises InvalidOption if a parameter is missing or not finite."""
+    """Return the parameters of the compiled step as an array. Raises InvalidOption if one is missing or not finite."""
     try:
         numbers = np.asarray(solver.pack(asked.robot, asked), dtype=float)
     except IKError:

@@ -1,13 +1,13 @@
 """The registry of solvers, with one row for each; the CLI, `ik solvers`, the docs, the benchmark and contract tests use the rows.
 
-Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba. Another package
-registers a solver by an entry point of the group `ik_toolkit.solvers`, named as the solver and leading to its row:
+Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba. Another package registers a solver
+by an entry point of the group `ik_toolkit.solvers`, named as the solver and leading to its row:
 
     [project.entry-points."ik_toolkit.solvers"]
     half-step = "my_package.rows:HALF_STEP"
 
-where `my_package/rows.py` imports nothing but this module and says HALF_STEP = Row("half-step",
-"my_package.half_step:HalfStep", ...). So its solvers are listed without importing what solves.
+where `my_package/rows.py` imports only this module and defines HALF_STEP = Row("half-step", "my_package.half_step:HalfStep", ...).
+So its solvers are listed without importing the code that solves.
 """
 
 import functools
@@ -29,9 +29,9 @@ from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 class Length(NamedTuple):
     """How long a search continues by default.
 
-    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair:
-    known starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given
-    up later from attempt number `patience` on (the attempt from q0 is not counted).
+    `give_up` is (C, rho, C_free, rho_free) or None: an attempt ends in iteration k if |e|^2 > C rho^k (first pair: precomputed
+    starts, second pair: q0 and random starts). Attempts from random starts have twice the iterations and are given up later from
+    attempt number `patience` on (the attempt from q0 is not counted).
     """
 
     iterations: int = 1000  # largest number of iterations of an attempt
@@ -47,12 +47,11 @@ LENGTH = Length()
 class Row:
     """What is known of a solver without importing it.
 
-    `target` is "module:Class" of the rule or closed form, `search` its default length, `several` the same for several
-    tips if that differs. `pose` and `position` are the targets it solves. A solver that is `one_tip` is not for several
-    tips; one that `moves_all` moves every joint, so none can be held by a weight of 0; one that `tracks` makes sense
-    with one step per sample. `joints` are the numbers of joints that a closed form may fit, which 'auto' uses.
-    `levels` is true of the solver that serves the option `priority`.
-    `package` is the package it comes from, if not this one (see `registered`), `cls` the class if it need not be
+    `target` is "module:Class" of the rule or closed form, `search` its default length, `several` the same for several tips if that
+    differs. `pose` and `position` say whether it solves such targets. A solver that is `one_tip` is not for several tips; one that
+    `moves_all` moves every joint, so none can be held by a weight of 0; one that `tracks` makes sense with one step per sample.
+    `joints` are the numbers of joints that a closed form may fit, which 'auto' uses. `levels` is true of the solver that serves the
+    option `priority`. `package` is the package it comes from, if not this one (see `registered`), `cls` the class if it need not be
     imported. A solver declares everything else itself (see `protocol`).
     """
 
@@ -108,8 +107,6 @@ ROWS: tuple[Row, ...] = (
         "any robot; position, pose, masks",
         "Sugihara 2011",
         # The bounds that end an attempt early were measured on six arms; easy targets are solved by attempt 20.
-        # C from 10 to 100 and rho from 0.12 to 0.35 cost under 4 % of time; never giving up costs up to twice the time.
-        # Several tips need more attempts, because they pull on shared joints and a start must suit them all.
         search=Length(30, 250, (30.0, 0.18, 100.0, 0.35), 20),
         several=Length(40, 400, (60.0, 0.25, 200.0, 0.4)),
     ),
@@ -174,7 +171,7 @@ ROWS: tuple[Row, ...] = (
         "Sequential quadratic programming: errors in order of priority, with exact second derivatives (option priority)",
         "any robot; pose, masks, several tips; an arm with fewer joints than the target fixes",
         "Nocedal and Wright 2006, ch. 18",
-        # First 48 attempts with all errors at one level, if the arm has the joints for that, then at most 30 by level.
+        # First 48 attempts with all errors at one level, if the arm has as many joints as errors, then at most 30 by level.
         search=Length(40, 78, (30.0, 0.18, 100.0, 0.35), 20),
         several=Length(60, 108, (60.0, 0.25, 200.0, 0.4)),
         tracks=False,
@@ -249,7 +246,7 @@ def registered() -> dict[str, Row]:
         package = point.dist.name if point.dist is not None else point.value
         try:
             row = _row(point)
-        except Exception as error:  # Whatever another package does, ours continues without it.
+        except Exception as error:  # An error in another package must not stop our solvers.
             why = f"{type(error).__name__}: {error}" if not isinstance(error, InvalidOption) else error
             LOG.warning("package %s: solver '%s' is left out: %s", package, point.name, why)
             continue
@@ -284,7 +281,7 @@ def _row(point: Any) -> Row:
 
 
 def find_row(solver: Any) -> Row:
-    """Return the registry row of a solver name, rule class or instance. Raises UnknownSolver with a near match."""
+    """Return the registry row of a solver name, solver class or instance. Raises UnknownSolver with a near match."""
     if isinstance(solver, str):
         if solver in BY_NAME:
             return BY_NAME[solver]
@@ -306,7 +303,7 @@ def find_row(solver: Any) -> Row:
 
 
 def _own(cls: type) -> Row:
-    """Make the row of a user's solver, whose class attributes may set the fields of a row."""
+    """Make a registry row for a user's own solver class, whose class attributes may set the fields of the row."""
     said = {name: getattr(cls, name) for name in OWN if hasattr(cls, name)}
     kind = _CLOSED_FORM if hasattr(cls, "every") else {}
     summary = (cls.__doc__ or cls.__name__).splitlines()[0]
@@ -315,7 +312,7 @@ def _own(cls: type) -> Row:
 
 
 def solvers_with(parameter: str) -> str:
-    """Name our solvers with a parameter, as a sentence to end a message with, or return ''."""
+    """Return a sentence that names our solvers with this parameter, to end a message with, or ''."""
     owners = [row.name for row in ROWS if parameter in row.load()._fields]
     return f" Solvers with '{parameter}': {', '.join(owners)}." if owners else ""
 
@@ -336,7 +333,7 @@ def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
 
 
 def is_solver_file(text: str) -> bool:
-    """Whether a solver is given as FILE.py:CLASS."""
+    """Return whether a solver is given as FILE.py:CLASS."""
     return ".py:" in text or text.endswith(".py")
 
 
@@ -365,9 +362,9 @@ def solver_from_file(text: str) -> type:
 
 @functools.cache  # each file runs once per process
 def _classes(path: Path) -> dict[str, type]:
-    """Return the classes that a file makes, by name. Raises InvalidOption if it does not run."""
-    # The module gets a name of its own, so that a file named like a module (numpy.py) hides nothing.
-    # The name depends on the content, so that kernels compiled for a file are found again after it moved.
+    """Return the classes that a Python file defines, by name. Raises InvalidOption if it does not run."""
+    # The module gets an own name, so that a file named like a module (numpy.py) hides nothing. The name depends on the content, so
+    # that code compiled for a file is found again after it moved.
     try:
         content = path.read_bytes()
     except OSError as error:

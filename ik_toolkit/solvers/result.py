@@ -21,8 +21,8 @@ from .registry import GENERAL
 from .status import DECIDED, SEARCHED, Status, constraints_of, is_proven
 from .task import all_errors, group_levels
 
-SINGULAR = 1e-8  # share of the largest singular value of the Jacobian, lengths over the scale, below which the least counts as 0
-FAR_MOVE = 0.5  # [rad or robot sizes] a Solver's farther move from q0 gets a notice
+SINGULAR = 1e-8  # a singular value of the Jacobian (lengths over the scale) below this share of the largest counts as 0
+FAR_MOVE = 0.5  # [rad, or length over the reach] a `Solver` adds a notice if a joint moves farther than this from q0
 
 
 class Result(ReadOnly):
@@ -31,22 +31,21 @@ class Result(ReadOnly):
     Attributes:
         q: Joint values (n,) [rad or m], evaluated and inside the limits.
         success, status, message: Whether and how the solve succeeded, and one sentence on it, with what to try.
-        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest, times the weights of the
-            mask if it has any; the second is None if the target leaves orientation free.
+        position_error, orientation_error: Errors [m], [rad] at q, of several tips the largest, times the weights of the mask if it
+            has any; the second is None if the target leaves orientation free.
         position_errors, orientation_errors: The same errors of each tip, by its name.
         level_errors: The errors by level of priority, most important first.
-        raw_error, raw_errors: All six errors of the tip, and of each tip by its name, before slack, free turn and mask.
-        iterations, restarts, fk_evaluations: Counts of steps, of attempts after the first, and of FK evaluations (all
-            tips count as one).
+        raw_error, raw_errors: All six errors of the tip, and of each tip by its name, before the options slack, free_turn and mask.
+        iterations, restarts, fk_evaluations: Counts of steps, of attempts after the first, and of FK evaluations (all tips count as
+            one).
         attempt: Number of the attempt that q comes from; 0 is the first, which starts at q0 if that was given.
         limited_joints: Names of joints at a limit.
         largest_move: Joint that moved farthest from q0 and how far [rad or m], or None.
-        elapsed, compile_time: Time of the call [s], and what it waited before for kernels to be compiled or loaded.
+        elapsed, compile_time: Time of the call [s], and how long it waited before for code to be compiled or loaded.
         seed, solver, robot: Seed of the random starts, name of the solver used, and the robot.
-        notice: What was corrected in the input, that q may be far from q0, and what q does to loops of the description,
-            or ''.
-        collision: Names of two parts that touch at q if collisions are avoided and no other answer was found, otherwise
-            None.
+        notice: What was corrected in the input, that q may be far from q0, and whether q keeps the closed loops of the robot
+            description, or ''.
+        collision: Names of two parts that touch at q if collisions are avoided and no other answer was found, otherwise None.
         clearance: Distance [m] of the nearest two parts, if collisions are avoided.
         history: Arrays q, position_error, orientation_error and attempt with a row for each start and iteration, or None.
     """
@@ -55,7 +54,7 @@ class Result(ReadOnly):
     _sealed = True
 
     def __init__(self, outcome: SolveRecord) -> None:
-        """Store the record; everything else is computed on demand."""
+        """Store the SolveRecord; everything else is computed on demand."""
         keep(self, outcome)
 
     @property
@@ -70,7 +69,7 @@ class Result(ReadOnly):
 
     @property
     def success(self) -> bool:
-        """Whether all errors are inside their tolerances, with a priority those of its first level, and constraints hold."""
+        """Whether all errors are in tolerance (with a priority, only its first level) and the description's constraints hold."""
         return self.status == Status.CONVERGED
 
     @property
@@ -100,9 +99,9 @@ class Result(ReadOnly):
 
     @property
     def level_errors(self) -> tuple[dict[str, float], ...]:
-        """Errors [m], [rad] by level of priority, the first first: "position" and "orientation", of several tips "TIP position".
+        """Errors [m], [rad] of each level of priority, most important first, under "position" and "orientation".
 
-        Without a priority there is one level.
+        With several tips the keys are "TIP position" and "TIP orientation". Without a priority there is one level.
         """
         levels = group_levels(self.robot, self._of.plan.options)
         names = [f"{tip} {group}" if len(self.robot.tips) > 1 else group for tip in self.robot.tips for group in GROUPS]
@@ -117,8 +116,8 @@ class Result(ReadOnly):
     def raw_errors(self) -> dict[str, np.ndarray]:
         """Errors (6,) of each tip at q by Pinocchio: target - tip [m] and the rotation vector left [rad], in the axes of `frame`.
 
-        They are before slack, free turn and mask; NaN if a tip has no target, and in a solved row of a batch, which keeps no
-        targets.
+        The options slack, free_turn and mask are not applied. NaN if a tip has no target, and in a solved row of a batch, which
+        keeps no targets.
         """
         of = self._of
         if not of.T.size:
@@ -128,7 +127,7 @@ class Result(ReadOnly):
 
     @property
     def raw_error(self) -> np.ndarray:
-        """Errors (6,) as in raw_errors of the tip; of several tips the one with the largest position error."""
+        """Errors (6,) of the tip as in `raw_errors`; of several tips those of the one with the largest position error."""
         errors = self.position_errors
         return self.raw_errors[max(errors, key=lambda tip: errors[tip])]
 
@@ -149,7 +148,7 @@ class Result(ReadOnly):
 
     @property
     def notice(self) -> str:
-        """What was corrected in the input, that q may be far from q0, and what q does to the description's constraints, or ''."""
+        """What was corrected in the input, that q may be far from q0, and which constraints of the description q breaks, or ''."""
         jump, of = "", self._of
         move = None if of.plan.options.closest else self.largest_move
         if move is not None:
@@ -157,7 +156,7 @@ class Result(ReadOnly):
             at = self.robot.joint_names.index(joint)
             slide = self.robot.joint_kinds[at] == "prismatic"
             moved = f"joint {joint} moved by {length(amount) if slide else f'{amount:.3g} rad'}"
-            # A bound Solver (no check) is for loops, where moves are short; single solves may start far away.
+            # A `Solver` without check is for loops, where moves are short; single solves may start far away.
             most = np.pi if of.plan.options.check else FAR_MOVE
             if self.attempt:
                 jump = f"q was found by attempt {self.attempt}, not from q0: {moved}; in a loop use follow=True"
@@ -197,7 +196,7 @@ class Result(ReadOnly):
 
     @property
     def compile_time(self) -> float:
-        """Time [s] in which the call waited for kernels to be compiled (first use) or loaded (first in a process), else 0."""
+        """Time [s] in which the call waited for code to be compiled (first use) or loaded (first in a process), else 0."""
         return self._of.compile_time
 
     @property
@@ -217,8 +216,8 @@ class Result(ReadOnly):
     def proven(self) -> bool:
         """Whether a failure is a proof that no joint values within the limits reach the target.
 
-        Of a success with `closest`: whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`),
-        or the target is beyond a bound from the link lengths.
+        Of a success with `closest`: whether no solution is nearer. The elimination certifies both (see `Solutions.certificate`); an
+        unreachable target is also proven by a bound from the link lengths.
         """
         row = self._of.row
         return bool(is_proven(row[AT.status], row[AT.excess], self._of.plan.row.closed))
@@ -242,7 +241,8 @@ class Result(ReadOnly):
     def clearance(self) -> float | None:
         """Distance [m] of the nearest two parts at q, if collisions are avoided, with all obstacles where they are now.
 
-        It is measured on demand, as `CollisionModel.distance` does; None without collisions to avoid, or pairs to test.
+        It is computed on demand, as by `CollisionModel.distance`; None if collisions are not avoided, or there are no pairs to
+        test.
         """
         from .collision_free import collision_model  # That module imports this one.
 
@@ -257,11 +257,11 @@ class Result(ReadOnly):
 
     @property
     def message(self) -> str:
-        """One sentence on how the solve ended and, on failure, what to try (of several tips, how far each is away)."""
+        """One sentence on how the solve ended and, after a failure, what to try (with several tips, the errors left at each)."""
         return sentence(self)
 
     def raise_for_status(self) -> "Result":
-        """Return self, or raise NotSolved with the sentence if the solve failed."""
+        """Return self, or raise NotSolved with the message if the solve failed."""
         if not self.success:
             raise NotSolved(self)
         return self
@@ -365,5 +365,5 @@ class Result(ReadOnly):
         return TextTable(self.status.name, self.message, (), rows, color=color, most=100).html()
 
 
-# `keep` passes the guard of the read-only object, a quarter of a microsecond faster than object.__setattr__.
+# This setter bypasses the guard of the read-only object; it is 0.25 us faster than object.__setattr__.
 keep = vars(Result)["_of"].__set__

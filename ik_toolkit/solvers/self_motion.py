@@ -1,8 +1,8 @@
 """Self-motions of arms of seven revolute joints: the curves on which the arm moves while its tip stays, and where they end.
 
-With its first or last joint fixed, such an arm has six joints, whose solutions the elimination lists. Slices at some values of
-that joint give a point or more of every curve that is not too short, and continuation follows each around to its beginning. The
-limits cut it, at places found by bisection. A curve that lies between two slices is missed, so nothing is proven. Source: Burdick
+With its first or last joint fixed, such an arm has six joints, whose solutions the elimination lists. Doing this for many values of
+that joint (slices) gives a point or more of every curve that is not too short; continuation follows each until it closes. The
+limits cut it, at points found by bisection. A curve that lies between two slices is missed, so nothing is proven. Source: Burdick
 (1989), "On the inverse kinematics of redundant manipulators: characterization of the self-motion manifolds".
 """
 
@@ -30,30 +30,30 @@ N = 7
 
 @compiled
 class MotionEnd(NamedTuple):
-    """What a curve ends at."""
+    """Why a curve ends."""
 
-    closed: int = 0  # its own beginning
+    closed: int = 0  # it closes: it is back at its beginning
     limit: int = 1
-    singular: int = 2  # a pose where the next step would be too short
-    long: int = 3  # nothing: it was not followed any further
+    singular: int = 2  # a singular pose, where the next step would be too short
+    long: int = 3  # it was not followed any further
 
 
 @compiled
 class Following(NamedTuple):
-    """Constants of the continuation; joint values in rad, lengths in the kernel's units."""
+    """Constants of the continuation; joint values in rad, lengths over the arm's reach."""
 
-    slices: int = 64  # values of the fixed joint
+    slices: int = 64  # number of values at which the first or last joint is fixed
     longest: float = 0.1  # longest step
     shortest: float = 1e-6  # a curve on which a step is shorter ends at a singular pose
     straight: float = 0.99  # least cosine of the angle between the directions at the two ends of a step
-    newton: int = 8  # highest number of Newton steps onto the target
-    closed: float = 1e-22  # squared error at which they end
+    newton: int = 8  # highest number of Newton steps that bring a point onto the target
+    closed: float = 1e-22  # squared error at which these steps end
     damping: float = 1e-12  # damping of these steps
-    level: float = 1e-5  # a joint that moves by a smaller share of a step is where it turns back
+    level: float = 1e-5  # where a joint moves by a smaller share of a step it reverses
     same: float = 1e-6  # a point is on a curve if it is this near
-    past: int = 64  # point that a curve may come back to, though not to its first; later every point twice as far
+    past: int = 64  # index of the first point, after point 0, tested for closing; later every point twice as far
     halvings: int = 40  # bisections that locate an end
-    points: int = 2000  # highest number of points of a curve in either direction
+    points: int = 2000  # highest number of points of a curve in each direction
 
 
 END, FOLLOWING = MotionEnd(), Following()
@@ -62,10 +62,10 @@ END, FOLLOWING = MotionEnd(), Following()
 class SelfMotion(NamedTuple):
     """A self-motion within the limits: a curve of solutions of one pose."""
 
-    points: np.ndarray  # (M, 7) [rad], joint values up to full turns; those where a joint turns back are among them
-    lower: np.ndarray  # (7,) least value of each joint on it, at an end or where the joint turns back (a fold)
+    points: np.ndarray  # (M, 7) [rad], joint values modulo 2 pi; the points where a joint reverses are among them
+    lower: np.ndarray  # (7,) least value of each joint on it, at an end or where the joint reverses (a fold)
     upper: np.ndarray  # (7,) largest value
-    ends: tuple[tuple[int, int], ...]  # for each end what it is, and the joint that is at its limit there, or -1
+    ends: tuple[tuple[int, int], ...]  # for each end its `MotionEnd`, and the joint that is at its limit there, or -1
 
 
 @inline
@@ -87,7 +87,7 @@ def onto_pose(p):
 
 @inline
 def direction_at(p, box, t, u):
-    """Write to u (7,) the unit vector of the self-motion at p.desk.q that is nearest the direction t (7,); return their cosine."""
+    """Write to u (7,) the unit tangent of the self-motion at p.desk.q that is nearest the direction t (7,); return their cosine."""
     s, size, cosine = p.desk, 0.0, 0.0
     for i in range(N):
         s.w[i] = 1.0
@@ -103,7 +103,7 @@ def direction_at(p, box, t, u):
 
 @inline
 def step_along(p, box, q, t, h, x, u):
-    """Write to x (7,) the point a step h from q along t (7,), and to u the direction there; return whether the step is sound."""
+    """Write to x (7,) the point a step h from q along t (7,), and to u the tangent there; return whether the step is acceptable."""
     for i in range(N):
         p.desk.q[i] = q[i] + h * t[i]
     if not onto_pose(p):
@@ -117,7 +117,7 @@ def step_along(p, box, q, t, h, x, u):
 
 @inline
 def passes(p, box, q, t, h, point, x, u):
-    """Return whether a point (7,), up to full turns, lies on the curve within the step h from q along t."""
+    """Return whether a point (7,), modulo 2 pi, lies on the curve within the step h from q along t."""
     off, a = 0.0, 0.0
     for i in range(N):
         d = point[i] - q[i]
@@ -143,7 +143,7 @@ def passes(p, box, q, t, h, point, x, u):
 
 @inline
 def turning_point(p, box, q, t, h, i, x, u):
-    """Write to x (7,) the point within the step h where joint i turns back, by bisection; return the length of the step to it."""
+    """Write to x (7,) the point within the step h where joint i reverses, by bisection; return the length of the step to it."""
     low, high = 0.0, h
     for _ in range(FOLLOWING.halvings // 2):
         middle = 0.5 * (low + high)
@@ -158,20 +158,20 @@ def turning_point(p, box, q, t, h, i, x, u):
 def follow(rows, ends, opt, T, seeds, seen, first, out):
     """Follow the curve through seed number `first`, without limits, and mark the seeds on it in `seen`.
 
-    Every place where a joint turns back is a point of it, so that each joint moves one way from point to point.
+    Every point where a joint reverses is added, so that each joint moves monotonically from point to point.
 
     Args:
         rows: geometry of the chain.
         ends: `records.Ends` of the chain.
-        opt: orders of a plan.
+        opt: option array, see `records.Orders`.
         T: (4, 4) target [m].
         seeds: (S, 7) solutions [rad].
         seen: (S,) 1 for those on a curve.
-        first: the seed to begin at.
+        first: index of the seed to begin at.
         out: (2, points, 7) receives the curve forwards and backwards, each from the seed on.
 
     Returns:
-        The numbers of points (2,), and what either way ends at (2,).
+        The numbers of points (2,), and why the curve ends in each direction (2,), see `MotionEnd`.
     """
     p = make_serial(rows, ends, opt[HEAD:], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
@@ -213,7 +213,7 @@ def follow(rows, ends, opt, T, seeds, seen, first, out):
             copy(x, out[way, counts[way]])
             counts[way] += 1
             if counts[way] > past + 3 and stops[way] < 0 and passes(p, box, q, t, step, out[way, past], y, v):
-                # Beside a singular pose it has come to another curve: this is kept, without the way to it.
+                # Near a singular pose it has switched to another curve: only that closed curve is kept, without the way to it.
                 copy(y, out[way, counts[way] - 1])
                 stops[way], stops[0], counts[0], counts[1] = END.closed, END.closed, counts[way] - past, 1
                 for k in range(counts[0]):
@@ -232,7 +232,7 @@ def follow(rows, ends, opt, T, seeds, seen, first, out):
 
 @inline
 def first_direction(p, box, y, v, start):
-    """Write to start (7,) the direction of the self-motion at p.desk.q, as that of the joint that moves most; y, v: scratch."""
+    """Write to start (7,) the tangent of the self-motion at p.desk.q, its largest component positive; y, v: scratch."""
     best = -1.0
     for i in range(N):
         for k in range(N):
@@ -245,7 +245,7 @@ def first_direction(p, box, y, v, start):
 
 @cached
 def cross(rows, ends, opt, T, a, b, i, value, y):
-    """Write to y (7,) the point between the neighbouring points a and b of a curve where joint i has a value; return its share."""
+    """Write to y (7,) the point between the neighbours a and b on a curve where joint i has `value`; return its share of a to b."""
     p = make_serial(rows, ends, opt[HEAD:], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
     low, high = 0.0, 1.0
@@ -265,18 +265,18 @@ def cross(rows, ends, opt, T, a, b, i, value, y):
 def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any) -> list[SelfMotion]:
     """Cut a curve (M, 7) at the limits (2, 7), and return the parts that keep them.
 
-    stops: what it ends at. A limit counts for a joint up to full turns. crossing(a, b, joint, value): as `cross`, the share and the
-    point.
+    stops: why the curve ends on both sides (`MotionEnd`). A joint is at a limit also modulo 2 pi. crossing(a, b, joint, value): as
+    `cross`, returns the share and the point.
     """
     half = 0.5 * (limits[1] - limits[0])
     middle = np.where(np.isfinite(half), limits[0], 0.0) + np.where(np.isfinite(half), half, 0.0)
 
     def off(x: np.ndarray) -> np.ndarray:
-        """Return how far each joint is from the middle of its range, on its nearest turn."""
+        """Return the difference of each joint from the middle of its range, modulo 2 pi in [-pi, pi)."""
         return (x - middle + np.pi) % TAU - np.pi
 
     def curve(points: np.ndarray, ends: tuple) -> SelfMotion:
-        """Return a part on the turns inside the limits, or nearest 0."""
+        """Return a part of the curve, shifted by 2 pi k inside the limits, or nearest 0."""
         turns = np.rint((0.5 * (points.min(axis=0) + points.max(axis=0)) - middle) / TAU)
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
@@ -292,7 +292,8 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         if not len(wrong):
             return [curve(points, ((END.closed, -1),) * 2)]
         turns = TAU * np.rint((points[-1] - points[0]) / TAU)
-        points = np.vstack([points[wrong[0] :], points[1 : wrong[0] + 1] + turns])  # It begins outside.
+        # The closed curve is begun at a point outside the limits.
+        points = np.vstack([points[wrong[0] :], points[1 : wrong[0] + 1] + turns])
     bad = np.abs(off(points)) > half
     made, part, came = [], [], (stops[0], -1)
 
@@ -328,16 +329,16 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
 
 
 class Slicing(NamedTuple):
-    """How an arm is cut into arms of six joints: by its first joint, or by its last."""
+    """How a seven-joint arm is reduced to six joints: by fixing its first joint, or its last."""
 
     joint: int  # index of the fixed joint, 0 or 6
     screws: Screws
-    arm: np.ndarray  # (52,) numbers of the six others
-    forms: np.ndarray  # ways to read their loop
+    arm: np.ndarray  # (52,) geometry of the six others, see `kernel.elimination.answer.solve_loops`
+    forms: np.ndarray  # orderings of their loop, see there
 
 
 def slicings_of(plan: Plan) -> list[Slicing]:
-    """Return how the arm of a plan is cut; nothing if it cannot be, or if the options do not ask for plain poses."""
+    """Return the possible reductions of a plan's arm to six joints; none if the arm or the options do not allow it."""
     if "slicing" not in plan.memo:
         plan.memo["slicing"] = _slicings(plan)
     return plan.memo["slicing"]
@@ -372,7 +373,7 @@ def sliced(cut: Slicing, T: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def self_motions(plan: Plan, T: np.ndarray, slices: int = FOLLOWING.slices) -> list[SelfMotion]:
-    """Return the curves of solutions of T (4, 4) within the limits that so many slices of each joint meet."""
+    """Return the self-motions at T (4, 4) within the limits that are met at `slices` values of the first or last joint."""
     cuts, robot = slicings_of(plan), plan.robot
     free = np.array([[-np.inf], [np.inf]])
     limits = np.array([robot.lower, robot.upper]) if plan.options.limits else free * np.ones(N)
@@ -399,7 +400,7 @@ def self_motions(plan: Plan, T: np.ndarray, slices: int = FOLLOWING.slices) -> l
 
 
 def _same(one: SelfMotion, other: SelfMotion) -> bool:
-    """Return whether two curves have one range in every joint, and the first passes where the other begins."""
+    """Return whether two curves have the same range in every joint, and the first passes where the other begins."""
     if max(np.abs(one.lower - other.lower).max(), np.abs(one.upper - other.upper).max()) > 10.0 * FOLLOWING.same:
         return False
     apart = np.abs((one.points - other.points[0] + np.pi) % TAU - np.pi)

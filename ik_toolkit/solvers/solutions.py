@@ -1,4 +1,4 @@
-"""What `solve_all` and `Solver.all` return: the distinct solutions of a target, and the families they are samples of."""
+"""What `solve_all` and `Solver.all` return: the distinct solutions of a target, and the self-motions they are samples of."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -20,12 +20,13 @@ class Solutions(ReadOnly):
         q: Solutions (K, n) [rad or m].
         distance: Distances (K,) from q0 (angles [rad], lengths over the robot's scale).
         position_error, orientation_error: Errors (K,) [m], [rad], evaluated; the second is None for positions.
-        branches: Signs (K, 3) of shoulder, elbow and wrist in one of our closed forms (0 if two branches merge or the
-            arm has no such joint), otherwise None.
+        branches: Signs (K, 3) of shoulder, elbow and wrist in one of our closed forms (0 if two branches merge or the arm has no
+            such joint), otherwise None.
         found_by: Names (K,) of the solvers that found them.
-        complete: Whether these are proven to be all of them, up to turns by 2 pi (with `all_turns`, on each of their turns).
-        certificate: What is known about all solutions, limits or not (`Certificate`, by the elimination), otherwise None.
-        families: Families (tuple of Family) of which the rows are a sample.
+        complete: Whether these are proven to be all of them, modulo 2 pi (with `all_turns`, all shifts by 2 pi k inside the
+            limits).
+        certificate: How complete the list is known to be, limits or not (`Certificate`, by the elimination), otherwise None.
+        families: Self-motions (tuple of Family) of which the rows are a sample.
         solver, message: Name of the solver, and one sentence.
     """
 

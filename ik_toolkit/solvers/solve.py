@@ -1,6 +1,7 @@
 """The public calls: `solve` for one target, `solve_all`, and `Solver`, bound once, for loops that must be fast.
 
-The loop is one call away: a bound solver picks its plan by the kind of target, and the plan calls the compiled loop.
+Little stands between a call and the compiled loop: a bound solver picks its plan by the kind of target, and the plan calls the
+loop.
 """
 
 import functools
@@ -44,16 +45,16 @@ EXACT = {  # closed forms honour or ignore these options; 'auto' takes the searc
 class Solver(ReadOnly):
     """A solver bound to a robot, for loops that must be fast: `solver(target, q0=None) -> Result` takes a few microseconds.
 
-    The result is the kernel's own evaluation unless check=True. A Solver may be called from several threads.
+    The result is not checked by Pinocchio unless check=True. A Solver may be called from several threads.
 
     Args:
         robot: A Robot, or a Tree (several tips solved together).
-        solver: Name, rule class or instance. 'auto' uses a closed form if one fits the robot and the kind of target, or
-            if one of its parameters is given; otherwise the search. `result.solver` names the one used.
-        options: Options (see `Options`), and parameters of the rule.
+        solver: Name, solver class or instance. 'auto' uses a closed form if one fits the robot and the kind of target, or if one of
+            its parameters is given; otherwise the search. `result.solver` names the one used.
+        options: Options (see `Options`), and parameters of the solver.
 
     Attributes:
-        robot, name, plan: The robot, the solver's name, and what it runs (see `plan.Plan`).
+        robot, name, plan: The robot, the solver's name, and the bound solver with its arrays (see `plan.Plan`).
 
     Raises:
         UnknownSolver: There is no such solver, or it does not fit the robot.
@@ -70,7 +71,7 @@ class Solver(ReadOnly):
         auto = is_auto(solver)
         if auto and (owner := closed_form_with(robot, options)):
             solver, auto = owner, False
-        self._plans: dict[tuple, Plan] = {}  # plans for kinds of target that `plan` is not for
+        self._plans: dict[tuple, Plan] = {}  # plans for the kinds of target that self.plan does not serve
         if auto:
             chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
             self._plans = {(k,): make_plan(robot, name, options) for k, name in chosen.items() if name != GENERAL}
@@ -87,16 +88,16 @@ class Solver(ReadOnly):
 
     @property
     def rule(self) -> Any:
-        """The rule or closed form with its parameters; for 'auto' that of the general search."""
+        """The iterative method (rule) or closed form with its parameters; for 'auto' that of the general search."""
         return self.plan.rule
 
     @property
     def options(self) -> Options:
-        """Options as they were read."""
+        """The options, validated and with defaults filled in."""
         return self.plan.options
 
     def plan_for(self, kinds: tuple) -> Plan:
-        """Return the plan for targets of these kinds, one kind per tip."""
+        """Return the Plan that solves targets of these kinds, one kind per tip."""
         return self._plans.get(kinds, self.plan)
 
     def __call__(self, target: Any, q0: Any = None) -> Result:
@@ -129,7 +130,7 @@ class Solver(ReadOnly):
             start, note = plan.check_start(q0)
             notice = notice or note
         row = plan.solve(T, kinds, start, given)
-        # The kernel rejected the input, so it is refused here with a message, or corrected.
+        # The compiled search rejected the input: it is corrected, or refused with a message.
         status = row[AT.status]
         if status >= BAD_TARGET:
             if status == BAD_TARGET:
@@ -156,15 +157,15 @@ class Solver(ReadOnly):
     def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64, all_turns: bool = False) -> Any:
         """Find every distinct solution of a target, nearest to q0 first (see `solve_all`).
 
-        Answers are evaluated by the kernel, with check=True also by Pinocchio. With a built-in closed form without a
-        free lift it takes some 20 microseconds.
+        Answers are evaluated by the compiled search, with check=True also by Pinocchio. With a built-in closed form without a free
+        prismatic joint it takes some 20 microseconds.
 
         Args:
             target: As for the solver, or targets (N, 4, 4) or (N, 3).
             q0: Configuration (n,) [rad or m], by default home.
             starts: Number of random starts of a search.
             count: Largest number of solutions.
-            all_turns: List each solution on every full turn inside the limits, not only on the one nearest q0.
+            all_turns: List each solution with all shifts by 2 pi k inside the limits, not only the one nearest q0.
 
         Returns:
             Solutions, or a SolutionsBatch for several targets. It raises what the solver raises.
@@ -174,7 +175,7 @@ class Solver(ReadOnly):
 
 @functools.cache
 def _finder() -> Any:
-    """Return `every.find_all`, imported at the first call; an import statement costs 5 us each time."""
+    """Return `every.find_all`, imported only at the first call; an import statement costs 5 us each time."""
     from .every import find_all
 
     return find_all
@@ -196,7 +197,7 @@ def narrowed_for(robot: Any, options: Any) -> Any:
 
 
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
-    """Make the plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
+    """Bind a solver (name, class or instance) to a robot and options: make its Plan. Raises UnknownSolver, InvalidOption."""
     row = find_row(solver)
     preset, fields = {}, ()
     if isinstance(solver, str | type):
@@ -231,7 +232,7 @@ def bound_solver(robot: Any, solver: Any, options: Any) -> Solver:
 
 
 def is_auto(solver: Any) -> bool:
-    """Return whether the choice of the solver is left to the toolkit."""
+    """Return whether the toolkit is to choose the solver."""
     return solver is None or (isinstance(solver, str) and solver == "auto")
 
 
@@ -261,7 +262,7 @@ def solve(
         robot: The Robot, or a Tree of several tips.
         target: T_base_tip (4, 4) or pin.SE3, a position (3,) [m] with orientation free, or an AxisTarget (see `pose`);
             for a Tree a dict of these by tip, or a list in the order of its tips.
-        solver: A name, a rule class or an instance with its parameters; 'auto' uses a closed form if one fits,
+        solver: A name, a solver class or an instance with its parameters; 'auto' uses a closed form if one fits,
             otherwise the search.
         q0: Configuration (n,) [rad or m] where the first attempt starts. Without it the answer may be any solution
             (fastest), so give q0 to stay near it.
@@ -301,12 +302,11 @@ def solve_all(
 ) -> Solutions:
     """Find every distinct solution inside the limits, nearest to q0 first; Pinocchio checks each.
 
-    'auto' uses a closed form if one fits. Its list is complete unless the fit is only near or a family exists:
-    `families` says what is free, and the rows are a spread sample. For poses of other arms of six revolute joints it
-    uses the elimination, whose list is complete if it is certified (`certificate`); so it does for five with a free
-    turn, and for three with a position. Otherwise the search runs from
-    random starts, and answers that differ by full turns or by less than 1e-3 are merged; these are never proven
-    complete. A list that may miss some solutions is completed by such a search.
+    'auto' uses a closed form if one fits. Its list is complete unless the robot fits only approximately or self-motions exist:
+    `families` says what is free, and the rows are a spread sample. For poses of other arms of six revolute joints it uses the
+    elimination, whose list is complete if it is certified (`certificate`); so it does for five with a free turn, and for three with
+    a position. Otherwise the search runs from random starts, and answers that are equal modulo 2 pi to within 1e-3 are merged;
+    these are never proven complete. A list that may miss some solutions is completed by such a search.
 
     Args:
         robot: The Robot or Tree.
@@ -315,10 +315,10 @@ def solve_all(
         q0: Configuration (n,) [rad or m], by default home.
         starts: Number of random starts of a search.
         count: Largest number of solutions.
-        all_turns: List each solution on every full turn inside the limits, not only on the one nearest q0. Joints without limits
-            stay on that one.
-        options: As for `solve`, but for closest, objective, follow, timeout and history; limits=False lists what the
-            limits forbid too.
+        all_turns: List each solution with all shifts by 2 pi k inside the limits, not only the one nearest q0. Joints without
+            limits keep the value nearest q0.
+        options: As for `solve`, but for closest, objective, follow, timeout and history; limits=False lists what the limits forbid
+            too.
 
     Returns:
         The solutions, with their errors and how complete they are.

@@ -1,4 +1,4 @@
-"""How a search for one q ended, as a status."""
+"""The status of a solve: how it ended."""
 
 import enum
 from typing import Any
@@ -9,10 +9,10 @@ from ..robot.constraints import Kept, constraints_at
 
 
 class Status(enum.IntEnum):
-    """How a solve ended; the numbers are those of the kernel.
+    """How a solve ended; the numbers are those of the compiled search.
 
-    Rows are compared with the kernel's own (kernel/checks.py), because numpy takes microseconds to compare a number
-    with an enum.
+    Code on result rows compares with the constants of kernel/checks.py instead, because numpy takes microseconds to compare a
+    number with an enum.
     """
 
     CONVERGED = 0
@@ -23,31 +23,33 @@ class Status(enum.IntEnum):
     SINGULAR = 5
     NOT_FINITE = 6
     CHECK_FAILED = 7
-    COLLISION = 10  # the kernel uses 8 and 9 internally
+    COLLISION = 10  # 8 and 9 are internal codes of the compiled search
     TOO_FAR = 11
     CONSTRAINT_OPEN = 12
 
 
-SEARCHED = -1.0  # excess in a closed form's row if q came from the search after it
-DECIDED = -2.0  # excess in a search's row if the elimination found q, or certified that there is none (see `decide`)
-NEAREST = -3.0  # the same if it found q, and certified that no solution within the limits is nearer to q0
+# Special values of the field `excess` in a result row. SEARCHED: q of a closed form's row came from the search after it
+SEARCHED = -1.0
+DECIDED = -2.0  # `excess` of a search's row if the elimination found q, or certified that there is none (see `decide`)
+NEAREST = -3.0  # likewise, if it found q and certified that no solution within the limits is nearer to q0
 
 
 def is_proven(status: Any, excess: Any, closed: bool) -> Any:
-    """Return whether what a row says is proven, see `Result.proven`; arrays or single numbers.
+    """Return whether a result row is a proof, see `Result.proven`; arguments are arrays or single numbers.
 
-    closed: whether the solver is a closed form, whose row says how far away the target is but not whether its structure is exact.
+    closed: whether the solver is a closed form. Its UNREACHABLE proves nothing, because the robot may fit its structure only
+    roughly.
     """
     beyond = (status == Status.UNREACHABLE) & (not closed)
     return beyond | (excess == NEAREST) | ((excess == DECIDED) & (status != Status.CONVERGED))
 
 
 def count_statuses(numbers: np.ndarray) -> dict[str, int]:
-    """Count how many of the numbers (N,) mean each status, by name; only those that occur are listed."""
+    """Count how many of the status numbers (N,) there are of each Status, by name; only those that occur are listed."""
     found, counts = np.unique(numbers, return_counts=True)
     return {Status(int(k)).name: int(c) for k, c in zip(found, counts, strict=True)}
 
 
 def constraints_of(robot: Any, q: np.ndarray, options: Any) -> Kept:
-    """Return what q (n,) does to the loops and relations of its robot's description, within the tolerances of the options."""
+    """Return which loops and relations of its robot's description q (n,) breaks, within the tolerances of the options."""
     return constraints_at(robot, q, options.position_tolerance, options.orientation_tolerance)

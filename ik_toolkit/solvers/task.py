@@ -1,4 +1,4 @@
-"""Targets as the kernel takes them, and which part of their errors counts, in the kernel and in Pinocchio's check."""
+"""Targets as the compiled search takes them, and which part of their errors counts, there and in Pinocchio's check."""
 
 import math
 from collections.abc import Mapping
@@ -13,14 +13,14 @@ from ..robot.pose import AxisTarget, check_target, errors
 from ..robot.ros import is_by_name
 from .options import COUNTING, FRAMES, GROUPS, Options
 
-POSES = (POSE,)  # kinds of the target of one tip that is a pose
+POSES = (POSE,)  # the kinds of target if a single tip has a pose as target
 WHOLE = frozenset((POSE, POSITION))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
 
 
 class Counts(NamedTuple):
-    """The parts of a tip's error that count (see `Options`): weights and half widths (6,), a free axis of the tip, the frame."""
+    """The parts of a tip's error that count (see `Options`): weights and dead bands (6,), a free axis of the tip, the frame."""
 
     mask: tuple[float, ...] | None
     slack: tuple[float, ...] | None
@@ -35,7 +35,7 @@ class Counts(NamedTuple):
 
 # ----------------------------------------------------------------------------------------------------------- what counts
 def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
-    """Return what counts at each tip. Raises InvalidOption for an unknown tip, or a tip at which nothing counts."""
+    """Return the Counts of each tip. Raises InvalidOption for an unknown tip, or a tip at which nothing counts."""
     every = []
     for name in COUNTING:
         value = getattr(o, name)
@@ -124,7 +124,7 @@ def _counting(counts: Counts, kind: Any) -> np.ndarray:
 
 
 def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
-    """Return what counts at each tip as the kernel reads it. Raises InvalidOption if options and kinds of target disagree."""
+    """Return the Task record of each tip for the compiled search. Raises InvalidOption if options and kinds of target disagree."""
     scale, tasks = robot.chain.scale, []
     given = zip(
         robot.tips,
@@ -148,7 +148,8 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
         plain = axis is None and counts.mask is None and counts.slack is None
         frame = counts.frame
         if o.priority is not None and frame == "tip" and len(set(weights[:3])) == 1 and not slack[:3].any():
-            frame = "target"  # A rotation vector has the same components there, and axes that stand still have no curvature.
+            # A rotation vector has the same components in both frames, and axes that do not move add no second derivatives.
+            frame = "target"
         turn = NONE[:3] if axis is None else ends[12:21].reshape(3, 3) @ axis
         tasks.append(
             Task(kind if plain else PART, FRAMES.index(frame), other, axis is not None, *turn, *weights, *slack)
@@ -157,12 +158,12 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
 
 
 def _at(robot: Any, tip: str) -> str:
-    """Return the beginning of a message about one of several tips."""
+    """Return the tip's name as the beginning of a message, or '' if there is only one tip."""
     return f"{tip}: " if len(robot.tips) > 1 else ""
 
 
 def _free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | None:
-    """Return the tip axis about which the turn is free, from the options or an AxisTarget."""
+    """Return the tip axis about which rotation is free, from the options or an AxisTarget, or None."""
     if not isinstance(kind, tuple):
         return None if kind == POSITION else counts.free_turn
     if counts.free_turn is not None:
@@ -243,10 +244,10 @@ def read_one(target: Any, base: str = "") -> tuple[np.ndarray, Any, str]:
 def counted_errors(
     robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
 ) -> list[tuple[float, float | None]]:
-    """Compute position error [m] and orientation error [rad] that count at each tip at q (n,), by Pinocchio.
+    """Compute with Pinocchio the position error [m] and orientation error [rad] that count at each tip at q (n,).
 
-    T (1, 4, 4) or (1, F, 4, 4), or without the first axis, has validated targets. The orientation error is None if the
-    target leaves orientation free; the errors of a free tip are 0.
+    T (1, 4, 4) or (1, F, 4, 4), or without the first axis, has validated targets. The orientation error is None if the target
+    leaves orientation free; the errors of a free tip are 0.
     """
     if not counts_in_part(kinds, o):
         given = zip(robot.arms, robot.places, T.reshape(-1, 4, 4), kinds, strict=True)

@@ -1,6 +1,6 @@
-"""Tunable parameters of a solver: names, ranges, log scale or not, units, and the rule that a point means.
+"""Tunable parameters of a solver: names, ranges, log scale or not, units, and the solver that parameter values make.
 
-A rule that knows what to tune has a class method `space(robot, position_only, initial=None)`, see
+A solver rule that knows what to tune has a class method `space(robot, position_only, initial=None)`, see
 `study.engines.make_space`.
 """
 
@@ -16,7 +16,7 @@ from ..kernel.records import POINTS
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter to tune: its lower and upper end and initial value (of one shape), unit, and whether its scale is log."""
+    """One parameter to tune: lower and upper end and initial value (of one shape), unit, and whether it varies on a log scale."""
 
     name: str
     low: Any
@@ -31,12 +31,12 @@ class Parameter:
         return int(np.size(self.initial))
 
     def to_unit(self) -> np.ndarray:
-        """Return the initial values in [0, 1]."""
+        """Return the initial values mapped to [0, 1]."""
         low, high, value = (np.broadcast_to(x, np.shape(self.initial)).ravel() for x in self._ends(self.initial))
         return np.clip((value - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
 
     def from_unit(self, x: np.ndarray) -> Any:
-        """Return the values of a point in [0, 1]: a float, or an array shaped as `initial`."""
+        """Map a point in [0, 1] to parameter values: a float, or an array shaped as `initial`."""
         low, high, _ = self._ends(self.initial)
         value = low + (high - low) * x.reshape(np.shape(self.initial))
         value = np.exp(value) if self.log else value
@@ -50,7 +50,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Space:
-    """The parameters of a tuning search, the rule it starts from, and a function that makes a rule of parameter values.
+    """The parameters of a tuning search, the solver it starts from, and a function that makes a solver of parameter values.
 
     spread: standard deviation of the first candidates about the start, in the unit box.
     """
@@ -77,12 +77,12 @@ class Space:
         return {parameter.name: parameter.from_unit(np.asarray(x)[a:b]) for parameter, a, b in parts}
 
     def build(self, x: np.ndarray) -> Any:
-        """Return the solver rule for a point in the unit box, which has a coordinate in 0..1 for each number."""
+        """Return the solver for a point in the unit box, which has a coordinate in 0..1 for each number."""
         return self.make(self.values(x))
 
 
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, or one turn about their middle if less."""
+    """Return the lower end and width (n,) [rad, m] of the box of starts: the limits, but at most one turn about their middle."""
     n, chain = robot.n, robot.chain
     ends = np.atleast_2d(chain.ends)[0]  # the limits are the same for all tips
     low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))

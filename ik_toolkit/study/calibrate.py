@@ -62,6 +62,11 @@ def calibrate(
     require_one_tip(robot, "a calibration")
     groups = read_groups(parameters)
     data = Measurements(what, measured, places, distances)
+    for pair, far in data.pairs.items():
+        if far > 2.0 * robot.reach:
+            raise InvalidOption(
+                f"the tip touches both sockets {pair}, so they are not {far:g} m apart; were millimetres meant?"
+            )
     Q = _configurations(robot, q, len(data))
     data.require_metres(robot.reach)
     if "base" in groups and what not in ("pose", "position"):

@@ -98,7 +98,11 @@ class Measurements:
                 raise InvalidOption(
                     f"distances take two different sockets of 0 to {self.count - 1} and metres, not {pair!r:.40}: {value!r:.40}"
                 )
-            self.pairs[pair] = float(length)
+            one, two = sorted(pair)
+            if self.pairs.setdefault((one, two), float(length)) != float(length):
+                raise InvalidOption(
+                    f"sockets {one} and {two} are given two distances, {self.pairs[one, two]:g} and {length:g} m"
+                )
 
     def __len__(self) -> int:
         """Return the number of measurements."""

@@ -118,6 +118,10 @@ def reachability(
     check_progress(progress, "the number of answers tried")
     if "restarts" in options:
         raise InvalidOption("reachability chooses the number of attempts; omit restarts, and see audit=")
+    if isinstance(priority := options.get("priority"), str) and priority.strip() == "orientation":
+        raise InvalidOption(
+            "a map is about places that are reached; with priority='orientation' the position is not kept"
+        )
     grid = grid_of(robot, region, resolution, orientations)
     if grid.free:
         options.setdefault("free_turn", "z")

@@ -24,6 +24,7 @@ class GridEffort(NamedTuple):
     cells: int = 40  # cells along the longest side of a region, unless the resolution is given
 
 
+MOST_AXES = 1_000_000  # tool axes; neighbours are then 0.2 degrees apart
 EFFORT = GridEffort()
 
 
@@ -158,7 +159,10 @@ def _rotations(orientations: Any) -> tuple[np.ndarray | None, bool]:
             )
         return None, False
     if np.ndim(orientations) == 0:
-        return _spread(whole(orientations, "the number of orientations")), True
+        count = whole(orientations, "the number of orientations")
+        if count > MOST_AXES:
+            raise InvalidOption(f"at most {MOST_AXES:,} tool axes are asked for at each place, not {count:,}")
+        return _spread(count), True
     given = [getattr(one, "homogeneous", getattr(one, "T_base_tip", one)) for one in orientations]
     R = floats(given, "orientations must be rotations (K, 3, 3) or poses (K, 4, 4)", InvalidOption)
     if R.ndim != 3 or R.shape[1:] not in ((3, 3), (4, 4)) or not len(R):

@@ -1,21 +1,21 @@
-"""Every root accounted for: what the discs say, and which solutions the roots on the circle give.
+"""Find and certify all roots of the determinant: which are real, and which solutions they give.
 
-det M(q3) is a trigonometric polynomial of degree d (at most 14 here), D = sum c_k z^k, k = -d ... d, z = exp(i q3). Its values
-at 2 d + 5 angles give the c_k by a discrete Fourier transform, and two harmonics more than there are: those are nothing but
-rounding, and measure the noise of D. All 2 d roots are found by Ehrlich and Aberth's method (Aberth 1973). A real q3 is a root
-on the unit circle; the others come in pairs z, 1 / conj(z).
+det M(q3) is a trigonometric polynomial of degree d (at most 14 here), D = sum c_k z^k, k = -d ... d, z = exp(i q3). Its values at 2
+d + 5 angles give the c_k by a discrete Fourier transform, and two harmonics more than D has: those are nothing but rounding, and
+measure the noise of D. All 2 d roots are found by Ehrlich and Aberth's method (Aberth 1973). A real q3 is a root on the unit
+circle; the others come in pairs z, 1 / conj(z). Each computed root has an error disc that should hold the true one.
 
 The noise of the determinant is measured, not bounded, so this is a numerical certificate and no interval arithmetic. An answer is
 CERTAIN if every root is one of these:
 
-- complex: its disc misses the unit circle, so that it belongs to no real solution;
-- real: its disc overlaps no other and touches the circle, and Newton's method from its null vector ends at a solution whose kept
-  angle is the root;
-- one of two whose discs overlap only each other, where the 12 equations have two null vectors: two such solutions, or none.
+- complex: its error disc misses the unit circle, so that it belongs to no real solution;
+- real: its error disc overlaps no other and touches the circle, and Newton's method from its null vector ends at a solution whose
+  q3 is the root;
+- one of two whose error discs overlap only each other, where the 12 equations have two null vectors: two such solutions, or none.
 
 It is CERTAIN as well if there are as many solutions as roots (`answer.all_counted`).
 
-Whatever else happens, the answer is DOUBLE, if roots merge in a solution where the arm is singular, or UNSURE.
+Otherwise it is DOUBLE, if roots merge in a solution where the arm is singular, or UNSURE.
 """
 
 # Pyright must ignore what numba's type hints lack.
@@ -34,13 +34,13 @@ from .terms import CERTAIN, DOUBLE, SIZES, STATE, TRUST, UNSURE
 # ---------------------------------------------------------------------------------------------------------------------- roots
 @compiled
 class Roots(NamedTuple):
-    """The polynomial, its roots and their discs."""
+    """The polynomial, its roots and their error discs."""
 
     values: Array  # (K,) values of the determinant
     c: Array  # (2 d + 1,) complex coefficients of z^0 ... z^2d, the largest 1 in size
     z: Array  # (2 d,) complex roots
-    radius: Array  # (2 d,) radii of their discs
-    state: Array  # (2 d,) see `terms.RootState`
+    radius: Array  # (2 d,) radii of the error discs around the computed roots
+    state: Array  # (2 d,) complex, real or undecided, see `terms.RootState`
 
 
 @inline
@@ -51,16 +51,16 @@ def size(z):
 
 @inline
 def over(z):
-    """Return 1 / z, without the care for huge numbers that costs numba's own division most of its time."""
+    """Return 1 / z, without the guard against overflow that makes numba's own division slow."""
     share = 1.0 / size(z)
     return complex(z.real * share, -z.imag * share)
 
 
 @inner
 def fit_polynomial(values, degree, tables, c):
-    """Write the coefficients c (2 degree + 1,) of the polynomial with these values (K,), the largest 1 in size.
+    """Write the coefficients c (2 degree + 1,) of the polynomial with these values (K,), scaled so that the largest is 1 in size.
 
-    tables: rows 0, 1 are cos, sin of 2 pi k / K. Returns the noise of a coefficient beside the largest, or inf if all are 0.
+    tables: rows 0, 1 are cos, sin of 2 pi k / K. Returns the noise of a coefficient relative to the largest, or inf if all are 0.
     """
     count = 2 * degree + 5
     noise, largest = 0.0, 0.0
@@ -81,12 +81,15 @@ def fit_polynomial(values, degree, tables, c):
     share = 1.0 / largest
     for k in range(2 * degree + 1):
         c[k] = c[k] * share
-    return 2.0 * noise * share + 2e-16  # twice the larger of two, and the rounding of the division
+    return 2.0 * noise * share + 2e-16  # twice the larger surplus harmonic, and the rounding of the division
 
 
 @inner
 def slope(c, n, z):
-    """Return P'(z) / P(z) of P = sum c_k z^k (k = 0 ... n), and whether P(z) is not 0; outside the circle by powers of 1 / z."""
+    """Return P'(z) / P(z) of P = sum c_k z^k (k = 0 ... n), and whether P(z) is not 0.
+
+    Outside the unit circle the polynomial is evaluated in powers of 1 / z.
+    """
     inside = size(z) <= 1.0
     x = z if inside else over(z)
     value, rate = (c[n] if inside else c[0]), complex(0.0, 0.0)
@@ -101,7 +104,7 @@ def slope(c, n, z):
 
 @inner
 def find_roots(r, n):
-    """Write the n roots of the polynomial r.c to r.z: Newton's step for each, divided out the other roots, in turn."""
+    """Write the n roots of the polynomial r.c to r.z, by Ehrlich and Aberth's method: Newton steps that repel the other roots."""
     for i in range(n):
         angle, length = 2.0 * math.pi * (i + 0.37) / n, 1.25 if i % 2 == 0 else 0.8
         r.z[i] = complex(length * math.cos(angle), length * math.sin(angle))
@@ -134,7 +137,7 @@ def find_roots(r, n):
 
 @inner
 def find_discs(r, n, noise):
-    """Write the radii of discs around the roots r.z, of which those that overlap no other hold one root each."""
+    """Write the radii of error discs around the roots r.z; a disc that overlaps no other holds exactly one true root."""
     last = math.sqrt(size(r.c[n]))
     for i in range(n):
         z, value, weight = r.z[i], r.c[n], 1.0
@@ -152,7 +155,7 @@ def find_discs(r, n, noise):
 # -------------------------------------------------------------------------------------------------------------------- account
 @inner
 def set_up(d):
-    """Write the equations of the form at work and the values of its determinant; return the pose and the rank."""
+    """Write the equations for the ordering d.form of the loop and the determinant's values; return the loop's pose and the rank."""
     pose = reorder(d.loop.axes, d.loop.X, d.form[0] > 0.0, int(d.form[1]), d.e.lines)
     write_left(d.e.lines, d.e.robot)
     write_right(d.e.lines, pose, d.e.target)
@@ -164,7 +167,7 @@ def set_up(d):
 
 @inner
 def near(d, i, n):
-    """Return the root whose disc overlaps that of root i (the last one), or -1, and how many do."""
+    """Return the last root whose error disc overlaps that of root i (or -1), and the number of such roots."""
     r, other, count = d.r, -1, 0
     for j in range(n):
         if j != i and math.sqrt(size(r.z[i] - r.z[j])) <= TRUST.apart * (r.radius[i] + r.radius[j]):
@@ -174,21 +177,21 @@ def near(d, i, n):
 
 @inner
 def off_circle(z):
-    """Return how far a root is from the unit circle; one outside it by that of its partner 1 / conj(z)."""
+    """Return the distance of a root from the unit circle; for a root outside it, that of its partner 1 / conj(z)."""
     length = math.sqrt(size(z))
     return 1.0 - (length if length <= 1.0 else 1.0 / length)
 
 
 @inner
 def is_complex(z, radius):
-    """Return whether a root's disc misses the unit circle clearly."""
+    """Return whether a root's error disc clearly misses the unit circle."""
     gap = off_circle(z)
     return gap > (TRUST.clear if gap > TRUST.band else TRUST.clearer) * radius / max(1.0, size(z))
 
 
 @inner
 def to_joints(d):
-    """Write null.t, the angles at the places of the reordered loop, to the joints d.loop.q; read backwards, they change sign."""
+    """Write the angles null.t of the reordered loop to the joints d.loop.q; they change sign if the loop is reversed."""
     backwards, shift = d.form[0] > 0.0, int(d.form[1])
     for place in range(6):
         t = d.null.t[place]
@@ -197,7 +200,7 @@ def to_joints(d):
 
 @inner
 def settle_root(d, root, radius):
-    """Bring null.t, angles of the reordered loop, to a solution: write d.loop.q, and return whether it belongs to the root."""
+    """Refine the angles null.t of the reordered loop to a solution d.loop.q; return whether its q3 agrees with the root."""
     backwards, shift, q = d.form[0] > 0.0, int(d.form[1]), d.loop.q
     to_joints(d)
     if not close(d.loop, TRUST.steps, TRUST.longest, TRUST.still) < TRUST.closed:
@@ -211,13 +214,16 @@ def settle_root(d, root, radius):
 
 @inner
 def tolerance(gain):
-    """Return how far equal solutions may differ [rad]: at singular poses rounding of 1e-11 moves joints by that over the gain."""
+    """Return how far two copies of one solution may differ [rad].
+
+    Rounding of 1e-11 moves the joints by 1e-11 over the gain (about the smallest singular value), which is large at singular poses.
+    """
     return TRUST.same if gain > 1e-4 else max(TRUST.same, min(1e-3, 1e-11 / max(gain, 1e-300)))
 
 
 @inner
 def put_solution(found, q, gain, root):
-    """Add a solution q (6,) to an answer `found`; return its row if it was there already, or 0 if it is new."""
+    """Add a solution q (6,) to the array `found`; return the row of an equal solution that is there already, or 0 if it is new."""
     count = int(found[0, 0])
     for k in range(1, count + 1):
         largest = 0.0
@@ -235,7 +241,10 @@ def put_solution(found, q, gain, root):
 
 @inner
 def take_pair(d, pose, rank, i, j):
-    """Account for two roots whose discs overlap only each other, where symmetric arms have two solutions of one kept angle."""
+    """Treat two roots whose error discs overlap only each other: symmetric arms have two solutions with one value of q3.
+
+    Both roots are marked real and their solutions added if there are two, or marked complex if there are none.
+    """
     r, null, found = d.r, d.null, d.found
     middle = 0.5 * (r.z[i] + r.z[j])
     radius = max(r.radius[i], r.radius[j])
@@ -263,10 +272,10 @@ def take_pair(d, pose, rank, i, j):
 
 @inner
 def take_root(d, pose, rank, i, lone):
-    """Account for a root on or near the circle; return the status that this allows."""
+    """Find the solution of a root on or near the unit circle; return the highest status that the answer may have after it."""
     z, radius = d.r.z[i], d.r.radius[i]
     gap = off_circle(z)
-    # A lone root is its own partner 1 / conj(z), which its disc then holds too.
+    # A root whose error disc overlaps no other is its own partner 1 / conj(z), so the disc must reach the circle.
     if not (gap <= radius + 1e-13 if lone else gap < 1e-3):
         return UNSURE
     root = math.atan2(z.imag, z.real)
@@ -284,7 +293,7 @@ def take_root(d, pose, rank, i, lone):
 
 @inner
 def account_for(d):
-    """Answer the target at work with one form: write d.found; return the pose and the rank of `set_up`."""
+    """Solve for one target with one ordering of the loop: write d.found; return the pose and the rank of `set_up`."""
     found, r, n = d.found, d.r, 2 * int(d.form[3])
     for k in range(SIZES.columns):
         found[0, k] = 0.0

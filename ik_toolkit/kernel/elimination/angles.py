@@ -1,4 +1,7 @@
-"""Joint values from a root of the determinant: its null vector is the monomials, and their ratios are the joints' half angles."""
+"""Joint values from a root of the determinant.
+
+The null vector holds monomials of the tangents of half the joint angles; ratios of its entries give the angles.
+"""
 
 # Pyright must ignore what numba's type hints lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -17,13 +20,13 @@ from .terms import SIZES, TRUST
 class Null(NamedTuple):
     """Scratch for null vectors of the 12 equations."""
 
-    M: Array  # (12, 12)
+    M: Array  # (12, 12) the matrix of the 12 equations at one q3
     V: Array  # (12, 12) right singular vectors, one a column
-    swaps: Array  # (12,)
+    swaps: Array  # (12,) rows that the factorisation exchanged
     x: Array  # (12,) a null vector
-    pair: Array  # (2, 12) two null vectors that are monomials
-    monomials: Array  # (14,) and, in turn, numbers of a line
-    t: Array  # (6,) angles at the places of the reordered loop
+    pair: Array  # (2, 12) two null vectors that are vectors of monomials
+    monomials: Array  # (14,) the monomials; later the 14 numbers of a line (see equations.py)
+    t: Array  # (6,) joint angles in the order of the reordered loop
 
 
 @inner
@@ -59,9 +62,9 @@ def find_null(W, q, null):
 
 @inner
 def find_two_nulls(W, q, null):
-    """Write the two weakest directions of the 12 equations at q3 = q to rows of null.pair.
+    """Write the two singular vectors with the smallest singular values of the 12 equations at q3 = q to the rows of null.pair.
 
-    Returns the second and third smallest singular values as shares of the largest. (Hestenes' method: all of them, exactly.)
+    Returns the second and third smallest singular values as shares of the largest. All are computed, by Hestenes' method.
     """
     write_matrix(W, q, null.M)
     make_orthogonal(null.M, null.V, SIZES.monomials)
@@ -90,12 +93,12 @@ def find_two_nulls(W, q, null):
 
 @inner
 def split_pair(null):
-    """Turn null.pair (2, 12) into two vectors of the same span that are monomials; return how many are real (2, 1 unclear, 0).
+    """Turn null.pair (2, 12) into two vectors of the same span that are vectors of monomials.
 
-    Such a vector y has parts with hi(y) = x lo(y), for x4 (parts three apart) and for x5 (one apart). So the two are the
-    eigenvectors of the 2 x 2 matrix that takes lo to hi by least squares. Both matrices have the same, so they are added, with a
-    factor between them that is no special number. The parts are turned by 0.7 rad into each other first, so that x = infinity
-    is no exception.
+    Returns 2 if both are real, 0 if both are complex, 1 if that is unclear. A vector y of monomials has parts with hi(y) = x lo(y),
+    for x4 (entries three apart) and for x5 (one apart). So the two are the eigenvectors of the 2 x 2 matrix that takes lo to hi by
+    least squares. The matrices of x4 and x5 have the same eigenvectors, so they are added, with an arbitrary factor between them.
+    The parts lo and hi are first turned by 0.7 rad into each other, so that x = infinity is no special case.
     """
     P, cs, sn = null.pair, math.cos(0.7), math.sin(0.7)
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
@@ -136,7 +139,7 @@ def split_pair(null):
 
 @inline
 def eigenvector(a, b, c, d, value):
-    """Return an eigenvector of [[a, b], [c, d]]; the longer of the two formulas, because the other may vanish."""
+    """Return an eigenvector of [[a, b], [c, d]] for an eigenvalue; of two formulas the longer result, as the other may vanish."""
     first = b * b + (value - a) * (value - a) >= (value - d) * (value - d) + c * c
     return (b, value - a) if first else (value - d, c)
 
@@ -145,8 +148,8 @@ def eigenvector(a, b, c, d, value):
 def find_angles(e, rank, pose, q, x, null):
     """Write the angles null.t (6,) of the reordered loop at q3 = q for the null vector x (12,).
 
-    Joints 4 and 5 are ratios of monomials, which are projective: half a turn is no exception. Joints 1 and 2 are the 8 monomials
-    that solve R y = Q' (robot - target[0]); joint 6 is what is left of the loop.
+    Joints 4 and 5 follow from ratios of monomials, also at pi, where the tangent is infinite. Joints 1 and 2 follow from monomials
+    y that solve R y = Q' (robot - target[0]); joint 6 closes the loop.
     """
     at = 0
     for k in range(SIZES.monomials):
@@ -189,16 +192,16 @@ def find_angles(e, rank, pose, q, x, null):
 
 @inline
 def factor_of(k, q):
-    """Return 1, cos q, sin q for k = 0, 1, 2."""
+    """Return 1, cos q or sin q for k = 0, 1 or 2."""
     return 1.0 if k == 0 else math.cos(q) if k == 1 else math.sin(q)
 
 
 @inner
 def last_angle(lines, pose, t):
-    """Return the angle of joint 6 that is left when the others of the loop are at t (6,)."""
+    """Return the angle of joint 6 that closes the loop when joints 1 to 5 are at t[0] ... t[4]."""
     last = line_of(lines, 5)
     away = any_normal(last.along)
-    goal = Line(pose.axes.times(away), pose.axes.times(last.along))  # `turned` turns the first; the second is not used
+    goal = Line(pose.axes.times(away), pose.axes.times(last.along))  # `turned` turns `along`; the point is not used
     for k in range(5):
         goal = turned(goal, line_of(lines, k), math.cos(t[k]), -math.sin(t[k]))
     return math.atan2(last.along.dot(away.cross(goal.along)), away.dot(goal.along))

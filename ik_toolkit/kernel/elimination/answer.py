@@ -1,4 +1,4 @@
-"""Every solution of one pose after another: the forms of a robot are asked in turn until one is certain."""
+"""Every solution of each target pose: the orderings of a robot's loop are tried in turn until one answer is certain."""
 
 # Pyright must ignore what numba's type hints lack.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
@@ -21,7 +21,7 @@ from .terms import CERTAIN, DOUBT, SIZES, STATE, TRUST, UNSURE
 
 @inner
 def merge_into(one, whole):
-    """Add the solutions of one form to the answer `whole` (SIZES.rows, SIZES.columns); return whether it lists no others."""
+    """Add one ordering's solutions to the array `whole`, both (SIZES.rows, SIZES.columns); return if `whole` has no others."""
     for k in range(1, int(one[0, 0]) + 1):
         if put_solution(whole, one[k], one[k, 6], one[k, 7]) == 0:
             whole[int(whole[0, 0]), 8] = one[k, 8]
@@ -30,24 +30,24 @@ def merge_into(one, whole):
 
 @compiled
 class Work(NamedTuple):
-    """All that is used to answer one target with one form."""
+    """All arrays used to solve for one target with one ordering of the loop."""
 
-    target: Array  # (12,) motion to the target
+    target: Array  # (12,) rigid motion from the tip's pose at q = 0 to the target
     loop: JointLoop
     e: LoopEquations
     r: Roots
     null: Null
     A: Array  # (6, 9) scratch
     N: Array  # (9, 9) scratch
-    form: Array  # (SIZES.form,)
-    tables: Array  # (2, SIZES.samples)
-    mix: Array  # (6, 14)
-    found: Array  # (SIZES.rows, SIZES.columns) the solutions of this form, as in an answer
+    form: Array  # (SIZES.form,) the ordering, see `terms.Form`
+    tables: Array  # (2, SIZES.samples) cos and sin of the angles at which the determinant is evaluated
+    mix: Array  # (6, 14) fixed numbers that combine more than 6 equations to 6
+    found: Array  # (SIZES.rows, SIZES.columns) the solutions of this ordering, see `solve_loops`
 
 
 @build
 def make_work(block, axes):
-    """Cut all arrays from a block of memory."""
+    """Make the Work arrays from a block of memory."""
     block[0] = 0.0
     target, X, J, back, error, q = cut(block, np.float64, (12, 12, (6, 6), (6, 6), 6, 6))
     lines, left, right, V, scales = cut(block, np.float64, ((6, 6), (27, 14), (9, 14), (8, 14), 8))
@@ -67,7 +67,7 @@ def make_work(block, axes):
 
 @inner
 def load(d, form):
-    """Copy a row of numbers to its places: the Form, its tables, and the numbers that combine equations."""
+    """Copy one ordering of the loop, a row of `forms` of `solve_loops`, to d.form, d.tables and d.mix."""
     for k in range(SIZES.form):
         d.form[k] = form[k]
     for i in range(2):
@@ -80,7 +80,7 @@ def load(d, form):
 
 @inline
 def sharpened(R):
-    """Return an almost orthonormal matrix made so to second order: R (3 - R'R) / 2 (Newton's method for the polar factor)."""
+    """Return an almost orthonormal matrix with its error squared: R (3 - R'R) / 2 (Newton's method for the polar factor)."""
     a, b, c = R.x.dot(R.y), R.x.dot(R.z), R.y.dot(R.z)
     x = R.x * (1.5 - 0.5 * R.x.square()) - (R.y * a + R.z * b) * 0.5
     y = R.y * (1.5 - 0.5 * R.y.square()) - (R.x * a + R.z * c) * 0.5
@@ -89,9 +89,9 @@ def sharpened(R):
 
 @inner
 def motion_to(T, arm, X):
-    """Write the motion X (12,) that takes the tip from its pose at q = 0 to T (4, 4); arm: see `solve_loops`."""
+    """Write the motion X (12,) that takes the tip from its pose at q = 0 to T (4, 4); arm (52,): as for `solve_loops`."""
     R = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
-    # A target's axes may be off by 1e-6, which no joint values can meet to 1e-11.
+    # A target's axes may be off by 1e-6, but solutions must close the loop to 1e-11.
     R = sharpened(sharpened(R))
     point = (V3(T[0, 3], T[1, 3], T[2, 3]) - at3(arm, 48)) * (1.0 / arm[51])
     home = Pose(rotation_at(arm, 36), at3(arm, 45))
@@ -103,7 +103,7 @@ def motion_to(T, arm, X):
 
 @inner
 def use_form(d):
-    """Answer the target at work with the form at work, a decomposition if its degree is 0; return what `account_for` does."""
+    """Solve for the target in d, by elimination or (if the degree is 0) by decomposition; return the pose and the rank."""
     if d.form[3] == 0.0:
         decompose(d, d.form[4], False)
         return pose_of(d.loop.X), 0
@@ -112,8 +112,8 @@ def use_form(d):
 
 @inner
 def nudge(d, angle):
-    """Write to d.loop.X the target, turned by a small angle [rad] and moved by as much of the arm."""
-    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # a unit vector that is no special one
+    """Write to d.loop.X the target turned by a small angle [rad] and moved by a similar share of the arm's size."""
+    pose, axis = pose_of(d.target), V3(0.48, -0.6, 0.64)  # an arbitrary unit vector
     R, c, s = pose.axes, math.cos(angle), math.sin(angle)
     turn = M3(rotated(R.x, axis, c, s), rotated(R.y, axis, c, s), rotated(R.z, axis, c, s))
     put_axes(d.loop.X, 0, turn)
@@ -122,11 +122,11 @@ def nudge(d, angle):
 
 @inner
 def look_around(d, forms, whole):
-    """Add to an answer that is not certain the solutions of poses a little away, brought back by Newton's method.
+    """Add to an uncertain answer the solutions of slightly displaced poses, brought back to the target by Newton's method.
 
-    Where roots coincide, those of another pose do not. Nothing is certified by this.
+    Where roots coincide, those of another pose do not. This certifies nothing.
     """
-    for k in range(8):  # four poses, with either of the two best forms
+    for k in range(8):  # four poses, with each of the two best orderings
         f = k // 4
         if f < forms.shape[0]:
             load(d, forms[f])
@@ -146,8 +146,8 @@ def look_around(d, forms, whole):
 def all_counted(whole, roots):
     """Return whether an answer has as many solutions as a polynomial has roots, so that there can be no others.
 
-    Every isolated solution takes a root, also where roots are too close to be told apart. Solutions that are nearly singular might
-    be one solution twice, so they do not count.
+    Each isolated solution belongs to a root of its own, even where roots are too close to be told apart. If a solution is nearly
+    singular, the result is False, because two entries might be one solution.
     """
     for k in range(1, int(whole[0, 0]) + 1):
         if whole[k, 6] < TRUST.singular:
@@ -157,10 +157,10 @@ def all_counted(whole, roots):
 
 @inner
 def list_near(d, pose, rank, within, whole):
-    """Write configurations after the solutions of a certain answer: one for each complex root near the circle, or merged branch.
+    """Append approximate solutions to a certain answer: one for each complex root near the unit circle, or for each merged branch.
 
-    Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the
-    angles that belong to the root moved onto the circle. Of two roots in one place nothing is written, but note -1.
+    Where two solutions have just become complex, a real pose may still be within a tolerance of the target. It is near the angles
+    that belong to the root moved onto the circle. If two such roots coincide, the list ends and whole[0, 7] is -1.
     """
     n, at = 2 * int(d.form[3]), int(whole[0, 0])
     if n == 0:
@@ -178,7 +178,7 @@ def list_near(d, pose, rank, within, whole):
             whole[0, 7] = -1.0
             return
         if size(z) > 1.0:
-            continue  # Its partner is listed.
+            continue  # Its partner 1 / conj(z) is listed instead.
         root = math.atan2(z.imag, z.real)
         find_null(d.e.W, root, d.null)
         find_angles(d.e, rank, pose, root, d.null.x, d.null)
@@ -193,17 +193,19 @@ def list_near(d, pose, rank, within, whole):
 def solve_loops(forms, arm, T, found, values, within):
     """List every solution of N targets, E1(q1) ... E6(q6) = X.
 
-    The forms are asked in turn until one is certain, or until roots merge (DOUBLE). Solutions of the others stay listed; if they
-    have one that the certain form lacks, it is not believed. An answer is certain, too, if its solutions are as many as roots.
+    The orderings of the loop are tried in turn until one is certain, or until roots merge (DOUBLE). Solutions found with the
+    earlier ones stay listed; if they include one that the certain ordering lacks, its certificate is rejected. An answer is
+    certain, too, if it has as many solutions as the determinant has roots.
 
     Args:
-        forms: (F, SIZES.whole) ways to read the loop, best first.
-        arm: (52,) the lines of the joints at q = 0 (6, 6), each its direction and a point; the tip's pose there, its rotation
-            matrix by rows and its point; all points counted from the arm's centre in its sizes. Then centre (3,) and size [m].
+        forms: (F, SIZES.whole) orderings of the loop, best first: a `Form` or a `decomposition.Split`, with its tables.
+        arm: (52,) the axes of the joints at q = 0 (6, 6), each its direction and a point; the tip's pose there, its rotation matrix
+            by rows and its point; then the arm's centre (3,) and size [m]. Points are measured from the centre, over the size.
         T: (N, 4, 4) targets [m].
-        found: (N, SIZES.rows, SIZES.columns) answers: `Notes`, then the solutions with q in [-pi, pi).
-        within: complex roots that are this near the unit circle are listed too, see `list_near`; 0: none.
-        values: (N, SIZES.samples) if only the first form's determinant is asked for, or (0, SIZES.samples).
+        found: (N, SIZES.rows, SIZES.columns) answers: a row of `Notes`, then one row per solution with q in [-pi, pi).
+        values: (N, SIZES.samples) receives the determinant of the first ordering, and nothing else is done; (0, SIZES.samples):
+            not.
+        within: complex roots this near the unit circle give approximate solutions, see `list_near`; 0: none.
     """
     block = np.empty(SIZES.block)
     for t in range(T.shape[0]):

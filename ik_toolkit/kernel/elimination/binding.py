@@ -1,9 +1,9 @@
-"""Which ways to read the loop of a robot suit it, found by trying all twelve of them on random poses.
+"""Choose the orderings of a robot's loop for the elimination, by trying all twelve of them on random poses.
 
-The loop can be read forwards or backwards and begun at any joint. A reading is good if the angle that is kept tells the solutions
-apart: with a spherical wrist, joints 1 to 3 have the same values in the two solutions of the wrist, so one of the others must be
-kept. This is not decided by geometry but by asking each reading for the solutions of the same poses, and seeing how many it
-finds and certifies. An arm whose geometry splits into subproblems is decomposed first.
+The loop equation can be reversed or not, and begun at any of six joints. An ordering is good if its remaining unknown q3 tells the
+solutions apart: with a spherical wrist, joints 1 to 3 have the same values in the two solutions of the wrist, so the unknown must
+be another joint. This is not decided by geometry but by solving for the same poses with each ordering, and counting how many
+solutions it finds and certifies. An arm whose geometry splits into subproblems is decomposed first.
 """
 
 from typing import NamedTuple
@@ -16,12 +16,12 @@ from .terms import CERTAIN, SIZES, Form
 
 
 class ReadingChoice(NamedTuple):
-    """Constants of the choice, found on 60 arms and 33 kinds of structures."""
+    """Constants of the choice of orderings, found on 60 arms and 33 kinds of structures."""
 
-    poses: int = 12  # number of random poses on which readings are compared
-    kept: int = 4  # number of readings that are kept
-    share: float = 0.6  # a reading is kept if it finds most solutions at this share of the poses
-    tone: float = 1e-12  # a harmonic below this share of the largest is rounding; true ones of 1e-10 occur
+    poses: int = 12  # number of random poses on which orderings are compared
+    kept: int = 4  # number of orderings that are kept
+    share: float = 0.6  # an ordering is kept if it finds most solutions at this share of the poses
+    tone: float = 1e-12  # a harmonic below this share of the largest is taken for rounding; true ones of 1e-10 occur
     seed: int = 0
 
 
@@ -29,20 +29,20 @@ CHOICE = ReadingChoice()
 
 
 class Reading(NamedTuple):
-    """A way to read the loop with how well it did."""
+    """One ordering of the loop (reversed or not, first joint), and how well it did."""
 
     row: np.ndarray  # (SIZES.whole,) as `answer.solve_loops` takes it
     real: np.ndarray  # number of real solutions at each pose
     certain: int  # number of poses with a certificate
-    pairs: bool  # whether two solutions had one kept angle
-    radius: float  # usual radius of the largest disc
+    pairs: bool  # whether two solutions had the same value of the remaining unknown q3
+    radius: float  # median over the poses of the largest error disc's radius
 
 
 def make_arm(axes: np.ndarray, points: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Return the numbers (52,) of an arm, see `answer.solve_loops`.
+    """Return the geometry of an arm as one array (52,), see `answer.solve_loops`.
 
-    axes, points: (6, 3) directions and points [m] of the joints at q = 0; T (4, 4): the tip's pose there. The centre is the point
-    nearest all lines, the size the largest distance of a line from it.
+    axes, points: (6, 3) directions and points [m] of the joints at q = 0; T (4, 4): the tip's pose there. The arm's centre is the
+    point nearest to all axes, its size the largest distance of an axis from there.
     """
     centre = nearest_point(np.hstack([axes, points]))
     near = points + axes * ((centre - points) * axes).sum(axis=1, keepdims=True) - centre
@@ -65,14 +65,14 @@ def arm_tip(arm: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def answers(forms: np.ndarray, arm: np.ndarray, T: np.ndarray, within: float = 0.0) -> np.ndarray:
-    """Return the answers (N, SIZES.rows, SIZES.columns) of `answer.solve_loops` for targets T (N, 4, 4)."""
+    """Return the array (N, SIZES.rows, SIZES.columns) that `answer.solve_loops` writes for targets T (N, 4, 4)."""
     found = np.zeros((len(T), SIZES.rows, SIZES.columns))
     solve_loops(forms, arm, T, found, np.empty((0, SIZES.samples)), within)
     return found
 
 
 def make_forms(arm: np.ndarray) -> np.ndarray:
-    """Return the readings (F, SIZES.whole) that suit an arm (52,), best first; none if none has isolated solutions."""
+    """Return the orderings of the loop (F, SIZES.whole) that suit an arm (52,), best first; none if no ordering works."""
     rng = np.random.default_rng(CHOICE.seed)
     T = np.array([arm_tip(arm, q) for q in rng.uniform(-np.pi, np.pi, (CHOICE.poses, 6))])
     mix = np.linalg.qr(rng.normal(size=(14, 14)))[0][:6].ravel()
@@ -84,7 +84,7 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
     most = np.max([reading.real for reading in tried], axis=0)
 
     def rank(one: Reading) -> tuple:
-        """Order readings: those with all solutions, kept angles that tell them apart, certificates, small discs."""
+        """Sort key of an ordering: all solutions found, q3 tells them apart, certificates, small error discs."""
         accuracy = round(np.log10(min(one.radius, 1e9) + 1e-16)) + one.row[Form._fields.index("degree")] / 8.0
         return -(one.real == most).sum(), one.pairs, -one.certain, accuracy
 
@@ -94,13 +94,13 @@ def make_forms(arm: np.ndarray) -> np.ndarray:
 
 
 def _sure(split: np.ndarray, arm: np.ndarray, T: np.ndarray) -> int:
-    """Return for how many poses a decomposition has solutions and is sure of them."""
+    """Return at how many poses a decomposition finds solutions and certifies them."""
     notes = answers(split[None], arm, T)[:, 0]
     return int(((notes[:, 0] > 0) & (notes[:, 1] == CERTAIN)).sum())
 
 
 def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift: int) -> Reading | None:
-    """Return a reading with what it finds at the poses T, or None if its determinant is 0 for all angles or too high in degree."""
+    """Return an ordering with its results at the poses T, or None if its determinant vanishes or has too high a degree."""
     plain = _row(Form(backwards, shift, 0, SIZES.degree, 0.0), mix)
     found, values = np.zeros((len(T), SIZES.rows, SIZES.columns)), np.empty((len(T), SIZES.samples))
     solve_loops(plain[None], arm, T, found, values, 0.0)
@@ -119,7 +119,7 @@ def _try(arm: np.ndarray, T: np.ndarray, mix: np.ndarray, backwards: int, shift:
 
 
 def _row(form: Form, mix: np.ndarray) -> np.ndarray:
-    """Return the numbers of a form, with its tables."""
+    """Return an ordering and its tables as one row (SIZES.whole,)."""
     count = 2 * int(form.degree) + 5
     turns, tables = 2 * np.pi * np.arange(count) / count, np.zeros((2, SIZES.samples))
     tables[:, :count] = np.cos(turns), np.sin(turns)

@@ -1,8 +1,8 @@
-"""A closed loop of six turning joints, E1(q1) ... E6(q6) = X, given by six lines and the pose X.
+"""A closed loop of six revolute joints, E1(q1) ... E6(q6) = X, given by six axes and the pose X.
 
-A line is six numbers, its unit direction and one of its points, at q = 0. E(q) turns space about it by q. X (12,), the motion from
-the tip's pose at q = 0 to the target, is a rotation matrix by rows and a vector. Lengths are divided by the size of the arm and
-counted from its centre.
+An axis is six numbers, its unit direction and one of its points, at q = 0. E(q) turns space about it by q. X (12,), the motion from
+the tip's pose at q = 0 to the target, is a rotation matrix by rows and a vector. Lengths are divided by the size of the arm; points
+are measured from its centre.
 """
 
 # Pyright must ignore what numba's type hints lack.
@@ -28,14 +28,14 @@ class Line(NamedTuple):
 
 @compiled
 class JointLoop(NamedTuple):
-    """The loop as the arm has it, and what Newton's method needs."""
+    """The loop in the arm's own joint order, and the arrays of Newton's method."""
 
-    axes: Array  # (6, 6) the lines, joint by joint
+    axes: Array  # (6, 6) the joints' axes at q = 0, one a row
     X: Array  # (12,) rotation matrix by rows, and vector
     J: Array  # (6, 6) the joints' twists, one a column: linear, then angular
-    B: Array  # (6, 6) its inverse, but for the order of columns
+    B: Array  # (6, 6) the inverse of J, with its columns permuted
     swaps: Array  # (12,) rows that the factorisation exchanged
-    error: Array  # (6,) the twist that is left
+    error: Array  # (6,) error twist: how far the loop is from closed
     q: Array  # (6,) joint values
 
 
@@ -80,7 +80,7 @@ def inverse(pose):
 
 @shared
 def joint_at(place, backwards, shift):
-    """Return which joint stands at a place of the reordered loop."""
+    """Return which joint is at position `place` of the reordered loop."""
     k = place + shift
     if k >= 6:
         k -= 6
@@ -89,20 +89,20 @@ def joint_at(place, backwards, shift):
 
 @inline
 def wrapped(angle):
-    """Return the angle moved by full turns into [-pi, pi)."""
+    """Return the angle modulo 2 pi, in [-pi, pi)."""
     return angle - TAU * math.floor((angle + math.pi) / TAU)
 
 
 @inner
 def reorder(axes, X, backwards, shift, lines):
-    """Write the lines (6, 6) of the same loop begun at another joint, and return its pose.
+    """Write the axes `lines` (6, 6) of the same loop begun at another joint or reversed, and return its pose.
 
-    Read backwards, E1(q1) ... E6(q6) = X is E6(-q6) ... E1(-q1) = X^-1. Begun m joints later it is
+    Reversed, E1(q1) ... E6(q6) = X is E6(-q6) ... E1(-q1) = X^-1. Begun m joints later it is
 
         E(m+1) ... E6 E1' ... Em' = X,  Ei' = X^-1 Ei X,
 
-    that is, the axes of the joints that pass to the end are moved by X^-1. For m = 4 and 5 all is moved by X instead, so that
-    the axes at places 3 to 5, the robot's side of the equations, stay where they are.
+    that is, the axes of the joints that pass to the end are moved by X^-1. For m = 4 and 5 all axes are also moved by X, so that
+    the axes at positions 3 to 5, the robot's side of the equations, do not depend on the target.
     """
     pose = pose_of(X)
     if backwards:
@@ -122,7 +122,7 @@ def reorder(axes, X, backwards, shift, lines):
 
 @inner
 def measure_loop(loop, q):
-    """Write twists and error of the loop at q (6,), and return the error's size, the largest of its components.
+    """Write twists and error of the loop at q (6,), and return the largest component of the error.
 
     With G = E1 ... E6, the error is the motion X G^-1 to first order, a vector and the sine of the angle times the axis.
     """
@@ -151,7 +151,7 @@ def measure_loop(loop, q):
 
 @inner
 def close(loop, most, longest, still):
-    """Improve loop.q (6,) by Newton's method, and return the error that is left.
+    """Improve loop.q (6,) by Newton's method, and return the largest component of the error that is left.
 
     No step moves a joint by more than `longest` [rad]. The steps end at the first that moves all joints by less than `still` [rad],
     after `most` at the latest.
@@ -174,7 +174,7 @@ def close(loop, most, longest, still):
 
 @inner
 def least_gain(loop):
-    """Return 1 / |J^-1| (Frobenius norm) of the twists just written, at most the least singular value of J, at least 0.4 of it."""
+    """Return 1 / |J^-1| (Frobenius norm), which is 0.4 to 1 times the least singular value of the Jacobian loop.J."""
     J, B, total = loop.J, loop.B, 0.0
     lu_factor(J, loop.swaps, 6, TRUST.faint)
     for i in range(6):  # B = L^-1; the exchanges of rows do not change its norm

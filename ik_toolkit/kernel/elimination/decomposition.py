@@ -1,13 +1,13 @@
 """Arms whose geometry splits into subproblems, so that all their solutions are branches of at most three square roots.
 
-- A wrist: the last three axes meet. Joints 1 to 3 place the point where they do, and it has solutions by two square roots if axes
-  2 and 3, or 1 and 2, are parallel or meet (Pieper 1968). Joints 4 to 6 turn what is left.
-- Three parallel axes, 2 to 4, and axes 5 and 6 meet: the point where they do has its height along the three by joint 1 alone, the
-  direction of the three then gives joints 5 and 6, and joints 2 to 4 are a planar arm.
+- A wrist: the last three axes meet. Joints 1 to 3 place the point where they do, and it has solutions by two square roots if axes 2
+  and 3, or 1 and 2, are parallel or meet (Pieper 1968). Joints 4 to 6 give the orientation.
+- Three parallel axes, 2 to 4, and axes 5 and 6 meet: joint 1 alone sets how high the point where axes 5 and 6 meet is along the
+  three parallel axes; their direction then gives joints 5 and 6, and joints 2 to 4 are a planar arm.
 
-"First" and "last" are those of the reordered loop (`closure.reorder`), so that a wrist may be at the base, or in the middle.
-An arm that almost fits is decomposed as if it did, and each branch is brought to the actual chain. How far it is off counts as an
-error of every number. Where that error could make a branch appear or vanish, the answer is UNSURE and the elimination is asked.
+"First" and "last" are those of the reordered loop (`closure.reorder`), so that a wrist may be at the base, or in the middle. An arm
+that almost fits is decomposed as if it did, and each branch is refined on the actual arm. The misfit counts as an error of every
+number. Where that error could make a branch appear or vanish, the answer is UNSURE, and the elimination is used.
 """
 
 # Pyright must ignore what numba's type hints lack.
@@ -39,18 +39,19 @@ from .terms import CERTAIN, DOUBT, FAMILY, SIZES, TRUST, UNSURE
 
 
 class Split(NamedTuple):
-    """A way to decompose an arm; the first numbers of its row, which has the places of a `terms.Form`, with the lines after them.
+    """A way to decompose an arm: the start of a row of `forms` of `answer.solve_loops`, with the same layout as a `terms.Form`.
 
-    The lines (joint by joint, in the places of `mix`) meet and are parallel exactly.
+    The last 84 numbers of the row (the `mix` of a Form) hold the joints' axes, moved so that they meet or are parallel exactly.
     """
 
-    backwards: float  # 1 if the loop is read backwards
-    shift: float  # how many joints later it begins
+    backwards: float  # 1 if the loop is reversed
+    shift: float  # the reordered loop begins this many joints later
     parallel: float  # 1 if three axes are parallel, 0 if there is a wrist
-    degree: float  # 0: there is no determinant
-    off: float  # how far the actual lines are off, and rounding
-    square: float  # 1 if the equation with one unknown is that of distances (two axes meet), 0 if that of heights
-    third: float  # 1 if its unknown is joint 3, 0 if joint 1
+    degree: float  # always 0: there is no determinant
+    off: float  # how far the actual axes are from the moved ones, at least rounding
+    # the first equation has one unknown; 1 if it equates distances (two axes meet), 0 if heights along an axis
+    square: float
+    third: float  # 1 if this unknown is joint 3, 0 if it is joint 1
 
 
 # ------------------------------------------------------------------------------------------------------------------ branches
@@ -68,10 +69,10 @@ def lever(line, point):
 
 @inner
 def put_branch(d, free, half, merged, doubt, error, near):
-    """Add the branch null.t (6,), angles of the reordered loop, to d.found; of a doubtful one, note that the answer is UNSURE.
+    """Refine the branch null.t (6,), angles of the reordered loop, and add it to d.found; a doubtful one makes the answer UNSURE.
 
-    free: place whose angle is free, or -1; half: by how much it may turn either way [rad]; error: how far angles may be off [rad];
-    near: list the branch as it is if it has merged with another.
+    free: index in the loop of a free angle, or -1; half: by how much it may turn either way [rad]; error: bound of errors [rad];
+    near: add only a branch that has merged with another, and do not refine it.
     """
     q, found = d.loop.q, d.found
     to_joints(d)
@@ -91,7 +92,7 @@ def put_branch(d, free, half, merged, doubt, error, near):
             moved = max(moved, abs(wrapped(q[joint_at(place, d.form[0] > 0.0, int(d.form[1]))] - t)))
     for i in range(6):
         q[i] = wrapped(q[i])
-    # One of a family need not be exact.
+    # One of a continuum of solutions need not be as exact.
     closed = size < (TRUST.closed if free < 0 else DOUBT.loose) and moved <= max(DOUBT.apart, DOUBT.band * error)
     gain, again = least_gain(d.loop), 0
     if closed:
@@ -113,15 +114,16 @@ def split_wrist(d, pose, off, near):
     four, five, six = line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     goal = pose.axes.times(six.point) + pose.point
     square, third = d.form[5] > 0.0, d.form[6] > 0.0
-    lead = 2 if third else 0  # the place of the angle that is found first
+    lead = 2 if third else 0  # the position in the loop of the angle that is found first
     error = off * (1.0 + math.sqrt(goal.square()))
-    # E2 takes the point E3 c to E1^-1 X c, so both have one height along axis 2, and one distance from any of its points.
+    # Let c be the wrist centre. E2 takes the point E3 c to E1^-1 X c, so both have the same height along axis 2, and the same
+    # distance from any point of axis 2.
     ring, other = circle_about(one, goal, -1.0), circle_about(three, four.point, 1.0)
     ring, other = (other, ring) if third else (ring, other)
     height, square1, height2, square2 = (
         height_on(ring, two.along), square_on(ring, two.point), height_on(other, two.along), square_on(other, two.point),
     )  # fmt: skip
-    # Of one of the two equations the other side is constant.
+    # One side of one of the two equations is constant, so that equation has one unknown.
     here, there, here2, there2 = (square1, square2, height, height2) if square else (height, height2, square1, square2)
     A = solve_sum(here, there.k, error)
     normal = any_normal(six.along)
@@ -179,7 +181,7 @@ def split_parallel(d, pose, off, near):
         turn = off + A.error
         D = solve_sum(height_on(cone, five.along), five.along.dot(w), turn)
         unsure, loose, half = A.doubt or D.doubt, D.free, math.pi
-        if loose:  # Axis 6 is parallel to w, so joint 6 may turn as long as the elbow reaches. Take the middle of where it does.
+        if loose:  # Axis 6 is parallel to w, so joint 6 may turn as long as the elbow reaches. Take the middle.
             t[4] = angle_from(five.along, v, w, 0.0).first
             a, fold = turned(four, five, math.cos(t[4]), -math.sin(t[4])).point, square_on(elbow, two.point)
             far = square_on(circle_about(six, a, -1.0), pose.axes.across(turned(two, one, c1, s1).point - pose.point))
@@ -213,9 +215,9 @@ def split_parallel(d, pose, off, near):
 
 @inner
 def decompose(d, off, near):
-    """Answer the target at work with the decomposition at work: write d.found, with rows as of an elimination.
+    """Solve for the target in d with the decomposition in d.form and d.mix: write d.found, as an elimination does.
 
-    off: error of every number. near: list nothing but branches that merge within it.
+    off: error of every number. near: list only the branches that merge within this error, unrefined.
     """
     found = d.found
     for k in range(SIZES.columns):
@@ -233,9 +235,9 @@ def decompose(d, off, near):
 
 # --------------------------------------------------------------------------------------------------------------- recognition
 def splits_of(arm: np.ndarray) -> list[np.ndarray]:
-    """Return the rows (SIZES.whole,) of the decompositions that an arm (52,) may have, those that it fits best first."""
+    """Return the decompositions (`Split` rows) that an arm (52,) may have, those with the smallest misfit first."""
     wrist, lines = (True, (3, 4, 5)), arm[:36].reshape(6, 6)
-    # Marks `parallel`, `square` and `third` of a Split, and conditions: whether lines meet (or are parallel), and their places.
+    # The fields `parallel`, `square` and `third` of a Split, and its conditions: axes that must meet (True) or be parallel (False).
     structures = (
         (0, 0, 0, (wrist, (False, (1, 2)))),
         (0, 1, 0, (wrist, (True, (1, 2)))),
@@ -251,7 +253,7 @@ def splits_of(arm: np.ndarray) -> list[np.ndarray]:
             for meet, places in conditions:
                 which = [joints[place] for place in places]
                 if any(abs(i - j) != 1 for i, j in itertools.pairwise(which)):
-                    break  # The target stands between them.
+                    break  # These joints are not consecutive: the target is between them.
                 made[which] = (_meeting if meet else _parallel)(made[which])
             else:
                 off = max(_apart(lines, made), DOUBT.rounding)
@@ -266,24 +268,24 @@ def splits_of(arm: np.ndarray) -> list[np.ndarray]:
 def nearest_point(lines: np.ndarray) -> np.ndarray:
     """Return the point (3,) nearest to lines (K, 6)."""
     axes, points = lines[:, :3], lines[:, 3:]
-    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # across each axis
+    P = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projection normal to each axis
     return np.linalg.lstsq(P.reshape(-1, 3), (P @ points[:, :, None]).ravel(), rcond=None)[0]
 
 
 def _apart(lines: np.ndarray, others: np.ndarray) -> float:
-    """Return by how much lines (6, 6) differ from others in all: in direction, and across them."""
+    """Return by how much axes (6, 6) differ from others: the sum of changes in direction and of displacements normal to them."""
     steps = others[:, 3:] - lines[:, 3:]
     across = steps - lines[:, :3] * (steps * lines[:, :3]).sum(axis=1, keepdims=True)
     return float(np.linalg.norm(others[:, :3] - lines[:, :3], axis=1).sum() + np.linalg.norm(across, axis=1).sum())
 
 
 def _meeting(lines: np.ndarray) -> np.ndarray:
-    """Return lines (K, 6) moved so that all have the point nearest to them."""
+    """Return lines (K, 6) moved so that all pass through the point nearest to them."""
     return np.hstack([lines[:, :3], np.broadcast_to(nearest_point(lines), (len(lines), 3))])
 
 
 def _parallel(lines: np.ndarray) -> np.ndarray:
-    """Return lines (K, 6) turned to their mean direction, or against it."""
+    """Return lines (K, 6) turned to their common mean direction, each keeping its sense."""
     signs = np.sign(lines[:, :3] @ lines[0, :3])
     mean = signs @ lines[:, :3]
     return np.hstack([np.outer(signs, mean / max(float(np.linalg.norm(mean)), 1e-9)), lines[:, 3:]])

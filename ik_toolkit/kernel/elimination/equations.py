@@ -1,11 +1,11 @@
 """The equations from which two joints are eliminated, after Raghavan and Roth (1993), for six lines instead of D-H rows.
 
-The loop E1 ... E6 = X is read as E3 E4 E5 l = E2^-1 E1^-1 X l, where l is the line of joint 6, which E6 leaves alone. A line with
+The loop E1 ... E6 = X gives E3 E4 E5 l = E2^-1 E1^-1 X l, where l is the axis of joint 6, which E6 does not move. A line with
 direction l and point p (counted from any fixed origin) gives the 14 numbers
 
     p,  l,  p.p,  p.l,  p x l,  (p.p) l - 2 (p.l) p,
 
-and the choice is theirs: on either side each number is linear in 1, cos, sin of every joint by itself. So each side is a table
+as chosen by Raghavan and Roth: on either side each number is linear in 1, cos, sin of every single joint. So each side is a table
 of coefficients, found by evaluating at 0 and +-120 deg of each joint: 27 lines on the left (the robot's side), 9 on the right.
 The 8 monomials of q1 and q2 on the right are eliminated by a QR factorisation of their 14 x 8 coefficients; 6 equations are left
 (more if the rank is less). With x = tan(q / 2) of joints 4 and 5 they are
@@ -30,16 +30,16 @@ from .terms import SIZES, TRUST
 
 @compiled
 class LoopEquations(NamedTuple):
-    """The equations of one target, in one order of the joints."""
+    """The equations of one target, for one ordering of the loop."""
 
-    lines: Array  # (6, 6) the loop in this order
+    lines: Array  # (6, 6) the joint axes in this ordering
     robot: Array  # (27, 14) coefficients in 1, cos, sin of joints 3, 4, 5
     target: Array  # (9, 14) coefficients in 1, cos, sin of joints 1, 2
-    V: Array  # (8, 14) the factors of the columns of `target` but the first
-    scales: Array  # (8,)
-    order: Array  # (8,)
-    reduced: Array  # (27, 14) robot - target[0], after the reflections
-    W: Array  # (3, 6, 9)
+    V: Array  # (8, 14) QR factors of the columns of `target` without the constant one
+    scales: Array  # (8,) factors of the reflections of that QR
+    order: Array  # (8,) order of its columns
+    reduced: Array  # (27, 14) robot - target[0], with the reflections applied
+    W: Array  # (3, 6, 9) the 6 equations in 9 monomials: coefficients of 1, cos q3, sin q3
 
 
 @inner
@@ -80,7 +80,10 @@ def fit_joint(table, stride):
 
 @inner
 def write_left(lines, table):
-    """Write the coefficients (27, 14) of E3 E4 E5 l; the row of 1, cos, sin (0, 1, 2) of each joint is 9 a + 3 b + c."""
+    """Write to table (27, 14) the line numbers of E3 E4 E5 l as coefficients of products of 1, cos, sin of joints 3, 4 and 5.
+
+    With 0, 1, 2 for 1, cos, sin of the three joints (a, b, c), the row of a product is 9 a + 3 b + c.
+    """
     third, fourth, fifth, last = line_of(lines, 2), line_of(lines, 3), line_of(lines, 4), line_of(lines, 5)
     for k in range(3):
         at5 = turned(last, fifth, cosine(k), sine(k))
@@ -96,7 +99,10 @@ def write_left(lines, table):
 
 @inner
 def write_right(lines, pose, table):
-    """Write the coefficients (9, 14) of E2^-1 E1^-1 X l; the row of 1, cos, sin of joints 1, 2 is 3 a + b."""
+    """Write to table (9, 14) the line numbers of E2^-1 E1^-1 X l as coefficients of products of 1, cos, sin of joints 1 and 2.
+
+    With 0, 1, 2 for 1, cos, sin of the two joints (a, b), the row of a product is 3 a + b.
+    """
     first, second, third, last = line_of(lines, 0), line_of(lines, 1), line_of(lines, 2), line_of(lines, 5)
     there = line_moved(pose, last)
     for i in range(3):
@@ -112,7 +118,7 @@ def write_right(lines, pose, table):
 def reduce(e, mix):
     """Eliminate joints 1 and 2: fill e.V, e.reduced and e.W, and return the rank.
 
-    mix (6, 14): more than 6 equations are combined to 6 by these fixed numbers.
+    mix (6, 14): fixed numbers by which more than 6 equations are combined to 6.
     """
     for c in range(8):
         for n in range(SIZES.numbers):
@@ -141,7 +147,7 @@ def reduce(e, mix):
 
 @inner
 def write_powers(w):
-    """Replace coefficients (9,) in 1, cos, sin of joints 4 and 5 by those in powers of x = tan(q / 2), times 1 + x^2 each.
+    """Convert coefficients (9,) of 1, cos, sin of joints 4 and 5 to those of powers of x = tan(q / 2), multiplied by 1 + x^2.
 
     u + c cos q + s sin q becomes (u + c) + 2 s x + (u - c) x^2.
     """
@@ -163,7 +169,7 @@ def determinant(W, c, s, A, N):
     for k in range(6):
         for m in range(9):
             A[k, m] = W[0, k, m] + c * W[1, k, m] + s * W[2, k, m]
-    first, _ = eliminate(A, 6, 9, 3)  # The sign of the exchanges does not matter, because both copies have it.
+    first, _ = eliminate(A, 6, 9, 3)  # The sign of the row exchanges does not matter, because both copies have it.
     for k in range(3):
         for j in range(3):
             N[k, j], N[k, 3 + j], N[k, 6 + j] = A[3 + k, 3 + j], A[3 + k, 6 + j], 0.0
@@ -177,7 +183,7 @@ def determinant(W, c, s, A, N):
 def eliminate(A, rows, columns, count):
     """Bring the first `count` columns of A (rows, columns) to a triangle by Gauss's method, with exchanges of rows.
 
-    Returns the product of the pivots, and the sign of the exchanges.
+    Returns the product of the pivots, and the sign of the row permutation.
     """
     product, sign = 1.0, 1.0
     for k in range(count):

@@ -1,11 +1,11 @@
-"""Geometric subproblems: which turns about an axis put a point where it shall be (Paden 1985, Elias and Wen 2022).
+"""Geometric subproblems: which rotations about an axis bring a point to a given place (Paden 1985, Elias and Wen 2022).
 
-All reduce to a cos x + b sin x = c. A turning point is a circle; its height along an axis, and half its squared distance from
-a point, are linear in cos x and sin x. So one function (`solve_sum`) is subproblems 3 (distance) and 4 (height), and with
-`angle_from` (subproblem 1) after it subproblem 2 (two turns that take one direction to another).
+All reduce to a cos x + b sin x = c. A point that turns about an axis moves on a circle; its height along another axis, and half its
+squared distance from a point, are linear in cos x and sin x. So `solve_sum` solves subproblems 3 (distance) and 4 (height), and
+followed by `angle_from` (subproblem 1) also subproblem 2 (two rotations that take one direction to another).
 
-Every answer says how far off it may be, given how far off the numbers are: rounding, or axes that miss each other by a little.
-Within that, two angles merge in one, and an axis through the point leaves the angle free.
+Every answer has an error bound, given the error of the input: rounding, or axes that miss each other by a little. Within that bound
+two angles merge into one, and a point on the axis leaves the angle free.
 """
 
 # Pyright must ignore what numba's type hints lack.
@@ -20,7 +20,7 @@ from .terms import DOUBT
 
 @compiled
 class Circle(NamedTuple):
-    """Where a point goes that turns about a line: middle + side cos x + ahead sin x."""
+    """The path of a point that turns about a line by x: middle + side cos x + ahead sin x."""
 
     middle: V3
     side: V3
@@ -36,7 +36,7 @@ class Circle(NamedTuple):
 
 @compiled
 class Sum(NamedTuple):
-    """A number on a circle: k + a cos x + b sin x."""
+    """A quantity of a point on a circle: k + a cos x + b sin x."""
 
     k: float
     a: float
@@ -46,11 +46,11 @@ class Sum(NamedTuple):
         return self.k + self.a * c + self.b * s
 
     def drift(self, c, s, error):
-        """Return by how much it may be off if the angle is off by `error`."""
+        """Return by how much the value may be off if the angle x is off by `error`."""
         return error * (abs(self.b * c - self.a * s) + error * self.swing())
 
     def swing(self):
-        """Return by how much it differs from k at most."""
+        """Return the largest difference of the value from k."""
         return math.sqrt(self.a * self.a + self.b * self.b)
 
 
@@ -60,11 +60,12 @@ class Angles(NamedTuple):
 
     first: float
     second: float
-    number: int  # 2, 1 (both merge), or 0
+    number: int  # number of solutions: 2, 1 (both merge), or 0
     error: float  # how far off they may be [rad]
     free: bool  # whether every angle is a solution; `first` is one of them
-    merged: bool  # whether both may be one, or none
-    doubt: bool  # whether solutions may be apart visibly that are counted as one, or none
+    merged: bool  # whether the two may be one solution, or none, within the error
+    # whether the answer is uncertain because solutions that may merge, or not exist, could be visibly apart
+    doubt: bool
 
 
 @inline
@@ -108,7 +109,7 @@ def solve_sum(sum, value, error):
 
 @inner
 def angle_from(axis, start, end, error):
-    """Return the turn about a unit axis that takes the direction `start` nearest to `end`, as the one of the Angles.
+    """Return, as Angles, the rotation about a unit axis that takes the direction `start` nearest to `end`.
 
     Both directions, of any length, may be off by `error`.
     """
@@ -122,21 +123,21 @@ def angle_from(axis, start, end, error):
 
 @compiled
 class AngleRanges(NamedTuple):
-    """Where a number on a circle is between two bounds: one arc or two, by their middles."""
+    """The angles at which a quantity of a point on a circle is between two bounds: one or two arcs, given by their middles."""
 
     first: float
     second: float
     number: int
-    half: float  # half of their length [rad]
+    half: float  # half the length of each arc [rad]
 
 
 @inner
 def arcs_between(sum, low, high):
-    """Return the arcs on which low <= k + a cos x + b sin x <= high; where there is none, the place that comes nearest."""
+    """Return the arcs on which low <= k + a cos x + b sin x <= high; if there are none, the angles that come nearest."""
     size, middle = max(sum.swing(), 1e-300), math.atan2(sum.b, sum.a)
     near = math.acos(max(-1.0, min(1.0, (high - sum.k) / size)))
     far = math.acos(max(-1.0, min(1.0, (low - sum.k) / size)))
-    if near == 0.0:  # Both arcs meet at `middle`, or there at the other end.
+    if near == 0.0:  # Both arcs meet at `middle`; if far is pi, they meet opposite to it instead.
         return AngleRanges(middle, middle, 1, far)
     if far == math.pi:
         return AngleRanges(middle + far, middle + far, 1, far - near)

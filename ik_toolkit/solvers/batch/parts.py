@@ -24,13 +24,13 @@ from ..task import counts_in_part
 from .result import Failures
 from .targets import mended
 
-# Number of parts that wait for each thread, or in total at an executor; iterators are read no further ahead.
+# Number of parts that wait for each thread, or in total for an executor; an iterator of targets is read no further ahead.
 AHEAD, REMOTE_AHEAD = 4, 64
 SLICE = 0.05  # [s] a thread checks this often whether to stop
 
 
 def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
-    """Return the starts q0 (1 or m, n), checked and moved inside the limits; first: number of their first target."""
+    """Return the starts q0 (1 or m, n), checked and moved inside the limits; first: batch index of the first one's target."""
     bad = ~np.isfinite(q0).all(axis=1)
     if bad.any():
         raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
@@ -50,7 +50,7 @@ def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
 
 # --------------------------------------------------------------------------------------------------------------- solving
 def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
-    """Return the loop that solves eight targets at once (kernel.simd_search), None if rule or options forbid it."""
+    """Return the compiled solver for eight targets at once (kernel.simd_search), or None if the method or the options forbid it."""
     o = plan.options
     plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
     plain = plain and not (o.closest or o.follow)
@@ -59,7 +59,10 @@ def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
 
 
 class Part(NamedTuple):
-    """Targets that are solved together: T (m, 4, 4) or (m, F, 4, 4), their starts (1 or m, n), the number of the first."""
+    """Targets T (m, 4, 4) or (m, F, 4, 4) that are solved together, with their starts (1 or m, n).
+
+    kinds: kind of target of each tip; given: whether the caller gave the starts; first: index in the batch of the first target.
+    """
 
     T: np.ndarray
     kinds: tuple
@@ -68,13 +71,16 @@ class Part(NamedTuple):
     first: int
 
     def rows(self, some: slice) -> "Part":
-        """Return the part that has only these rows."""
+        """Return a Part with only the targets in the slice `some`."""
         start = self.start if len(self.start) == 1 else self.start[some]
         return Part(self.T[some], self.kinds, start, self.given, self.first + some.start)
 
 
 def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable | None = None) -> None:
-    """Solve the targets of a part and write the rows of `out` (m, width); a row depends only on its own target and start."""
+    """Solve the targets of a part and write the rows of `out` (m, width); a row depends only on its own target and start.
+
+    side_by_side: the compiled solver for eight targets at once, or None.
+    """
     if len(plan.held) and len(part.start) > 1:  # each target then has its own table of starts
         for k in range(len(part.T)):
             _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
@@ -109,8 +115,8 @@ def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable 
 def _sampled(first: int, count: int, share: float) -> Iterator[int]:
     """Yield the indices of the rows to check in a part; over the whole batch they are ceil(j / share) for j = 0, 1, 2, ...
 
-    first, count: number of the part's first row, and of its rows. Python's whole numbers do not round or overflow, so the
-    share is met to within a row, and the checked rows do not depend on how the batch is divided.
+    first, count: index of the part's first row in the batch, and number of its rows. Python's integers do not round or overflow, so
+    the share is met to within a row, and the checked rows do not depend on how the batch is divided.
     """
     p, q = float(share).as_integer_ratio()
     j = (first - 1) * p // q + 1
@@ -120,7 +126,7 @@ def _sampled(first: int, count: int, share: float) -> Iterator[int]:
 
 
 def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
-    """Check a share of the rows of the whole batch again with Pinocchio."""
+    """Check again with Pinocchio those rows of a part that belong to the share of the batch to be checked."""
     n = plan.robot.n
     for k in _sampled(part.first, len(out), share):
         if out[k, AT.status] == CONVERGED:
@@ -131,9 +137,9 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
 def _solve_part(
     plan: Plan, job: "Job", share: float, stop: threading.Event | None = None
 ) -> tuple[np.ndarray, Failures]:
-    """Solve one part in slices and return its rows (m, width), and what those that failed were asked.
+    """Solve one part in slices and return its rows (m, width), and the targets and starts of those that failed.
 
-    If `stop` ends it between two slices, the rows are incomplete.
+    If `stop` is set between two slices, the rows are incomplete.
     """
     start = plan.home if job.q0 is None else _starts(plan, job.q0, job.first)
     part = Part(job.T, job.kinds, start, job.q0 is not None, job.first)
@@ -155,7 +161,7 @@ def _solve_part(
 
 @functools.lru_cache(4)
 def _unpacked(payload: bytes) -> Plan:
-    """Read a plan from its pickle; a worker keeps it for the next part."""
+    """Read a Plan (a solver bound to a robot) from its pickle; a worker process keeps it for the next part."""
     # The pickled data comes from `on_executor`; whoever sends it runs our code anyway.
     return pickle.loads(payload)  # noqa: S301
 
@@ -166,7 +172,7 @@ def _solve_remote(payload: bytes, job: "Job", share: float) -> tuple[np.ndarray,
 
 
 class Job(NamedTuple):
-    """A part as it is sent to a worker: targets (a copy), their kinds, starts or None, the number of the first target."""
+    """A part as it is sent to a worker: targets T (a copy), their kinds, starts q0 or None, index of the first target."""
 
     T: np.ndarray
     kinds: tuple
@@ -178,7 +184,7 @@ Tables = Generator[tuple[np.ndarray, Failures], None, None]
 
 
 def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
-    """Yield the result tables and failures of the jobs, in order, solved on threads of this process."""
+    """Yield the result rows and failures of each job, in order, solved on threads of this process."""
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
@@ -189,19 +195,19 @@ def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> T
 
 
 def check_executor(executor: Any) -> None:
-    """Raise InvalidOption unless it is None or takes work as an executor of concurrent.futures does."""
+    """Raise InvalidOption unless it is None or has a method `submit` like the executors of concurrent.futures."""
     if executor is not None and not hasattr(executor, "submit"):
         raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
 
 
 def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
-    """Yield the result tables and failures of the jobs, in order, solved by the workers of an executor."""
+    """Yield the result rows and failures of each job, in order, solved by the workers of an executor."""
     payload = pickle.dumps(plan)
     yield from _in_order(lambda job: executor.submit(_solve_remote, payload, job, share), jobs, REMOTE_AHEAD)
 
 
 def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Tables:
-    """Yield the results in the order of the jobs, of which no more than `ahead` are in progress."""
+    """Yield the results in the order of the jobs; no more than `ahead` of them are in progress at a time."""
     waiting: deque = deque()
     try:
         for job in jobs:

@@ -20,7 +20,7 @@ class BatchInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, starting with the first."""
 
     def __init__(self, result: "BatchResult") -> None:
-        """Store the finished part."""
+        """Store the results of the finished targets."""
         super().__init__(f"interrupted after {len(result)} targets")
         self.result = result
 
@@ -48,10 +48,10 @@ class BatchCheckFailed(IKError):
 
 
 class Failures(NamedTuple):
-    """What the rows of a batch that are no success were asked, for their sentences; solved rows keep nothing.
+    """Targets and starts of the rows of a batch that failed, from which their messages are made; solved rows keep nothing.
 
-    rows (m,): their numbers, in order; T (m, 4, 4) or (m, F, 4, 4): their targets; q0 (m, n): their starts, (0, n) if none
-    were given.
+    rows (m,): their indices in the batch, ascending; T (m, 4, 4) or (m, F, 4, 4): their targets; q0 (m, n): their starts, (0, n) if
+    none were given.
     """
 
     rows: np.ndarray
@@ -59,7 +59,7 @@ class Failures(NamedTuple):
     q0: np.ndarray
 
     def asked(self, k: int) -> tuple[bytes, bytes]:
-        """Return the target and start of row k as a SolveRecord keeps them, b"" where they are not known."""
+        """Return the target and start of row k as bytes, as a SolveRecord keeps them; b"" if the row is not a failure."""
         at = int(np.searchsorted(self.rows, k))
         if at == len(self.rows) or self.rows[at] != k:
             return b"", b""
@@ -67,30 +67,30 @@ class Failures(NamedTuple):
 
 
 def joined_failures(parts: Sequence[tuple[int, Failures]]) -> Failures:
-    """Join the failures of parts, each with the number of its first row in the batch."""
+    """Join the failures of several parts, each given with the batch index of its first row."""
     rows = [first + failures.rows for first, failures in parts]
     T, q0 = ([getattr(failures, name) for _, failures in parts] for name in ("T", "q0"))
     return Failures(np.concatenate(rows), np.concatenate(T), np.concatenate(q0))
 
 
 class BatchResult(ReadOnly):
-    """Answers of a batch, where row k belongs to target k, and batch[k] is the Result of target k with its sentence.
+    """Answers of a batch, where row k belongs to target k, and batch[k] is the Result of target k with its message.
 
     Attributes:
         q: Solutions (N, n) [rad or m].
         status, success: Numbers of Status (N,), and whether they are CONVERGED (N,).
-        proven: Whether (N,) a failure is a proof: no joint values within the limits reach the target (or, with `closest`, that
-            no solution is nearer; see `Result.proven`).
+        proven: Whether (N,) a failure is a proof: no joint values within the limits reach the target (or, with `closest`, that no
+            solution is nearer; see `Result.proven`).
         position_error: Distance (N,) [m] from the target; of several tips the largest.
         orientation_error: Rotation angle (N,) [rad] left; of several tips the largest. None if orientation is free.
         position_errors, orientation_errors: The errors of each tip, by its name.
         iterations, restarts, fk_evaluations: Counts (N,).
-        table: The rows (N, width) of the kernel.
-        failures: Targets and starts of the rows that failed (`Failures`), from which their sentences are made; or None.
+        table: The result rows (N, width) of the compiled search, see `kernel.records.Answer`.
+        failures: Targets and starts of the rows that failed (`Failures`), from which their messages are made; or None.
     """
 
     def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan, failures: Failures | None = None) -> None:
-        """Wrap the kernel's rows (N, width) of targets of these kinds, one kind per tip."""
+        """Wrap the result rows (N, width) of targets of these kinds, one kind per tip."""
         self.table = table
         self.failures = failures
         self.kinds = kinds
@@ -99,7 +99,7 @@ class BatchResult(ReadOnly):
         self._seal()
 
     def of(self, table: np.ndarray, failures: Failures | None = None) -> "BatchResult":
-        """Return the same batch with other rows."""
+        """Return a BatchResult of the same solver and kinds of target with other result rows."""
         return BatchResult(table, self.kinds, self.plan, failures)
 
     def __len__(self) -> int:

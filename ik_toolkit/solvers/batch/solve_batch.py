@@ -41,10 +41,10 @@ def solve_parts(
 ) -> Iterator[BatchResult]:
     """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
 
-    Without `finish` failures keep the q at which the search ended, instead of the closest one found, which takes longer than a few
-    attempts; LIMIT_BLOCKED then means no more than that a joint was at a limit.
-    An array of targets is read part by part, so it must not change until the last part is taken; arrays from an iterator
-    are copied. Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
+    With `finish` a failure gets the q closest to its target, which takes longer than a few attempts, and LIMIT_BLOCKED is tested.
+    Without, q is where the search ended, and LIMIT_BLOCKED only means that a joint was at a limit. An array of targets is read part
+    by part, so it must not change until the last part is taken; arrays from an iterator are copied. Raises BatchCheckFailed at the
+    part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
     require_robot(robot)
     if "chain" in options:
@@ -107,7 +107,7 @@ def _checked_starts(robot: Robot | Tree, q0: Any, rows: int | None) -> np.ndarra
 
 
 def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
-    """Yield parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
+    """Yield each part as a BatchResult; raise BatchCheckFailed at the first with an answer that Pinocchio does not confirm."""
     done = 0
     with closing(tables):
         for table, failures in tables:
@@ -166,9 +166,9 @@ def solve_batch(
         robot: The Robot, or a Tree of F tips.
         targets: Poses (N, 4, 4) or positions (N, 3) [m] in the base frame, a list of poses, or an iterator of arrays of
             these shapes. For a Tree, (N, F, 4, 4), (N, F, 3), or a dict by tip, where a tip that is left out is free.
-        solver: Name of a solver, a rule class or an instance of one.
-        q0: Start (n,) for all in any form (as for `solve`), (N, n) or a list of N for each, or None for home and the table of
-            starts [rad or m].
+        solver: Name of a solver, a solver class or an instance of one.
+        q0: Start (n,) for all targets (in any form that `solve` takes), or (N, n) or a list of N, one for each; None: home and
+            precomputed starts [rad or m].
         threads: Number of threads; by default one for each core.
         executor: Anything with the interface of concurrent.futures (a process pool, a Dask client's `get_executor()`),
             to use instead of threads.

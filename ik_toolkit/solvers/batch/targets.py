@@ -12,7 +12,7 @@ from ...robot.ros import is_by_name, listed_poses, read_pose
 
 SHAPES = {(4, 4): POSE, (3,): POSITION}
 STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
-# A rotation off orthonormal by 1e-12 to 1e-6 has few digits and is replaced by the nearest exact one.
+# A rotation whose axes are off orthonormal by 1e-12 to 1e-6 is replaced by the nearest exact one.
 ROUGH, RIGID = 1e-12, 1e-6
 
 
@@ -20,7 +20,7 @@ class Block(NamedTuple):
     """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None if it is free."""
 
     parts: tuple[np.ndarray | None, ...]
-    pose_shape: tuple[int, ...]  # shape of the poses of all tips, as the kernel takes them
+    pose_shape: tuple[int, ...]  # shape of the poses of all tips, as the compiled search takes them
 
     @property
     def kinds(self) -> tuple:
@@ -33,9 +33,10 @@ class Block(NamedTuple):
         return next(len(part) for part in self.parts if part is not None)
 
     def poses(self, a: int, b: int) -> np.ndarray:
-        """Return targets a to b as the kernel takes them, a copy: (m, 4, 4), or of several tips (m, F, 4, 4).
+        """Return copies of targets a to b as the compiled search takes them: (m, 4, 4), or of several tips (m, F, 4, 4).
 
-        Rotations of few digits are replaced by the nearest exact ones; worse ones, and NaN, are refused by the kernel.
+        Rotations that are orthonormal only to 1e-6 are replaced by the nearest exact ones; worse ones, and NaN, are rejected by the
+        search.
         """
         T = np.tile(np.eye(4), (max(0, min(b, self.rows) - a), len(self.parts), 1, 1))
         for f, part in enumerate(self.parts):
@@ -50,7 +51,7 @@ class Block(NamedTuple):
 
 
 def _straighten(T: np.ndarray) -> None:
-    """Replace rotations of few digits in T (m, 4, 4) by the nearest exact ones, in place."""
+    """Replace rotations in T (m, 4, 4) that are orthonormal only to ROUGH ... RIGID by the nearest exact ones, in place."""
     x, y, z = (np.ascontiguousarray(T[:, :3, k].T) for k in range(3))
     off = np.zeros(len(T))
     with np.errstate(invalid="ignore", over="ignore"):
@@ -63,7 +64,7 @@ def _straighten(T: np.ndarray) -> None:
 
 
 def with_free_turns(robot: Any, targets: Any, options: Any) -> tuple[Any, Any]:
-    """Return targets with AxisTargets replaced by poses, and options with the free turn about their common axis.
+    """Replace AxisTargets by poses, and add the option `free_turn` about their common axis; return the targets and the options.
 
     Raises:
         InvalidTarget: some of a tip's targets are AxisTargets and others not, or their axes differ.
@@ -107,7 +108,7 @@ def _shared_axis(tip: str, column: Any) -> tuple[float, float, float] | None:
 
 
 def known(targets: Any, base: str = "") -> Any:
-    """Return targets, given in the frame `base`, as one array or a dict of arrays; None for an iterator."""
+    """Return targets, given in the frame `base`, as one array or a dict of arrays by tip; None for an iterator."""
     if isinstance(targets, np.ndarray):
         if targets.ndim == 0:
             raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
@@ -131,7 +132,7 @@ def known(targets: Any, base: str = "") -> Any:
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
-    """Return the targets of one tip as `read` returns them. Raises InvalidTarget, which names the tip."""
+    """Return read(part), the targets of one tip. Raises InvalidTarget with the tip's name if `read` does."""
     try:
         return read(part)
     except InvalidTarget as error:
@@ -161,7 +162,7 @@ def _numbers(targets: Any) -> np.ndarray:
 
 
 def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
-    """Yield chunks of targets as Blocks; the kernel checks their numbers.
+    """Yield chunks of targets as Blocks; their numbers are checked later, by the compiled search.
 
     Raises InvalidTarget for a wrong shape, and for a chunk whose kinds differ from those of the first.
     """
@@ -219,7 +220,7 @@ def _named_tips(chunk: Mapping[str, Any], robot: Any) -> Block:
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
-    """Return a target T (4, 4) or (F, 4, 4) that the kernel refused, with its rotations made exact.
+    """Return a target T (4, 4) or (F, 4, 4) that the compiled search rejected, with its rotations made exact.
 
     Raises InvalidTarget, which names the target (its `number` in the batch) and the tip, if a pose cannot be corrected.
     """

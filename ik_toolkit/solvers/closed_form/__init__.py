@@ -1,4 +1,4 @@
-"""Closed-form solvers: each lists all branches of a target, for robots whose structure it recognises."""
+"""Closed-form solvers: each lists all solutions (branches) of a target, for robots whose structure it recognises."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ def fits(robot: Any, kind: int) -> str | None:
 
 
 def fit(robot: Any, kind: int) -> tuple[str, float] | None:
-    """Return the name of the closed form for a kind of target, and the deviation of the robot from its structure; or None.
+    """Return the name of the closed form for a kind of target, and by how much the robot deviates from its structure; or None.
 
     The deviation is an angle [rad] or a length over the reach. The result is stored with the robot for later calls.
     """

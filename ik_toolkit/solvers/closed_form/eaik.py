@@ -12,15 +12,14 @@ from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
 N = 6
-# Number of Newton steps that improve a solution of EAIK, or finish one of the elimination on the actual chain, where one is usual.
-# At a singular pose EAIK's solutions have errors of 1e-4, which each step halves.
+# Highest number of Newton steps that improve a solution of EAIK, or of the elimination, on the actual chain; one is usual.
 STEPS = 12
-# Slices of the parameters (48,), all at q = 0: axes (6, 3), vectors from one axis to the next (7, 3), the tip's rotation.
+# Slices of the parameters (48,), all at q = 0: axes (6, 3), vectors from one axis to the next (7, 3), the tip's rotation matrix.
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)
 
 
 def recognise_six_axes(chain: Chain) -> Fit:
-    """Return how EAIK fits a chain, which depends on the chain's axes at q = 0."""
+    """Return how EAIK fits a chain, judged by the chain's axes at q = 0."""
     screws = read_revolute(chain, N)
     if isinstance(screws, str):
         return no_fit(screws)
@@ -33,7 +32,7 @@ def recognise_six_axes(chain: Chain) -> Fit:
 
 @functools.lru_cache(16)
 def _arm(parameters: bytes) -> Any:
-    """Return EAIK's robot for the parameters that `recognise_six_axes` found, given as bytes."""
+    """Return EAIK's robot object for the parameters that `recognise_six_axes` found, given as bytes."""
     try:
         from eaik.IK_HP import HPRobot
     except ImportError:
@@ -57,10 +56,10 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 @inline
 def joint_values(angles, box, q):
-    """Fill q (6,) with `angles` (6,) [rad], each on the full turn inside its limits that is nearest the reference box[2].
+    """Fill q (6,) with `angles` (6,) [rad], each shifted by 2 pi k into its limits and as near as possible to the reference box[2].
 
-    box (4, 6): see `geometry.copy_limits`. Returns the largest limit excess [rad] and the weighted squared distance from
-    the reference.
+    box (4, 6): lower limits, upper limits, reference, weights. Returns the largest excess over a limit [rad] and the weighted
+    squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for i in range(N):
@@ -72,7 +71,7 @@ def joint_values(angles, box, q):
 
 @cached
 def eaik_branches(Q, box, out, broken):
-    """Fill out (K, 6) with the rows of Q (K, 6) as moved by `joint_values`, and broken (K,) with their limit excess [rad]."""
+    """Fill out (K, 6) with the rows of Q (K, 6) as shifted by `joint_values`; broken (K,) receives their limit excess [rad]."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
 
@@ -81,15 +80,15 @@ def eaik_branches(Q, box, out, broken):
 class EAIK(NamedTuple):
     """Analytic solutions by the package EAIK for six revolute joints, for poses; returns the one in limits nearest q0.
 
-    Needs the extra 'analytic'. The axes are read off the robot at q = 0; limits, turns and the choice are ours, and
-    every answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for
+    Needs the extra 'analytic'. The axes are read off the robot at q = 0; joint limits, shifts by 2 pi and the choice of a solution
+    are ours, and every answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for
     analytical inverse kinematics".
     """
 
     recognise = staticmethod(recognise_six_axes)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return EAIK's solutions for the pose T (4, 4), on the full turns nearest the reference box[2].
+        """Return EAIK's solutions for the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].
 
         Near singular poses some solutions are missing.
         """

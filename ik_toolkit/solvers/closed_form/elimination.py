@@ -1,7 +1,7 @@
 """Every solution of six revolute joints, whatever their axes, with a certificate that there are no others.
 
-The mathematics is in `kernel/elimination`. What a robot needs (how to read its loop) is found at the first target, in 0.01 to
-0.1 s, and kept in memory for the process.
+The mathematics is in `kernel/elimination`. The orderings of the loop equation that suit a robot are found at the first target, in
+0.01 to 0.1 s, and kept in memory for the process.
 """
 
 import functools
@@ -20,30 +20,26 @@ from .eaik import STEPS, N, eaik_branches
 from .families import families_of
 from .geometry import Branches, Fit, legal_turn, no_fit, read_revolute
 
-# Least distance of the axes from one point, as a share of the reach; rounding of a pose (1e-16) is 1e-12 of that.
+# Least distance of the axes from a common point, as a share of the reach; smaller, rounding of a pose would be magnified too much.
 LEAST_SIZE = 1e-4
 
 
 class Certificate(NamedTuple):
-    """What a list of solutions is known to be, from the roots of one polynomial that holds all of them, or from a decomposition.
+    """How complete a list of solutions is, judged by the roots of a polynomial that has all of them, or by a decomposition.
 
     The accuracy of the polynomial is measured, not bounded, so a certificate is numerical evidence and no interval arithmetic. So
     is that of a decomposition, whose errors are estimated.
     """
 
-    status: str  # 'CERTAIN', 'DOUBLE' (solutions merge in a singular one), 'FAMILY' (there is a continuum) or 'UNSURE'
-    solutions: int  # distinct solutions found, limits or not
+    status: str  # 'CERTAIN', 'DOUBLE' (solutions merge at a singular pose), 'FAMILY' (there is a continuum) or 'UNSURE'
+    solutions: int  # distinct solutions found, also outside the limits
     roots: int  # roots of the polynomial, or branches of the decomposition
-    # Roots proven complex, which are no solutions; of a certain answer each of the others is one solution. Of a decomposition, the
-    # branches that do not exist or have merged with others.
+    # Roots proven complex, which are no solutions; if the status is CERTAIN, each of the others is one solution. For a
+    # decomposition, the branches that do not exist or have merged with others.
     complex: int
-    radius: float  # radius of the largest disc that holds a real root; a full turn is 2 pi long
-    noise: (
-        float  # measured error of the polynomial's coefficients beside the largest; error of a decomposition's numbers
-    )
-    decomposed: bool = (
-        False  # whether the arm has been decomposed into geometric subproblems, so that there are no discs
-    )
+    radius: float  # radius of the largest error disc around a real root exp(i q3) of the polynomial, on the unit circle
+    noise: float  # measured relative error of the polynomial's coefficients, or error of a decomposition's numbers
+    decomposed: bool = False  # whether the arm was decomposed into geometric subproblems; there are no error discs then
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers and strings, ready for JSON; a radius that is not finite is None."""
@@ -55,7 +51,7 @@ class Certificate(NamedTuple):
 
     @property
     def message(self) -> str:
-        """One sentence."""
+        """The certificate in one sentence."""
         real = self.roots - self.complex
         if self.status == "CERTAIN" and self.decomposed:
             return f"{real} of {self.roots} branches of the arm's geometry are distinct and real: there is no other solution"
@@ -70,7 +66,7 @@ class Certificate(NamedTuple):
 
 
 def recognise_six_revolute(chain: Chain) -> Fit:
-    """Return whether a chain has six revolute joints, each moved by one coordinate, with the numbers (52,) of their axes."""
+    """Return whether a chain has six revolute joints, each moved by one coordinate; its parameters (52,) describe their axes."""
     screws = read_revolute(chain, N)
     if isinstance(screws, str):
         return no_fit(screws)
@@ -82,35 +78,37 @@ def recognise_six_revolute(chain: Chain) -> Fit:
 
 @functools.lru_cache(64)
 def forms_of(arm: bytes) -> np.ndarray:
-    """Return the ways to read the loop of an arm (its 52 numbers as bytes), best first."""
-    return make_forms(np.frombuffer(arm).copy())  # numba takes an array that is read-only for another type
+    """Return the orderings of the loop that suit an arm (its array (52,) as bytes), best first."""
+    return make_forms(np.frombuffer(arm).copy())  # numba compiles a read-only array as another type
 
 
 class Said(NamedTuple):
-    """What the elimination says of one pose, limits or not."""
+    """All solutions of one pose by the elimination, without regard to limits, and how complete they are."""
 
     q: np.ndarray  # (K, 6) the solutions in [-pi, pi) [rad]
-    # (K,) 1 / |J^-1|, lengths over the arm's size: an error e is no nearer a solution than e over this
+    # (K,) 1 / |J^-1|, lengths over the arm's size: a pose error e puts q at most about e / gain from a solution
     gain: np.ndarray
     certificate: Certificate
-    near: np.ndarray | None  # (M, 6) where else a pose may be within a tolerance; None if that is not known
-    # (K, 2) of a FAMILY: 0 or the number of the place whose angle is free, from 1 on, and by how much it may turn either way [rad]
+    # (M, 6) other configurations near which a pose may be within a tolerance; None if they are not known
+    near: np.ndarray | None
+    # (K, 2) if the status is FAMILY: position (from 1 on) in the loop of an angle that is free, or 0, and by how much it may turn
+    # either way [rad]
     free: np.ndarray
 
 
 def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
-    """Return what the elimination says of the pose T (4, 4); p: the numbers that `recognise_six_revolute` found.
+    """Return the elimination's solutions of the pose T (4, 4); p: the parameters that `recognise_six_revolute` found.
 
-    within: how far a root may be complex for its configuration to be listed in `near`.
+    within: how far a complex root may be from the unit circle for its configuration to be listed in `near`.
     """
-    p, T = np.array(p), np.array(T)  # writable: numba takes an array that is read-only for another type
+    p, T = np.array(p), np.array(T)  # writable copies, because numba compiles a read-only array as another type
     if not is_rigid(T):
         empty = np.empty((0, N))
         return Said(empty, np.empty(0), Certificate("UNSURE", 0, 0, 0, math.inf, 0.0), None, np.empty((0, 2)))
     found = answers(forms_of(p.tobytes()), p, T[None], within)[0]
     notes = Notes(*found[0, : len(Notes._fields)].tolist())
     count = int(notes.count)
-    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the numbers of `terms`
+    status = ("CERTAIN", "DOUBLE", "UNSURE", "FAMILY")[int(notes.status)]  # the verdicts in `kernel.elimination.terms`
     certificate = Certificate(
         status, count, int(notes.roots), int(notes.complex), notes.radius, notes.noise, notes.forms == 0.0,
     )  # fmt: skip
@@ -121,7 +119,7 @@ def solutions_of(p: np.ndarray, T: np.ndarray, within: float = 0.0) -> Said:
 
 @cached
 def into_limits(Q, box, out, excess):
-    """Fill out (K, n) with solutions Q (K, n) on the full turns inside the limits that are nearest a reference.
+    """Fill out (K, n) with solutions Q (K, n), each angle shifted by 2 pi k into its limits and as near as possible to a reference.
 
     The rows of box (at least 3, n) are lower limits, upper limits and reference [rad]. excess (K, n) [rad] is by how much each
     joint breaks its limits.
@@ -135,18 +133,19 @@ def into_limits(Q, box, out, excess):
 class Elimination(NamedTuple):
     """Every solution of any six revolute joints by elimination, certified; returns the one within limits nearest q0.
 
-    The loop closure is reduced to one polynomial, whose roots are all accounted for, within measured noise. An arm with a wrist or
-    three parallel axes is decomposed into geometric subproblems instead, if these are simple. Sources: Raghavan and Roth (1993),
-    "Inverse kinematics of the general 6R manipulator and related linkages"; Manocha and Canny (1994), "Efficient inverse kinematics
-    for general 6R manipulators"; Elias and Wen (2022), "IK-Geo: Unified robot inverse kinematics using subproblem decomposition".
+    The loop closure is reduced to one polynomial, each root of which is proven real or complex, within measured noise. An arm with
+    a wrist or three parallel axes is decomposed into geometric subproblems instead, if these are simple. Sources: Raghavan and Roth
+    (1993), "Inverse kinematics of the general 6R manipulator and related linkages"; Manocha and Canny (1994), "Efficient inverse
+    kinematics for general 6R manipulators"; Elias and Wen (2022), "IK-Geo: Unified robot inverse kinematics using subproblem
+    decomposition".
     """
 
     recognise = staticmethod(recognise_six_revolute)
 
     def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """Return all solutions of the pose T (4, 4), each on the full turns nearest the reference box[2].
+        """Return all solutions of the pose T (4, 4), shifted by 2 pi k to be nearest the reference box[2].
 
-        If they are not certified to be all, a search adds what it finds.
+        If the list is not certified to be complete, a search adds what it finds.
         """
         Q, _, certificate, _, free = solutions_of(p, T)
         families = []

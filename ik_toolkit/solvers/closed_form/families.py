@@ -1,4 +1,4 @@
-"""The families of a decomposed arm of six joints: which joints move while the tip stays, and from where to where."""
+"""The self-motions of a decomposed arm of six joints: which joints move while the tip stays, and over which range."""
 
 import math
 from typing import Any
@@ -12,7 +12,7 @@ from .geometry import Family
 
 
 def moving_places(split: Split, place: int) -> tuple[int, ...]:
-    """Return the places of the joints that move along a family, that of the one whose angle is free first."""
+    """Return the positions in the loop of the joints that move in a self-motion, that of the free angle (place) first."""
     if split.parallel:
         return {0: (0, 1, 2, 3, 4, 5), 1: (1, 3), 5: (5, 1, 2, 3)}[place]
     return (3, 5) if place == 3 else (place, 3, 4, 5)
@@ -21,10 +21,10 @@ def moving_places(split: Split, place: int) -> tuple[int, ...]:
 def families_of(
     robot: Any, arm: np.ndarray, form: np.ndarray, q: np.ndarray, free: np.ndarray, box: np.ndarray
 ) -> list[tuple[Family, np.ndarray]]:
-    """Return the families through a member q (6,), with the member of each that is nearest to the reference in its leading joint.
+    """Return the self-motions (Family) through q (6,), each with its member whose leading joint is nearest the reference.
 
-    arm (52,), form: numbers of the arm and of its decomposition; free (2,): the place whose angle is free, from 1 on, and by how
-    much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits and reference [rad].
+    arm (52,), form: arrays of the arm and of its decomposition; free (2,): position (from 1 on) in the loop of the angle that is
+    free, and by how much it may turn either way [rad]; box (at least 3, 6): lower limits, upper limits and reference [rad].
     """
     split = Split(*form[: len(Split._fields)])
     place, half = int(free[0]) - 1, float(free[1])
@@ -33,7 +33,7 @@ def families_of(
     lead, last = joints[0], joints[-1]
     low, high = (box[0, lead], box[1, lead]) if np.isfinite(box[:2, lead]).all() else (-math.pi, math.pi)
     found = []
-    if len(joints) == 2:  # Two axes are one line, so that one joint turns as the other turns back.
+    if len(joints) == 2:  # The two axes coincide, so one joint turns as the other turns back.
         slope = -_alignment(arm, q, *sorted((lead, last)))
         for a, b in _ranges(float(q[lead]), slope, float(q[last]), (low, high), box[:2, last]):
             member, at = q.copy(), min(max(box[2, lead], a), b)
@@ -60,9 +60,9 @@ def _alignment(arm: np.ndarray, q: np.ndarray, first: int, last: int) -> float:
 
 
 def _ranges(at: float, slope: float, other: float, own: tuple, others: np.ndarray) -> list[tuple[float, float]]:
-    """Return the ranges of a joint in `own` for which another joint, other + slope (x - at), is inside its limits `others` (2,).
+    """Return the ranges of a joint x in `own` for which another joint, other + slope (x - at), is inside its limits `others` (2,).
 
-    Full turns of the other joint count as inside, and slope is 1.0 or -1.0.
+    The other joint counts modulo 2 pi; slope is 1.0 or -1.0.
     """
     if not others[1] - others[0] < TAU:
         return [own]

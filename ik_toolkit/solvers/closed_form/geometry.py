@@ -1,7 +1,7 @@
-"""Functions of all closed forms: they read a chain's joint screws and move joint angles into the limits by full turns.
+"""Functions shared by the closed forms: reading a chain's joint screws, and shifting joint angles by 2 pi into the limits.
 
-A structure is recognised from geometry alone: every joint's axis is read at q = 0 from the Jacobian, so names, axis
-signs, angle offsets, intermediate frames and the pose of the base do not matter.
+A structure is recognised from geometry alone: every joint's axis is read at q = 0 from the Jacobian, so names, axis signs, angle
+offsets, intermediate frames and the pose of the base do not matter.
 """
 
 import math
@@ -18,8 +18,8 @@ from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import ANSWER, HEAD, PAST, WEIGHTS, Answer, Ends, Orders, read, write
 
-FIT = 1e-9  # axes within this of a structure [rad or arm reaches] fit it exactly
-# Axes further than this from a structure [rad or arm reaches] do not fit it.
+FIT = 1e-9  # axes that deviate less from a structure [rad, or length over the reach] fit it exactly
+# Axes that deviate more from a structure [rad, or length over the reach] do not fit it.
 # Files written with five digits are off by up to 1e-4, and Newton steps correct them.
 NEAR = 1e-4
 SNAP = 1e-9  # [rad or m] a solution beyond a limit by less is put on the limit
@@ -30,7 +30,7 @@ class Fit(NamedTuple):
 
     parameters: np.ndarray  # The numbers that the closed form needs; empty if the chain does not fit.
     reason: str  # Why the chain does not fit, or ''.
-    off: float  # How far the axes are off the structure [rad, or of the reach].
+    off: float  # By how much the axes deviate from the structure [rad, or length over the reach].
 
 
 def no_fit(reason: str) -> Fit:
@@ -39,11 +39,10 @@ def no_fit(reason: str) -> Fit:
 
 
 class Family(NamedTuple):
-    """A continuum of solutions.
+    """A continuum of solutions (self-motion).
 
-    `joints` names the joints that move along it, the leading one first; `lower` and `upper` are the range of the
-    leading joint [rad or m], or None if the family was found numerically and not followed to its ends; `message` is one
-    sentence.
+    `joints` names the joints that move along it, the leading one first; `lower` and `upper` are the range of the leading joint [rad
+    or m], or None if the family was found numerically and not followed to its ends; `message` is one sentence.
     """
 
     joints: tuple[str, ...]
@@ -55,16 +54,17 @@ class Family(NamedTuple):
 class Branches(NamedTuple):
     """All branches that a closed form lists for one target."""
 
-    q: np.ndarray  # (K, n) the branches [rad or m], on the full turns nearest the reference
+    q: np.ndarray  # (K, n) the branches [rad or m], angles shifted by 2 pi k to be nearest the reference
     broken: np.ndarray  # (K,) by how much [rad or m] each branch exceeds a joint limit
     marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist; 0 where two branches merge or there is no such joint
     complete: bool  # Whether these branches are proven to be all.
-    words: str  # Part of the message that says where the branches are, such as ' at lift 0.2 m'.
+    # Part of the message that says where the branches are, such as ' at lift 0.2 m' (lift: the prismatic joint).
+    words: str
     families: tuple[Family, ...] = ()  # Continuous families of solutions, of which the branches are a sample.
-    steps: int = 0  # Number of Newton steps that finish each branch on the real chain.
+    steps: int = 0  # Number of Newton steps that refine each branch on the actual chain.
     fixed: int = -1  # index in q of a joint that those steps do not move, or -1
     partial: bool = False  # Whether the closed form is known to miss some branches, so that a search must add them.
-    certificate: Any = None  # What proves that these branches are all, of an `elimination.Certificate`.
+    certificate: Any = None  # Evidence that the list is complete (`elimination.Certificate`), or None.
 
 
 class Screws(NamedTuple):
@@ -110,9 +110,9 @@ def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 @shared
 def legal_turn(angle, low, high, near):
-    """Return the angle moved by full turns into [low, high] and, of several such values, the one nearest `near`.
+    """Return the angle shifted by 2 pi k into [low, high] and, of several such values, the one nearest `near`.
 
-    Also returns by how much [rad] the result is outside the limits (0: inside), if no full turn puts it inside.
+    Also returns by how much [rad] the result is outside the limits (0: inside), if no such shift puts it inside.
     """
     x = angle + TAU * np.rint((near - angle) / TAU)
     if x > high + SNAP:
@@ -157,11 +157,11 @@ def copy_limits(ends, opt, q0, box):
 
 @inline
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
-    """Evaluate q (n,) [rad or m] by the kernel's forward kinematics; write its errors and the status to the result row `out`.
+    """Evaluate the forward kinematics at q (n,) [rad or m]; write its errors and the status to the result row `out`.
 
-    `broken` is by how much the best branch exceeds a limit. `gap` is how far [m] the target is out of reach with its
-    orientation kept, and `slack` how much of `gap` [m] the orientation tolerance may make up for. `goal` (12,), `joints`
-    and `trig` are scratch, see `kinematics.room`.
+    `broken` is by how much the best branch exceeds a limit. `gap` is how far [m] the target is out of reach with its orientation
+    kept, and `slack` how much of `gap` [m] the orientation tolerance may make up for. `goal` (12,), `joints` and `trig` are
+    scratch, see `kinematics.room`.
     """
     n = box.shape[1]
     o, chain = read(Orders, opt), Ends(ends, n)

@@ -1,9 +1,9 @@
-"""Solves an arm with a spherical shoulder on a lift (the 7-joint inspection robot): every branch in closed form.
+"""Solves an arm with a spherical shoulder on a lift, a prismatic joint (the 7-joint inspection robot): all branches in closed form.
 
-The arm is recognised by its axes. Joint 1 turns about an axis along which joint 2 slides (in either order, or the slide
-is locked or absent). Axes 1, 3 and 4 meet in one point, the shoulder, each at right angles to the next. Axis 5 is
-parallel to axis 4. Axis 6 crosses axis 5 at right angles, in the plane through the shoulder perpendicular to axis 5.
-Axis 7 is parallel to axis 6. Base, tool, axis signs, angle offsets and lengths are arbitrary.
+The arm is recognised by its axes. Joint 1 turns about an axis along which joint 2 slides (in either order, or the prismatic joint
+is locked or absent). Axes 1, 3 and 4 meet in one point, the shoulder, each at right angles to the next. Axis 5 is parallel to axis
+4. Axis 6 crosses axis 5 at right angles, in the plane through the shoulder perpendicular to axis 5. Axis 7 is parallel to axis 6.
+Base, tool, axis signs, angle offsets and lengths are arbitrary.
 """
 
 import math
@@ -58,12 +58,12 @@ from .polish import polish
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals
 
 __all__ = ["Inspection", "every_branch", "feasible_lifts", "nearest_pose", "recognise", "wrist_pose"]
-STEPS = 24  # Limit on the Newton steps that finish an answer on the real chain.
+STEPS = 24  # Limit on the Newton steps that refine an answer on the actual chain.
 CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
 
 
 def recognise(chain: Chain) -> Fit:
-    """Return how the closed form fits a chain, which depends on the chain's joint axes."""
+    """Return how the closed form fits a chain, judged by the chain's joint axes."""
     if chain.n not in (6, 7):
         return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 revolute joints (or these 6)")
     screws = read_screws(chain)
@@ -169,10 +169,10 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     broken = narrow_windows(p, P, box, near, spans[:count], limits, row, q, best)
             elif gap > 0.0:
                 d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                if stroke > 0.0:  # the target would be in reach with more stroke
+                if stroke > 0.0:  # The target would be in reach if the prismatic joint had more stroke.
                     broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-        slack = opt[ORDER.tol_r] * lever  # a turn by the tolerance moves the wrist by at most this
+        slack = opt[ORDER.tol_r] * lever  # a rotation by the tolerance moves the wrist by at most this
         nearly = p[NEARLY] > 0.0
         spent = 0
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
@@ -183,7 +183,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
             nearest = np.inf
-            for k in range(found + 1):  # k = 0 is the best so far; then follow all branches at its lift
+            for k in range(found + 1):  # k = 0 is the best so far; then all branches at the same lift are refined
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
@@ -203,7 +203,7 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     copy(trial, q)
             if nearest < np.inf:
                 copy(q, best)
-            if nearly:  # a nearly fitting chain proves nothing about the target
+            if nearly:  # A chain that fits only approximately proves nothing about the target.
                 broken, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
@@ -213,15 +213,15 @@ def solve_inspection(rows, ends, seeds, feat, T, Q0, out, opt, hist):
 
 @closed_form
 class Inspection(NamedTuple):
-    """All branches (8) of a spherical shoulder on a lift, for poses; the branch inside limits nearest q0 is returned.
+    """All branches (8) of a spherical shoulder on a lift (prismatic joint), for poses; returns the one inside limits nearest q0.
 
-    Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed by the other branches, the lift as the
-    free parameter, a reach test and singular poses.
+    Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed by the other branches, the lift as the free
+    parameter, a reach test and singular poses.
 
     Args:
-        lift: 'nearest' takes the feasible lift nearest q0's, or another if no branch there is inside the limits; 'mid'
-            takes the middle of the longest feasible interval, with the same exception; a number [m] takes that lift
-            only.
+        lift: Value of the prismatic joint. 'nearest' takes the feasible value nearest q0's, or another if no branch there is inside
+            the limits; 'mid' takes the middle of the longest feasible interval, with the same exception; a number [m] takes only
+            that.
     """
 
     lift: float | str = "nearest"
@@ -230,7 +230,7 @@ class Inspection(NamedTuple):
     every = staticmethod(listing)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the geometry and the choice of lift for the compiled solver.
+        """Return the geometry, and how the prismatic joint's value is chosen, as numbers for the compiled solver.
 
         Raises UnknownSolver if the robot has another structure, InvalidOption if `lift` is none of its choices.
         """
@@ -247,16 +247,16 @@ class Inspection(NamedTuple):
         return np.concatenate([parameters, [choice, value, float(off > FIT)]])
 
     def held(self, robot: Any) -> dict[int, float]:
-        """Return {index of the lift in q: its value [m]} if `lift` is a number, otherwise an empty dict."""
+        """Return {index of the prismatic joint in q: its value [m]} if `lift` is a number, otherwise an empty dict."""
         place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Work out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
+        """Write out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
         from .inspection_steps import derive
 
         return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled function that solves."""
+        """Return the compiled solve function, see `protocol.ClosedForm.loop`."""
         return solve_inspection

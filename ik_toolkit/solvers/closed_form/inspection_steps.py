@@ -1,4 +1,4 @@
-"""Works out the closed form of a spherical shoulder on a lift step by step, for one pose at one lift."""
+"""Writes out the closed form of a spherical shoulder on a lift step by step, for one pose at one value of the prismatic joint."""
 
 import math
 from typing import Any, NamedTuple
@@ -37,7 +37,7 @@ PARTS, SIGNS = ("shoulder", "elbow", "wrist"), {1: "+", 0: "0", -1: "-"}
 
 
 class HeadSlots(NamedTuple):
-    """Indices of the numbers that follow the wrist pose in the array `head` of `worked_out`."""
+    """Indices, in the array `head` of `worked_out`, of the numbers after the wrist pose; their meaning is described there."""
 
     shoulder: int = 12
     room: int = 15
@@ -56,9 +56,9 @@ HEAD = HeadSlots()
 def worked_out(p, T, d, box, head, table):
     """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return the number of branches.
 
-    head holds the wrist pose (12), the shoulder in its axes (3), the room left in the reach [m], how far [m] the wrist
+    head holds the wrist pose (12), the shoulder in its axes (3), the distance to the edge of the reach [m], how far [m] the wrist
     was moved to be reachable, and the first five values of `forearm`. A row of table describes a branch: the numbers
-    (0 or 1) of its elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the limit excess, and q.
+    (0 or 1) of its elbow, wrist and shoulder, theta_1, theta_3 to theta_7, the excess over limits, and q.
     """
     near, P = np.empty(6), np.empty(12)
     near_angles(p, box, near)
@@ -84,7 +84,7 @@ def worked_out(p, T, d, box, head, table):
 
 
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-    """Return the formulas and branches of the pose T (4, 4), at the given lift or else at the lift of the reference box[2]."""
+    """Return the formulas and branches of the pose T (4, 4), at the given lift (prismatic joint) or that of box[2]."""
     place, sign = int(p[LIFT]), p[LIFT + 1]
     value = 0.0 if place < 0 else p[LIFT + 3] if p[LIFT + 2] == GIVEN else box[2, place]
     head, table = np.empty(22), np.empty((8, Q + robot.n))
@@ -115,15 +115,15 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
 
 
 def _is_far(p: np.ndarray, head: np.ndarray) -> bool:
-    """Return whether the pose is out of reach, so that the formulas are those of the nearest one."""
+    """Return whether the pose is out of reach, so that the formulas are those of the nearest reachable pose."""
     return bool(head[HEAD.room] < -EDGE * (p[A4] + p[A6]))
 
 
 def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> tuple[Any, Any, dict[str, Any]]:
-    """Write the target on the sheet; return the wrist's rotation, its position, and the angles theta at q = 0, as symbols.
+    """Add the target to the worksheet; return the wrist's rotation, its position, and the angles theta at q = 0, as symbols.
 
-    The position gets a formula if the target is in reach and the base and tool transforms are pure translations, so that
-    the wrist has the target's rotation. Otherwise only its numbers are written.
+    The position gets a formula if the target is in reach and the base and tool transforms are pure translations, so that the wrist
+    has the target's rotation. Otherwise only its numbers are written.
     """
     plain = all(np.abs(p[at : at + 9].reshape(3, 3) - np.eye(3)).max() < ALIGNED for at in (BASE, TOOL))
     of = "the target's rotation" if plain else "the wrist's rotation, in the shoulder's axes"
@@ -152,7 +152,7 @@ def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> 
 
 
 def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, lift: float) -> dict[str, Any]:
-    """Write the formulas that all branches share (reach and forearm) on the sheet; return the symbols that `_angles` needs."""
+    """Add the formulas that all branches share (reach and forearm) to the worksheet; return the symbols that `_angles` needs."""
     a4 = sheet.given("a4", p[A4], "m", "shoulder to axis 5")
     a6 = sheet.given("a6", p[A6], "m", "axis 5 to axis 7")
     d = sheet.given("d", lift, "m", "height of the shoulder above where it is at lift 0")
@@ -191,7 +191,7 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
 def _angles(
     sheet: Worksheet, symbols: dict[str, Any], robot: Any, p: np.ndarray, head: np.ndarray, row: np.ndarray
 ) -> None:
-    """Write the formulas for the joint angles of one branch on the sheet; row: the branch in the `table` of `worked_out`."""
+    """Add the formulas for the joint angles of one branch to the worksheet; row: the branch in the `table` of `worked_out`."""
     k6, k5, k3 = map(int, row[:3])
     t1, t3, t4, t5, t6, t7 = row[ANGLES:BROKEN]
     R, L, s_z, beta, gamma, chi = (symbols[name] for name in ("R", "L", "s_z", "beta", "gamma", "chi"))

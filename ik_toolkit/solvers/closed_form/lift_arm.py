@@ -1,4 +1,7 @@
-"""The compiled arm with a spherical shoulder on a lift: finds its branches inside the limits, over the lift and free angles."""
+"""The compiled closed form of an arm with a spherical shoulder on a lift (prismatic joint).
+
+It finds the branches inside the limits, over the values of the prismatic joint and of angles that are free.
+"""
 
 import math
 
@@ -18,20 +21,21 @@ from .reach import (
     nearest_lift,
 )
 
-# Indices in the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12).
-# A4 and A6 are lengths, and NEARLY tells whether the arm only nearly has the structure.
-# From JOINTS on, each revolute joint has its index in q, sign and offset: theta = sign q + offset.
-# From LIFT on, the lift has its index in q (-1: none), sign, choice and given value.
+# Indices in the parameters, after the transforms base -> shoulder axes (12) and tip -> wrist axes (12). A4 and A6 are lengths, and
+# NEARLY tells whether the arm has the structure only approximately. From JOINTS on, each revolute joint has its index in q, sign
+# and offset: theta = sign q + offset. From LIFT on, the prismatic joint has its index in q (-1: none), sign, choice and given
+# value.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
 NEAREST, GIVEN, MIDDLE = range(3)
-SCAN = 12  # number of lifts tried in each feasible interval if no branch at the first lift is inside the limits
-# A branch is tried at 33 lifts. If all exceed limits, minima of the excess are searched for between these lifts.
+# values of the prismatic joint tried per feasible interval if no branch at the first value is inside the limits
+SCAN = 12
+# A branch is tried at 33 values of the prismatic joint. If all exceed limits, minima of the excess are searched for between them.
 WINDOWS = 33
-# The golden section takes 64 steps, after which it is at rounding: 0.618^64 = 4e-14.
+# The golden section takes 64 steps, after which the interval is as small as rounding: 0.618^64 = 4e-14.
 GOLDEN, CLOSING = 0.6180339887498949, 64
-TURNS = 8  # number of full turns considered either way; joints with wider limits count as endless
-# An arm counts as level (axes 1 and 4 parallel) if the component of the wrist's z axis along axis 1, and the miss of
-# `level_arm` over the arm's length a4 + a6, are below this.
+TURNS = 8  # largest |k| in shifts by 2 pi k; joints with wider limits count as endless
+# Axes 1 and 4 count as parallel if the component of the wrist's z axis along axis 1, and the position error of `level_arm` over the
+# arm's length a4 + a6, are below this.
 LEVEL = 1e-9
 
 
@@ -50,10 +54,10 @@ def wrist_pose(p, T, P):
 
 @inner
 def joint_values(p, angles, d, box, q):
-    """Fill q (n,) with lift d and `angles` (6,), each on the full turn inside its limits nearest the reference box[2].
+    """Fill q (n,) with lift (prismatic joint) d and `angles` (6,), each shifted by 2 pi k into its limits, nearest box[2].
 
-    p: the arm's parameters; box (4, n): see `copy_limits`. Returns the largest limit excess [rad or m] and the weighted
-    squared distance from the reference.
+    p: the arm's parameters; box (4, n): lower limits, upper limits, reference, weights. Returns the largest excess over a limit
+    [rad or m] and the weighted squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for k in range(6):
@@ -72,17 +76,17 @@ def joint_values(p, angles, d, box, q):
 
 @inline
 def near_angles(p, box, near):
-    """Fill near (6,) with the angles theta of the reference configuration box[2], which are used where an angle is free."""
+    """Fill near (6,) with the angles theta of the reference configuration box[2]; a free angle takes its value from there."""
     for k in range(6):
         near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
 
 
 @inner
 def pick(p, P, d, box, near, moved, sols, q, best):
-    """Fill best (n,) with the branch at lift d that is inside the limits and nearest the reference, or exceeds them least.
+    """Fill best (n,) with the branch inside the limits nearest the reference, or that exceeds them least; lift (prismatic): d.
 
-    The point of the wrist pose P is first moved to the nearest reachable one. Returns limit excess and distance. near
-    (6,): angles used where one is free; moved, sols and q are scratch.
+    The point of the wrist pose P is first moved to the nearest reachable one. Returns the excess over limits and the distance. near
+    (6,): values for angles that are free; moved, sols and q are scratch.
     """
     copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
@@ -97,7 +101,7 @@ def pick(p, P, d, box, near, moved, sols, q, best):
 
 @inline
 def lift_limits(p, box):
-    """Return the lowest and highest lift [m] that the joint's limits in `box` allow, counted along the shoulder's own axis."""
+    """Return the lowest and highest lift [m] that the prismatic joint's limits in `box` allow, along the shoulder's own axis."""
     i = int(p[LIFT])
     if p[LIFT + 1] > 0.0:
         return box[0, i], box[1, i]
@@ -106,11 +110,11 @@ def lift_limits(p, box):
 
 @inner
 def choose_lift(p, P, box, spans):
-    """Return the lift [m] to try first and the number of feasible intervals, whose ends are written to spans (2, 2).
+    """Return the lift (prismatic joint) [m] to try first, and the number of feasible intervals, written to spans (2, 2).
 
     A lift is feasible if the wrist pose P is in reach from it. If the number is 0, no lift inside the limits is feasible,
-    and the one that comes nearest is returned. If it is -1, no intervals were needed: the arm has no lift, its lift is
-    given, or the reference lift is feasible and is to be kept.
+    and the one that comes nearest is returned. If it is -1, no intervals were needed: the arm has no lift, its value is
+    given, or the reference value is feasible and is kept.
     """
     a4, a6 = p[A4], p[A6]
     i = int(p[LIFT])
@@ -138,10 +142,10 @@ def choose_lift(p, P, box, spans):
 
 @inner
 def stopped_at(p, P, box, d, gap, spans):
-    """Return lift, gap and missing stroke [m] of a lift whose limits keep the arm from the target.
+    """Return lift, gap and missing stroke [m] where the limits of the prismatic joint keep the arm from the target.
 
-    If a lift beyond the limits reaches the target, these are the limit nearest to such a lift, a gap of 0, and the
-    distance between the two. Otherwise d and gap are returned, with a stroke of 0.
+    If a lift beyond the limits reaches the target, these are the limit nearest to such a lift, a gap of 0, and the distance between
+    the two. Otherwise d and gap are returned, with a stroke of 0.
     """
     low, high = lift_limits(p, box)
     least = np.inf
@@ -155,10 +159,10 @@ def stopped_at(p, P, box, d, gap, spans):
 
 @inner
 def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
-    """Try SCAN lifts in each feasible interval, a row of `spans`, and fill best (n,) with the best branch of all.
+    """Try SCAN values of the prismatic joint in each feasible interval (a row of `spans`), and fill best (n,) with the best branch.
 
-    That is the branch inside the limits nearest the reference, or else the one of least limit excess, which is returned.
-    Lifts are closer together at the ends of an interval, where the angles change fastest.
+    That is the branch inside the limits nearest the reference, or else the one of least excess over limits, which is returned. The
+    values are closer together at the ends of an interval, where the angles change fastest.
     """
     least, nearest = np.inf, np.inf
     for k in range(spans.shape[0]):
@@ -174,7 +178,7 @@ def scan_lifts(p, P, box, near, spans, moved, sols, tries, best):
 
 @inner
 def at_turn(p, P, k, span, turn, box, near, row, q):
-    """Fill q (n,) with branch k at a lift of the interval `span`; return its limit excess and distance from the reference.
+    """Fill q (n,) with branch k at a lift (prismatic joint) in `span`; return its limit excess and distance from the reference.
 
     turn (0 to pi) chooses the lift: it lies at the share (1 - cos(turn)) / 2 of the interval.
     """
@@ -185,9 +189,9 @@ def at_turn(p, P, k, span, turn, box, near, row, q):
 
 @inner
 def narrow_windows(p, P, box, near, spans, broken, row, q, best):
-    """Search the feasible intervals of lifts (rows of `spans`) for windows: parts in which a branch is inside all limits.
+    """Search feasible intervals of the lift (prismatic joint; rows of `spans`) for parts where a branch is inside all limits.
 
-    A window may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
+    A part may be narrow. The largest limit excess of a branch, as a function of the lift, has a minimum in it. Each
     minimum is approached by golden section until the excess is 0 or no longer falls. Fills best (n,) with the branch of
     least excess, and returns this excess.
     """
@@ -226,9 +230,9 @@ def narrow_windows(p, P, box, near, spans, broken, row, q, best):
 
 @inline
 def coupled(p, up, row):
-    """Return i, j, base and slope of the coupling q_j = base + slope q_i in a level arm with the angles `row` (6,).
+    """Return i, j, base and slope of q_j = base + slope q_i for an arm with axes 1 and 4 parallel and the angles `row` (6,).
 
-    Joints i and j turn theta_1 and theta_4. The pose determines theta_4 - up theta_1, where up is 1 or -1.
+    Joints i and j turn theta_1 and theta_4, of which the pose only determines theta_4 - up theta_1; up is 1 or -1.
     """
     sign, sign4 = p[JOINTS + 1], p[JOINTS + 7]
     base = sign4 * (row[2] - up * row[0] + up * p[JOINTS + 2] - p[JOINTS + 8])
@@ -247,7 +251,10 @@ def shared_range(box, i, j, shift, slope):
 
 @inline
 def set_free(p, up, x, row):
-    """Set theta_1 of a level arm with the angles `row` (6,) by the joint value x, and theta_4 so that the pose is kept."""
+    """Set theta_1 of an arm with axes 1 and 4 parallel by the joint value x, and theta_4 so that the pose is kept.
+
+    row (6,): the arm's angles, changed in place.
+    """
     turned = p[JOINTS + 1] * x + p[JOINTS + 2] - row[0]
     row[0] += turned
     row[2] += up * turned
@@ -255,10 +262,10 @@ def set_free(p, up, x, row):
 
 @inner
 def meet_limits(p, box, up, row):
-    """Set theta_1 and theta_4 of a level arm with the angles `row` (6,) to the pair in limits nearest the reference.
+    """Set theta_1 and theta_4, with axes 1 and 4 parallel and the angles `row` (6,), to the pair in limits nearest the reference.
 
-    The pose determines theta_4 - up theta_1, where up is 1 or -1. If no pair is inside the limits, the one that exceeds
-    them least is taken.
+    The pose determines theta_4 - up theta_1, where up is 1 or -1. If no pair is inside the limits, the one that exceeds them least
+    is taken.
     """
     i, j, base, slope = coupled(p, up, row)
     first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
@@ -278,10 +285,10 @@ def meet_limits(p, box, up, row):
 
 @inner
 def pick_level(p, P, d, free, box, near, row, q, best):
-    """Fill best (n,) with the level arm (axes 1 and 4 parallel) of least limit excess; of several, the nearest to the reference.
+    """Fill best (n,) with the configuration of least excess over limits that has axes 1 and 4 parallel.
 
-    Returns its limit excess, or infinity if no level arm reaches the pose P. If `free`, each arm takes the lift that it
-    needs, otherwise lift d.
+    Of several, the one nearest to the reference is taken. Returns its excess, or infinity if no such configuration reaches the pose
+    P. If `free`, each configuration takes the lift that it needs, otherwise lift d.
     """
     least, nearest = np.inf, np.inf
     size = p[A4] + p[A6]

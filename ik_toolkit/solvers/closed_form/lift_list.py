@@ -1,4 +1,4 @@
-"""Lists all branches of the arm with a spherical shoulder on a lift, and the families in which an angle or the lift is free."""
+"""Lists all branches of the arm with a spherical shoulder on a lift (prismatic joint), and its self-motions."""
 
 import math
 from typing import Any
@@ -39,9 +39,9 @@ from .reach import (
     shoulder_in_tool,
 )
 
-SPREAD_LIFTS = 9  # number of lifts listed in each feasible interval
-STEPS = 8  # number of Newton steps that correct a branch of an arm that only nearly fits
-LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # bits for what leaves an angle free at a given lift
+SPREAD_LIFTS = 9  # number of values of the prismatic joint listed in each feasible interval
+STEPS = 8  # number of Newton steps that correct a branch of an arm that fits only approximately
+LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # why an angle is free: axes 1 and 4 parallel, shoulder on axis 6 or 7
 
 
 @cached
@@ -49,7 +49,7 @@ def every_branch(p, T, box, lifts, out, broken):
     """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return their number.
 
     broken (8 K,) receives by how much each branch exceeds a joint limit. p: the arm's parameters; box (4, n): see
-    `geometry.copy_limits`.
+    `geometry.copy_limits`; a lift is a value of the prismatic joint [m] along the shoulder's axis.
     """
     near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
     near_angles(p, box, near)
@@ -67,7 +67,7 @@ def every_branch(p, T, box, lifts, out, broken):
 
 @cached
 def first_lift(p, T, box):
-    """Return the lift [m] along the shoulder's axis at which the branches of T (4, 4) are listed if one lift is enough."""
+    """Return the lift (prismatic joint) [m] at which the branches of T (4, 4) are listed if one value is enough."""
     P, spans = np.empty(12), np.empty((2, 2))
     wrist_pose(p, T, P)
     return choose_lift(p, P, box, spans)[0]
@@ -77,7 +77,7 @@ def first_lift(p, T, box):
 def looks(p, T, d, Q, marks):
     """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of the branches Q (K, n) of the pose T (4, 4).
 
-    Returns what leaves an angle free at lift d, as bits (LEVEL_ARM, ON_AXIS_6, ON_AXIS_7).
+    Returns why an angle is free at lift d, as bits (LEVEL_ARM, ON_AXIS_6, ON_AXIS_7).
     """
     for k in range(Q.shape[0]):
         for m in range(3):  # These are the signs of sin theta_3, sin theta_6 and cos theta_5.
@@ -98,10 +98,10 @@ def looks(p, T, d, Q, marks):
 
 @cached
 def level_family(p, T, box, d, free, samples, spans, out, broken):
-    """Fill spans (S, 2) with the ranges [rad] over which theta_1's joint is free in level arms at T; return their number.
+    """Fill spans (S, 2) with the ranges [rad] over which theta_1's joint is free with axes 1 and 4 parallel; return their number.
 
-    `samples` configurations spread evenly over each range are written to out (S samples, n), their limit excess to
-    broken (S samples,). If `free`, each arm takes the lift that it needs, otherwise lift d.
+    `samples` configurations spread evenly over each range are written to out (S samples, n), their excess over limits to broken (S
+    samples,). If `free`, each configuration takes the lift that it needs, otherwise lift d.
     """
     P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
     near_angles(p, box, near)
@@ -136,7 +136,7 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
 
 @cached
 def reaching(p, T, low, high, spans):
-    """Fill spans (2, 2) with the intervals of lifts along the shoulder's axis that reach T (4, 4); return their number."""
+    """Fill spans (2, 2) with the intervals of the lift (prismatic joint) that reach T (4, 4); return their number."""
     P = np.empty(12)
     wrist_pose(p, T, P)
     return lift_intervals(P, p[A4], p[A6], low, high, spans)
@@ -144,9 +144,9 @@ def reaching(p, T, low, high, spans):
 
 @cached
 def shortened(p, T, lift, P, before):
-    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift; return how far [m] it was moved.
+    """Write the wrist pose of T (4, 4) to P (12,), moved into reach at a lift (prismatic joint); return how far [m] it was moved.
 
-    Its point before that move is written to `before` (3,).
+    `before` (3,) receives its point before that move.
     """
     wrist_pose(p, T, P)
     before[:] = P[9:]
@@ -156,7 +156,7 @@ def shortened(p, T, lift, P, before):
 def feasible_lifts(
     p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
 ) -> list[tuple[float, float]]:
-    """Return the intervals (0 to 2) of the lift joint's value [m], inside [low, high], that reach the pose T (4, 4)."""
+    """Return the intervals (0 to 2) of the prismatic joint's value [m], inside [low, high], that reach the pose T (4, 4)."""
     spans, sign = np.empty((2, 2)), p[LIFT + 1]
     ends = sorted((sign * low, sign * high))
     count = reaching(p, np.ascontiguousarray(T, dtype=float), float(ends[0]), float(ends[1]), spans)
@@ -164,7 +164,7 @@ def feasible_lifts(
 
 
 def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray, float]:
-    """Return the pose nearest T (4, 4) that is reachable at a value of the lift joint [m], and its distance [m].
+    """Return the pose nearest T (4, 4) that is reachable at a value of the prismatic joint [m], and its distance [m].
 
     The orientation is kept.
     """
@@ -175,10 +175,10 @@ def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray,
 
 
 def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-    """List all branches of T (4, 4) at the lift that is given, locked or chosen by 'mid', or at several lifts if it is free.
+    """List all branches of T (4, 4), at one value of the prismatic joint or, if that is free, at several.
 
-    box (4, n) has limits, reference and weights (see geometry.copy_limits); count says about how many members of a
-    family to list.
+    One value is used if it is given, locked or chosen by 'mid'. box (4, n) has limits, reference and weights (see
+    geometry.copy_limits); count says about how many samples of a self-motion to list.
     """
     place, sign, choice = int(p[LIFT]), p[LIFT + 1], p[LIFT + 2]
     free_lift = place >= 0 and choice == NEAREST
@@ -217,10 +217,10 @@ def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: in
 def _free_angles(
     robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, d: float, free: int, free_lift: bool, count: int
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Family]]:
-    """Return the families in which theta_1, theta_6 or theta_7 is free at lift d, and members of each.
+    """Return the self-motions in which theta_1, theta_6 or theta_7 is free at lift (prismatic joint) d, and samples of each.
 
-    free: bits returned by `looks`; free_lift: whether the lift is free, too; count: number of members to list per range.
-    Members come first in the result, as pairs of configurations (M, n) and their limit excess (M,).
+    free: bits returned by `looks`; free_lift: whether the prismatic joint is free, too; count: number of samples to list per range.
+    Samples come first in the result, as pairs of configurations (M, n) and their excess over limits (M,).
     """
     # Names of the joints that turn theta_1, theta_3, theta_4, theta_5, theta_6 and theta_7.
     names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]

@@ -13,7 +13,7 @@ from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from .geometry import copy_limits, legal_start, measure_tip
 from .polish import polish
 
-SAMPLE = 64  # number of branches asked for from a continuous family
+SAMPLE = 64  # number of samples asked for from a self-motion
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:

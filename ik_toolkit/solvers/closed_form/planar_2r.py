@@ -35,7 +35,7 @@ STEPS = 8  # number of Newton steps that correct a branch if axes are only nearl
 
 
 def recognise_planar(chain: Chain) -> Fit:
-    """Return how the closed form fits a chain, which depends on the chain's joint axes."""
+    """Return how the closed form fits a chain, judged by the chain's joint axes."""
     if chain.n != 2:
         return no_fit(f"it has {chain.n} joints on the path, not 2")
     screws = read_screws(chain)
@@ -67,7 +67,7 @@ def nearest_on_limits(p, x, y, box, q, best):
 
     One joint is then at a limit. If it is joint 1, the tip moves on an arc about the elbow; if it is joint 2, on an arc
     about the base. The arc's nearest point lies in the direction of (x, y) from its centre, or is an end of the arc. p:
-    the arm's parameters; box (4, 2): see `copy_limits`; q (2,) is scratch.
+    the arm's parameters; box (4, 2): limits, reference, weights; q (2,) is scratch.
     """
     a, b = p[L1], p[L2]
     miss = np.inf
@@ -132,7 +132,7 @@ def solve_planar(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
         spent = 0
-        if p[NEARLY] > 0.0:  # branches of an arm that only nearly fits are corrected numerically, and prove nothing
+        if p[NEARLY] > 0.0:  # Branches of an arm that fits only roughly are corrected numerically, and prove nothing.
             nearest = np.inf
             for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
                 joint_values(p, sols[k], box, q)
@@ -172,7 +172,7 @@ class Planar2R(NamedTuple):
         families = ()
         if folded and found and broken[0] == 0.0:
             low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
-            if high < low:  # joint 1's limits lie a turn or more away
+            if high < low:  # joint 1's limits exclude -pi ... pi
                 low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
             q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
             found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)
@@ -183,11 +183,11 @@ class Planar2R(NamedTuple):
         return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
-        """Work out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
+        """Write out the formulas with numbers for T (4, 4); box (4, n): limits, reference, weights, as for `every`."""
         from .planar_2r_steps import derive_planar
 
         return derive_planar(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
-        """Return the compiled function that solves."""
+        """Return the compiled solve function, see `protocol.ClosedForm.loop`."""
         return solve_planar

@@ -1,4 +1,4 @@
-"""Works out the closed form of two parallel axes step by step for one point."""
+"""Writes out the closed form of two parallel revolute axes step by step for one point."""
 
 import math
 from typing import Any
@@ -69,7 +69,7 @@ def derive_planar(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> 
 def _words(robot: Any, room: float, off: float) -> str:
     """Return a sentence that says by how much the target is out of reach, or ''.
 
-    room: room left in the reach [m], negative out of reach; off: distance [m] from the arm's plane.
+    room: distance [m] to the edge of the reach, negative outside; off: distance [m] from the arm's plane.
     """
     near = 1e-9 * robot.reach
     parts = []

@@ -34,7 +34,7 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
 
 @inner
 def newton(p, old, opt, T, q, fixed, steps, most):
-    """Carry out the steps of `polish`, which has made the problem p and the scratch array `old` (n,)."""
+    """Carry out the steps of `polish`; p: the problem, old (n,): scratch, other arguments as there."""
     n, o = q.shape[0], read(Orders, opt)
     s, box = p.desk, p.ends
     limited = o.limits > 0.0

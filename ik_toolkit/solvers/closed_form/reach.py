@@ -1,8 +1,8 @@
-"""Mathematics of two structures in closed form, on plain numbers: all branches, reach, and the nearest reachable point.
+"""Mathematics of two structures in closed form: all branches, reach, and the nearest reachable point.
 
-Lengths are in metres, angles in radians. Sources: planar 2R, Chinyai eqs. (1)-(5) with the signs corrected and atan2
-throughout; inspection arm, Shanmugasundar and Sivaramakrishnan (2012) eqs. (7)-(13), completed: their theta_1 = 2
-atan2(py, px) has no basis, and the lift is the arm's one free parameter.
+Lengths are in metres, angles in radians. Sources: planar 2R, Chinyai eqs. (1)-(5) with the signs corrected and atan2 throughout;
+inspection arm, Shanmugasundar and Sivaramakrishnan (2012) eqs. (7)-(13), completed: their theta_1 = 2 atan2(py, px) has no basis,
+and the lift (prismatic joint) is the arm's one free parameter.
 """
 
 import math
@@ -26,13 +26,13 @@ FOLDED = 1e-9  # The links count as folded onto the base if the tip is nearer to
 
 @shared
 def wrap(x):
-    """Return the angle x [rad], moved by full turns into the range -pi..pi."""
+    """Return the angle x [rad] modulo 2 pi, in the range -pi..pi."""
     return x - TAU * math.floor(x / TAU + 0.5)
 
 
 @shared
 def elbow(r, l1, l2):
-    """Return the elbow angle in 0..pi of two links that span the distance r, without cancellation at either end of the reach."""
+    """Return the elbow angle in 0..pi of two links that span the distance r, accurate also at both ends of the reach."""
     a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # This is 2 l1 l2 (1 - cos).
     b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # This is 2 l1 l2 (1 + cos).
     return 2.0 * math.atan2(math.sqrt(a), math.sqrt(b))
@@ -72,7 +72,10 @@ def planar_branches(x, y, l1, l2, near, sols):
 
 @inline
 def to_plane(p, T):
-    """Return x and y [m] of the position of T (4, 4) in the arm's plane, and its distance [m] from the plane; p: parameters."""
+    """Return x and y [m] of the position of T (4, 4) in the arm's plane, and its distance [m] from the plane.
+
+    p: the arm's parameters.
+    """
     x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
     y = p[3] * T[0, 3] + p[4] * T[1, 3] + p[5] * T[2, 3] + p[10]
     z = p[6] * T[0, 3] + p[7] * T[1, 3] + p[8] * T[2, 3] + p[11]
@@ -81,9 +84,9 @@ def to_plane(p, T):
 
 @inner
 def joint_values(p, angles, box, q):
-    """Fill q (2,) with theta_1 and theta_2 (`angles`), each on the full turn inside its limits nearest the reference box[2].
+    """Fill q (2,) with theta_1 and theta_2 (`angles`), each shifted by 2 pi k into its limits, nearest the reference box[2].
 
-    p: the arm's parameters. Returns the largest limit excess [rad] and the weighted squared distance from the reference.
+    p: the arm's parameters. Returns the largest excess over a limit [rad] and the weighted squared distance from the reference.
     """
     worst, distance = 0.0, 0.0
     for i in range(2):
@@ -96,7 +99,7 @@ def joint_values(p, angles, box, q):
 
 @cached
 def list_planar(p, T, box, out, broken, marks):
-    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with their limit excess, marks (2, 3) with their signs.
+    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with their excess over limits, marks (2, 3) with their signs.
 
     Returns the number of branches, and whether the links fold back onto the base, which leaves the first angle free.
     """
@@ -123,7 +126,10 @@ def shoulder_in_tool(P, d):
 
 @shared
 def inspection_margin(P, d, a4, a6):
-    """Return how far [m] wrist pose P is inside (positive) or outside (negative) the reach at lift d, its orientation kept."""
+    """Return how far [m] wrist pose P is inside (positive) or outside (negative) the reach at lift (prismatic joint) d.
+
+    The orientation is kept.
+    """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
     return min(a4 - math.hypot(r - a6, z), math.hypot(r + a6, z) - a4)
@@ -131,10 +137,10 @@ def inspection_margin(P, d, a4, a6):
 
 @shared
 def inspection_nearest(P, d, a4, a6):
-    """Move the point of P to the nearest one reachable at lift d with the orientation kept; return the distance [m].
+    """Move the point of P to the nearest one reachable at lift (prismatic joint) d; return the distance [m].
 
-    In the wrist's frame the shoulder can be anywhere in a torus about the z axis (circle of radius a6, tube of radius a4),
-    except where the tube overlaps itself around the axis. The shoulder is projected onto the tube's surface.
+    The orientation is kept. In the wrist's frame the shoulder can be anywhere in a torus about the z axis (circle of radius a6,
+    tube of radius a4), except where the tube overlaps itself around the axis. The shoulder is projected onto the tube's surface.
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -159,10 +165,10 @@ def inspection_nearest(P, d, a4, a6):
 
 @shared
 def forearm(P, d, a4, a6, near):
-    """Return what all branches of a wrist pose P at lift d share: the geometry of elbow and wrist.
+    """Return what all branches of a wrist pose P at lift (prismatic joint) d share: the geometry of elbow and wrist.
 
-    That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the
-    angles `inner` and `heading` (`wrist` makes theta_7 of them), and theta_5's sine and cosine. P must be reachable (see
+    That is: whether the shoulder is on axis 6, whether the elbow is straight, theta_6 of the first elbow branch, the angles `inner`
+    and `heading` (from which `wrist` computes theta_7), and theta_5's sine and cosine. P must be reachable (see
     inspection_nearest); a free theta_6 or theta_7 is taken from `near` (6,).
     """
     x, y, z = shoulder_in_tool(P, d)
@@ -202,8 +208,8 @@ def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
 def shoulder(P, c5, s5, phi, given, t1):
     """Return the tilt (sine of the angle between axes 1 and 4), and theta_1, theta_3, theta_4 of the first shoulder branch.
 
-    phi = theta_6 + theta_7. theta_1 is t1 if it is free (no tilt) or if `given`. The second branch is theta_1 + pi,
-    -theta_3, theta_4 + pi.
+    phi = theta_6 + theta_7. theta_1 is t1 if `given`, or if the tilt is 0 and theta_1 therefore free. The second branch is theta_1
+    + pi, -theta_3, theta_4 + pi.
     """
     cp, sp = math.cos(phi), math.sin(phi)
     m02 = -(P[0] * sp + P[1] * cp)
@@ -235,7 +241,7 @@ def fill_shoulder_branch(row, k3, t1, t3, t4, t5, t6, t7):
 
 @shared
 def inspection_branches(P, d, a4, a6, near, sols):
-    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist at pose P at lift d; return their number.
+    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 for wrist pose P at lift (prismatic joint) d; return their number.
 
     There are eight if nothing merges: two each of wrist, elbow and shoulder. P must be reachable (see
     inspection_nearest). A free angle is taken from `near` (6,): theta_1 if axes 1 and 4 align, theta_6 if the shoulder
@@ -255,7 +261,7 @@ def inspection_branches(P, d, a4, a6, near, sols):
 
 @shared
 def inspection_branch(P, d, a4, a6, near, k, row):
-    """Fill row (6,) with branch k = 0..7 at lift d; bits 0, 1, 2 of k choose shoulder, wrist and elbow.
+    """Fill row (6,) with branch k = 0..7 at lift (prismatic joint) d; bits 0, 1, 2 of k choose shoulder, wrist and elbow.
 
     For a given k the angles vary smoothly with the lift.
     """
@@ -267,11 +273,11 @@ def inspection_branch(P, d, a4, a6, near, k, row):
 
 @shared
 def level_arm(P, d, free, a4, a6, k, near, row):
-    """Fill row (6,) with arm k = 0..7 whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift and its miss [m].
+    """Fill row (6,) with a configuration whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift and error [m].
 
-    Only a pose P whose z axis is perpendicular to axis 1 has such arms. If `free`, the lift follows from theta_6, otherwise
-    it is d. The miss [m] is the error with which the arm reaches P. Bits 0, 1, 2 of k choose the sign of cos(theta_3), the
-    elbow and the wrist.
+    Only a pose P whose z axis is perpendicular to axis 1 has such configurations. If `free`, the lift (prismatic joint) follows
+    from theta_6, otherwise it is d. The error [m] is how far the arm then is from P. Bits 0, 1, 2 of k = 0..7 choose the sign of
+    cos(theta_3), the elbow and the wrist.
     """
     up = 1.0 - 2.0 * (k % 2)  # cos(theta_3)
     phi = math.atan2(up * P[6], up * P[7])
@@ -294,7 +300,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
 
 @cached
 def many_branches(P, lifts, a4, a6, near, sols):
-    """Count the branches of wrist poses P (N, 12) at lifts (N,), for the benchmarks to time."""
+    """Return how many branches the wrist poses P (N, 12) have at lifts (N,); benchmarks time this."""
     count = 0
     for k in range(P.shape[0]):
         count += inspection_branches(P[k], lifts[k], a4, a6, near, sols)
@@ -316,7 +322,7 @@ def depressed_roots(p, q):
 
 @shared
 def reach_edge(P, a4, a6, outside, inside):
-    """Return the lift at the edge of the reach between `outside` (P unreachable) and `inside` (reachable); P is reachable there."""
+    """Return a lift (prismatic joint) where P just becomes reachable, between `outside` (unreachable) and `inside` (reachable)."""
     for _ in range(60):
         middle = 0.5 * (outside + inside)
         if inspection_margin(P, middle, a4, a6) >= 0.0:
@@ -339,11 +345,10 @@ def keep_interval(out, count, a, b, low, high):
 
 @shared
 def lift_intervals(P, a4, a6, low, high, out):
-    """Fill out (2, 2) with the intervals of lifts, inside [low, high], from which P is reachable; return how many (0 to 2).
+    """Fill out (2, 2) with the intervals of the lift (prismatic joint), in [low, high], that reach P; return how many (0 to 2).
 
-    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide
-    the lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to
-    rounding.
+    P is reachable where a monic quartic in u = lift - P_z is not positive. Its turning points, the roots of a cubic, divide the
+    lifts into ranges. Each range has at most one end of an interval, which bisection on the reach margin finds to rounding.
     """
     wx, wy, wz, az = P[9], P[10], P[11], P[8]
     p = wx * wx + wy * wy - a4 * a4 - a6 * a6 + 2.0 * a6 * a6 * az * az
@@ -370,11 +375,11 @@ def lift_intervals(P, a4, a6, low, high, out):
 
 @shared
 def nearest_lift(P, a4, a6, low, high):
-    """Return the lift in [low, high] at which the arm, with its orientation kept, comes nearest to the wrist pose P.
+    """Return the lift (prismatic joint) in [low, high] at which the arm, its orientation kept, comes nearest to the wrist pose P.
 
     P is not reachable from any lift in that range.
     """
-    side = math.hypot(P[9], P[10]) + a4 + a6  # lifts further away than this only add distance
+    side = math.hypot(P[9], P[10]) + a4 + a6  # values further away than this only add distance
     low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
     best, step = low, (high - low) / 64.0
     for k in range(1, 65):

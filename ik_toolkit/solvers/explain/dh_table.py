@@ -14,7 +14,7 @@ from .layout import Block, Sentence, Table, Variable, decimals, digits
 
 # Axes are parallel if the sine between them is below 1e-7, and meet if they are nearer than 1e-7 of the reach.
 SAME = 1e-7
-AGREES = 1e-6  # [arm reaches or rad] largest difference between table and robot
+AGREES = 1e-6  # [rad, or length over the reach] largest difference between table and robot
 
 
 def dh_of(robot: Any) -> DHTable | None:
@@ -29,7 +29,7 @@ def dh_of(robot: Any) -> DHTable | None:
 
 
 def _agrees(table: DHTable, robot: Any) -> bool:
-    """Return whether the rows multiply to the robot's forward kinematics."""
+    """Return whether the table's transforms multiply to the robot's forward kinematics."""
     rng = np.random.default_rng(0)
     for _ in range(3):
         q = robot.random_q(rng)

@@ -20,9 +20,10 @@ from .dh_table import dh_of
 from .explanation import Explanation, Iterations
 from .worked_solution import Branch, WorkedSolution
 
-# Newton steps on the real chain correct errors up to 1e-3 of the reach, as EAIK has near singular poses.
+# Newton steps on the actual chain correct errors up to 1e-3 of the reach, as EAIK has near singular poses.
 NEARLY = 1e-3
-# An answer this close to a branch [rad or arm reaches] counts as it; Newton steps move the branches of an approximate fit.
+# An answer this close to a branch [rad, or length over the reach] counts as it; Newton steps move the branches of an approximate
+# fit.
 SAME = 1e-6
 
 
@@ -64,7 +65,7 @@ def explain_result(result: Any) -> Explanation:
 
 
 def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
-    """Return the closed form to show, as a plan: the one that solved, or one that fits; or None, and why there is none."""
+    """Return the closed form to show, as a Plan (bound to the robot): the one that solved, or one that fits; or None, and why."""
     plan, robot = of.plan, of.plan.robot
     if plan.row.closed:
         return plan, ""
@@ -86,7 +87,7 @@ def _form_of(of: SolveRecord) -> tuple[Plan | None, str]:
 
 
 def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
-    """Work out the closed form for the target; free joints stay as they are at the answer q (n,)."""
+    """Write out the closed form for the target; free joints keep their values in the answer q (n,)."""
     robot = form.robot
     free = np.full(robot.n, np.inf)
     lower, upper = (robot.lower, robot.upper) if form.options.limits else (-free, free)
@@ -101,7 +102,7 @@ def _derived(form: Plan, of: SolveRecord, q: np.ndarray) -> WorkedSolution:
 
 
 def _nearest(robot: Any, branches: tuple[Branch, ...], q: np.ndarray) -> int | None:
-    """Return the index of the branch that the answer q is, or None."""
+    """Return the index of the branch that equals the answer q, or None."""
     far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
     best = int(np.argmin(far)) if far else 0
     return best if far and far[best] < SAME else None
@@ -135,7 +136,7 @@ def _run(of: SolveRecord, plan: Plan) -> SolveRecord:
 
 
 def _iterations(of: SolveRecord, read: Any) -> Iterations:
-    """Return the errors and q of every evaluation in the attempt that gave the answer; read: makes a Result of a record."""
+    """Return the errors and q of every evaluation in the attempt that gave the answer; read: makes a Result of a SolveRecord."""
     made = of if of.history is not None else record(of)
     history, result = made.history, read(made)
     assert history is not None

@@ -50,16 +50,16 @@ class Explanation:
     Attributes:
         robot: The robot that was solved for.
         q: The answer (n,) [rad or m].
-        message: The sentence of the solve.
+        message: The message of the solve, one sentence.
         targets: Target of each tip: T (4, 4), or (3,) if no rotation counts.
         tables: D-H table of each tip, or None if it has none.
-        worked: The closed form worked out, or None.
+        worked: The closed form written out with its numbers, or None.
         form: Name of the closed form, or ''.
         source: Publication of the closed form.
         why: Why there is no closed form, or ''.
-        chosen: Number of the branch that is the answer, or None.
+        chosen: Index of the branch that is the answer, or None.
         errors: Position [m] and orientation error [rad, or None] of each branch, computed by Pinocchio.
-        iterations: The path of an iterative solver, or None.
+        iterations: The iterations of an iterative solver, or None.
     """
 
     robot: Any
@@ -122,7 +122,7 @@ class Explanation:
             yield Sentence(f"Source: {self.source}.")
 
     def free_words(self) -> str:
-        """Return a sentence or two on the ranges of the free joint."""
+        """Return a sentence or two on the feasible values of the joint that may be chosen."""
         assert self.worked is not None and self.worked.free is not None
         free = self.worked.free
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])

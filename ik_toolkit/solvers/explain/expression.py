@@ -17,7 +17,7 @@ SLOT = re.compile("\x01(\\w+)\x02(\\(?)")
 
 
 class _Slot(sympy.Symbol):
-    """The place in a formula that gets the number of a symbol.
+    """A placeholder in a formula for the number of a symbol.
 
     It sorts as the symbol does, so that a formula and its numbers have the same order.
     """
@@ -25,7 +25,7 @@ class _Slot(sympy.Symbol):
     __slots__ = ("bare",)
 
     def __new__(cls, name: str, bare: bool) -> "_Slot":
-        """Make a slot; with `bare`, a negative number needs no parentheses there."""
+        """Make a placeholder; with `bare`, a negative number needs no parentheses there."""
         made = sympy.Symbol.__xnew__(cls, name, real=True)
         made.bare = bare
         return made
@@ -82,7 +82,7 @@ class _MathML(_PositiveFirst, MathMLPresentationPrinter):
 
 
 def _flat(node: Any) -> Iterator[Any]:
-    """Yield the nodes of MathML in a row, without the rows that only group them."""
+    """Yield the nodes of a MathML row one by one, with rows that only group them dissolved."""
     if node.tagName != "mrow":
         yield node
     else:
@@ -113,7 +113,7 @@ def with_numbers(expression: Any, form: str, texts: Mapping[str, str]) -> str:
 
 
 def quantity(text: str, form: str) -> str:
-    """Write a number with its unit, like '-12.5 deg', in a form; in MathML it is for inside `<mn>`."""
+    """Write a number with its unit, like '-12.5 deg', as 'text', 'latex' or 'mathml' (for inside `<mn>`)."""
     digits, _, unit = text.partition(" ")
     if form == "text" or (not unit and form == "latex"):
         return text
@@ -124,7 +124,7 @@ def quantity(text: str, form: str) -> str:
 
 @functools.lru_cache(4096)
 def _with_slots(node: Any, bare: bool) -> Any:
-    """Return the expression `node` with slots for its symbols; bare: whether it stands alone, so needs no parentheses."""
+    """Return the expression `node` with placeholders for its symbols; bare: whether it stands alone, so needs no parentheses."""
     if node.is_Symbol or node is sympy.pi:
         return _Slot(str(node), bare)
     if not node.args:

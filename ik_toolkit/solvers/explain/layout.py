@@ -32,14 +32,14 @@ class OutsideLimits(str):
 
 
 class Table(NamedTuple):
-    """Texts in columns."""
+    """A table of texts: column heads and rows."""
 
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
 
 
 class Equations(NamedTuple):
-    """Steps of a calculation, which may use the numbers of the steps `before`; places is the decimals of a millimetre."""
+    """Steps of a calculation; formulas may use symbols of the steps `before`; places: decimals of a millimetre to show."""
 
     steps: tuple[WorkedStep, ...]
     before: tuple[WorkedStep, ...]

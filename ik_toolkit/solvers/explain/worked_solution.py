@@ -1,4 +1,4 @@
-"""A closed form worked out for one target: its formulas with their numbers, and its branches."""
+"""A closed form written out for one target: its formulas with their numbers, and its branches."""
 
 from typing import Any, NamedTuple
 
@@ -40,10 +40,10 @@ class Branch(NamedTuple):
 
 
 class Free(NamedTuple):
-    """A joint that the target leaves free.
+    """A joint whose value the target does not determine.
 
-    `joint` is its index in q, `parameter` the option of the closed form that sets it, `inside` the intervals [rad or m]
-    of values that reach the target within the joint's limits, `every` the intervals without regard to its limits.
+    `joint` is its index in q, `parameter` the option of the closed form that sets it, `inside` the intervals [rad or m] of values
+    that reach the target within the joint's limits, `every` the intervals without regard to its limits.
     """
 
     joint: int
@@ -53,11 +53,11 @@ class Free(NamedTuple):
 
 
 class WorkedSolution(NamedTuple):
-    """A closed form worked out for one target, as its `derive` returns it.
+    """A closed form written out for one target, as its method `derive` returns it.
 
-    `steps` has what all branches share, given numbers first (empty if the closed form shows no formulas); `legend` says
-    what the labels of branches mean; `words` say what is wrong with the target, or are ''; `free` is a joint that may
-    be chosen, or None; `beside` is the name of an iterative solver to compare with, or ''.
+    `steps` has what all branches share, given numbers first (empty if the closed form shows no formulas); `legend` says what the
+    labels of branches mean; `words` say what is wrong with the target, or are ''; `free` is a joint that may be chosen, or None;
+    `beside` is the name of an iterative solver to compare with, or ''.
     """
 
     steps: tuple[WorkedStep, ...]

@@ -27,7 +27,7 @@ class Worksheet:
         return self._add(name, formula, self.value(formula) if value is None else float(value), unit, words)
 
     def angle(self, name: str, formula: Any, value: float, words: str = "") -> Any:
-        """Add an angle [rad]; if the solver has removed full turns from it, they are written into the formula."""
+        """Add an angle [rad]; if the solver has shifted it by 2 pi k, the shift is written into the formula."""
         turns = round((self.value(formula) - value) / (2.0 * math.pi))
         return self._add(name, formula - 2 * turns * pi, float(value), "rad", words)
 
@@ -52,7 +52,7 @@ class Worksheet:
             self.angle(f"q_{place + 1}", formula, value, name)
 
     def value(self, formula: Any) -> float:
-        """Compute the number [m, rad or 1] of a formula with the values so far."""
+        """Evaluate a formula with the values so far; return the number [m, rad or 1]."""
         symbols, function = _compiled(formula)
         return float(function(*(self.values[symbol] for symbol in symbols)))
 

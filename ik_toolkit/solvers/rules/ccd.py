@@ -31,7 +31,7 @@ class Sweep(NamedTuple):
             new = p.inside(i, old + p.best_move(e, i, self.least))
             if new == old:
                 continue
-            if not s.affords(2):  # two evaluations must be left: a trial, and one to undo it
+            if not s.affords(2):  # a trial needs two evaluations: its own, and one to undo it
                 cut = True
                 break
             s.q[i] = new
@@ -57,5 +57,5 @@ class CCD(NamedTuple):
     """
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Sweep:
-        """Return the compiled step, a NamedTuple of the class that has `step`."""
+        """Return the compiled step as a NamedTuple."""
         return Sweep(1e-14)

@@ -11,7 +11,7 @@ from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # least damping, because J J' of a planar arm has no inverse
+FLOOR = 1e-12  # least damping, needed because J J' of a planar arm has no inverse
 
 
 def negative(name: str, value: Any) -> str:
@@ -34,7 +34,7 @@ class LM(NamedTuple):
     wrap = True
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
@@ -64,7 +64,7 @@ class DLS(NamedTuple):
     hold: bool = True
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("damping", self.damping)
 
     def step(self, p, e):
@@ -88,7 +88,7 @@ class Pinv(NamedTuple):
     rcond: float = 1e-8
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -117,7 +117,7 @@ class Transpose(NamedTuple):
     gain: float = 1.0
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         return negative("gain", self.gain)
 
     def step(self, p, e):
@@ -147,7 +147,7 @@ class Transpose(NamedTuple):
 class Inverse(NamedTuple):
     """The compiled step of Newton-Raphson; it has a field because numba passes no NamedTuple without one."""
 
-    least: float  # a row of the Jacobian whose entries are all below this does not count as a row of the task
+    least: float  # a row of the Jacobian whose entries are all below this is left out of the task
 
     def step(self, p, e):
         s = p.desk
@@ -180,12 +180,12 @@ class Newton(NamedTuple):
     """
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         n = asked.robot.n
         if asked.rows == n:
             return ""
         return f"needs as many task rows as joints, and here the task has {asked.rows} and the path {n} joints"
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
-        """Return the compiled step, a NamedTuple of the class that has `step`."""
+        """Return the compiled step as a NamedTuple."""
         return Inverse(1e-12)

@@ -23,9 +23,9 @@ ROUNDING = 1e-14
 
 @compiled
 class Gains(NamedTuple):
-    """The compiled step of PID with its gains in kernel units.
+    """The compiled step of PID, with its gains for lengths divided by the robot's scale.
 
-    Its memory holds the sum of the error norms so far, the last error norm, and whether there is a last one.
+    Its state p.desk.x holds the sum of the error norms so far, the last error norm, and whether there is a last one.
     """
 
     kp: float
@@ -82,7 +82,7 @@ class PID(NamedTuple):
 
     Trials are clamped to the limits; the lowest error wins, and not moving wins ties. A sweep with no movement ends the
     attempt. If kp is not given, it is 0.25 over the length scale, times the median joint range if that is under 1 rad
-    (or 1 length scale), and kd is 3 kp unless given. A joint whose lever is no longer than the scale then changes the
+    (or 1 length scale), and kd is 3 kp unless given. A joint whose lever arm is no longer than the scale then changes the
     error by at most a quarter of |e|; a change above 2 |e| could not reduce it. Source: Burrell et al. (2016), section
     4, eq. (13), Algorithm I; defaults are ours.
 
@@ -145,7 +145,7 @@ class PID(NamedTuple):
         return None if self.starts is None else check_starts("pid", self.starts, robot)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Gains:
-        """Return the compiled step with the gains in kernel units and the orientation scale."""
+        """Return the compiled step, with the gains for lengths divided by the robot's scale, and the orientation scale."""
         if self.units not in UNITS:
             raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
         n, scale = robot.n, robot.chain.scale

@@ -1,4 +1,4 @@
-"""The rule of the option `priority`: sequential quadratic programming, one level of errors after the other."""
+"""The method behind the option `priority`: sequential quadratic programming, one level of errors after the other."""
 
 from typing import Any, NamedTuple
 
@@ -15,9 +15,9 @@ from .jacobian import FLOOR
 
 
 def posture_groups(starts: np.ndarray) -> np.ndarray:
-    """Return configurations (N, n) ordered so that each of BEST interleaved groups has one posture.
+    """Return configurations (N, n) ordered so that each of BEST interleaved groups holds similar postures.
 
-    The groups come from halving at the median of the joint that varies most.
+    The groups come from repeated halving at the median of the joint that varies most.
     """
     groups = [starts]
     while len(groups) < BEST:
@@ -28,7 +28,7 @@ def posture_groups(starts: np.ndarray) -> np.ndarray:
 
 @compiled
 class Tolerances(NamedTuple):
-    """What `aim` reads of the options."""
+    """The two options that `aim` reads."""
 
     tol_p: float  # position tolerance [m]
     tol_r: float  # rotation tolerance [rad]
@@ -36,12 +36,12 @@ class Tolerances(NamedTuple):
 
 @compiled
 class LevelStep(NamedTuple):
-    """The compiled step; level 0 comes first."""
+    """The compiled step; level 0 has the highest priority."""
 
     numbers: Array  # number of attempts with all errors at one level, then the level of each group of errors (2 F,)
 
     def aimed(self, p, T, orders):
-        # Only a position of level 0 proves a target out of reach, and it does not depend on the orientation.
+        # Only a position of level 0 proves a target out of reach, independently of the orientation.
         return p.exact(p.aim(T, Tolerances(orders.tol_p, np.inf)), self.numbers[1:])
 
     def evaluated(self, p, q):
@@ -65,17 +65,17 @@ class LevelStep(NamedTuple):
 class SQP(NamedTuple):
     """Sequential quadratic programming with exact second derivatives, for errors in order of priority (option `priority`).
 
-    Without a priority all errors are of one level, and its steps are those of `lm`.
+    Without a priority all errors are at one level, and its steps are those of the solver `lm`.
 
-    Source: Nocedal and Wright, Numerical Optimization, chapter 18; the null-space hierarchy is that of Nakamura and
-    Hanafusa, J. Dynamic Systems 108 (1986).
+    Source: Nocedal and Wright, Numerical Optimization, chapter 18; the null-space hierarchy is that of Nakamura and Hanafusa, J.
+    Dynamic Systems 108 (1986).
     """
 
     hold = True
     wrap = True
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray:
-        """Return starts (M, n) [rad or m], in groups of like postures: neighbouring starts find the same minimum."""
+        """Return starts (M, n) [rad or m], in groups of similar postures, because similar starts find the same minimum."""
         chain = robot.chain
         box = Ends(chain.ends.reshape(-1, chain.ends.shape[-1])[0], robot.n)
         low, span, home = (np.array([read(i) for i in range(robot.n)]) for read in (box.low, box.span, box.home))
@@ -83,7 +83,7 @@ class SQP(NamedTuple):
         return posture_groups(starts) * chain.unit
 
     def refuses(self, asked: Asked) -> str:
-        """Return why the rule cannot solve what is asked, or ''."""
+        """Return why the rule cannot solve what is asked, or '' if it can."""
         o = asked.options
         if o.priority is not None and (o.closest or o.objective is not None):
             return f"takes no {'closest' if o.closest else 'objective'} with a priority"
@@ -98,7 +98,7 @@ class SQP(NamedTuple):
         return ""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the numbers of the compiled step."""
+        """Return the parameters of the compiled step, see `LevelStep`."""
         assert asked is not None
         counted = counted_rows(robot, asked.kinds, asked.options).sum()
         plain = QUADRATIC.at_once if counted <= robot.n else QUADRATIC.at_once_few

@@ -1,10 +1,10 @@
 """The state-space solver: a static linear system maps the error to joint increments; no Jacobian is evaluated.
 
-Stability: along one direction of the task let kappa be the loop gain, an eigenvalue of J(q) C B (or of J(q) D). The
-error e falls by kappa e when the map's increment for e is taken. With A = a I and the literal delay of eq. (14) (dq(k)
-= C x(k), where x has not absorbed e(k) yet) the error has the characteristic equation z^2 - (1 + a) z + (a + kappa) = 0.
-By Jury's test it is stable for 0 < kappa < 1 - a: kappa < 1.5 at the paper's a = -0.5 (1 without the delay), with both
-poles at 0.25 for kappa = 0.5625. A feedthrough D alone has the pole z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
+Stability: along one direction of the task let kappa be the loop gain, an eigenvalue of J(q) C B (or of J(q) D). The error e falls
+by kappa e when the linear map's increment for e is taken. With A = a I and the literal delay of eq. (14) (dq(k) = C x(k), where x
+has not absorbed e(k) yet) the error has the characteristic equation z^2 - (1 + a) z + (a + kappa) = 0. By Jury's test it is stable
+for 0 < kappa < 1 - a: kappa < 1.5 at the paper's a = -0.5 (1 without the delay), with both poles at 0.25 for kappa = 0.5625. A
+feedthrough D alone has the pole z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
 """
 
 from pathlib import Path
@@ -23,19 +23,20 @@ from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
 # For each system of units: units of error per metre, and radians per unit of joint increment.
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}
-# `numbers` of Maps begins with the counts of states and maps, and two flags: whether D exists, whether each step chooses a map.
+# `numbers` of Maps begins with the counts of states and of linear maps (B, D), and two flags: whether D exists, and whether each
+# step chooses a map.
 HEAD = 4
 C_FIXED = -0.05  # C is not searched: (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver
-SETTLED = 1e-13  # a state that changes by less in a step has settled
+SETTLED = 1e-13  # a state that changes by less than this in a step has settled
 
 
 class MapDesign(NamedTuple):
-    """Constants of the designed solver, which has a map (B, D) from error to joint step for each of many starts."""
+    """Constants of the designed solver, which has a linear map (B, D) from error to joint step for each of many starts."""
 
     maps: int = 128  # Number of starts of the designed solver.
     tuned_maps: int = 32  # Number of starts of a tuned solver.
     samples: int = 4096  # Number of configurations from which the starts are picked.
-    # Jacobians are averaged within +- spread (share of a joint's range), at most radius [rad or arm reaches].
+    # Jacobians are averaged within +- spread (share of a joint's range), at most radius [rad, or length over the reach].
     spread: float = 0.15
     radius: float = 0.3
     damping: float = 0.1  # Damping of the inverse of the averaged Jacobian, which is scaled by reach and joint ranges.
@@ -48,17 +49,17 @@ DESIGN = MapDesign()
 
 @compiled
 class Maps(NamedTuple):
-    """The compiled step of Algorithm II.
+    """The compiled step of Algorithm II; a map is the pair of matrices (B, D) that belongs to one start.
 
-    Its memory holds the state x (2 n numbers), the next state (2 n), and the number of the map in use (counted from 1).
+    Its state p.desk.x holds the state x (2 n numbers), the next state (2 n), and the number of the map in use (counted from 1).
     """
 
-    numbers: Array  # head, 1 / (2 pi) or 0 per joint, A and C, then start, B and D of each map
+    numbers: Array  # 4 numbers (HEAD), 1 / (2 pi) or 0 per joint, A and C, then start, B and D of each map
 
     JACOBIAN = False
 
     def nearest_map(self, q, first, width):
-        """Return the index of the map whose start is nearest q (n,)."""
+        """Return the index of the linear map whose start is nearest q (n,)."""
         numbers = self.numbers
         least, chosen = np.inf, 0
         for k in range(int(numbers[1])):
@@ -117,17 +118,17 @@ class StateSpace(NamedTuple):
     """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, where dq is taken before x absorbs e.
 
     The error e = target - actual is in base axes [m, rad], orientation as a rotation vector. Joints saturate at their
-    limits; the state is not changed. If q0 is given, each step uses the map of the start nearest the current q. Without
+    limits; the state is not changed. If q0 is given, each step uses B and D of the start nearest the current q. Without
     any matrix, the solver is designed: 128 starts are spread over the workspace, and each has D = kappa times a damped inverse
-    of the mean Jacobian around it. Source: Burrell et al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
+    of the mean Jacobian around it. Source: Burrell et al. (2016), eqs. (14)-(15); several B and D, feedthrough and design are ours.
 
     Args:
         A: State matrix (m, m).
         B: Input matrix (m, 3) for positions or (m, 6) for poses, or one for each of M starts, (M, m, 3 or 6).
         C: Output matrix (n, m).
         D: Feedthrough (n, 3 or 6), or one for each start; the published solver has none.
-        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken, and it
-            selects its map; restarts take the next nearest.
+        starts: Configurations (M, n) [rad, m]. Without q0 the one whose tip is nearest the target is taken, and
+            its B and D are used; restarts take the next nearest.
         units: "si", or "mm-deg" for the paper's (e in mm, increments in degrees; starts stay in rad).
         axes: Rotation (3, 3) from base axes to the axes in which B and D are meant.
         tuned: Options of the search that come with a preset.
@@ -156,7 +157,7 @@ class StateSpace(NamedTuple):
         return dict(self.tuned or {})
 
     def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
-        """Return the rule itself or, if it has no matrices, the rule designed for the robot, which the robot keeps."""
+        """Return the solver itself or, if it has no matrices, the one designed for the robot, which is stored with the robot."""
         if any(part is not None for part in (self.A, self.B, self.C, self.D)):
             return self
         key = ("state-space design", position_only)
@@ -170,7 +171,7 @@ class StateSpace(NamedTuple):
     def space(
         cls, robot: Any, position_only: bool, initial: "StateSpace | None" = None, maps: int | None = None
     ) -> Space:
-        """Return what is tuned: one start and the published structure (maps=1), or starts with designed maps (default 32)."""
+        """Return what is tuned: one start and the published structure (maps=1), or starts with designed B and D (default 32)."""
         maps = DESIGN.tuned_maps if maps is None else maps
         if maps == 1:
             return _one_map(robot, position_only, initial)
@@ -182,7 +183,7 @@ class StateSpace(NamedTuple):
         return None if starts is None else check_starts("state-space", starts, robot)
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
-        """Return the numbers of the compiled step, in kernel units and axes. Raises InvalidOption on wrong shapes."""
+        """Return the matrices as numbers of the compiled step, lengths over the scale. Raises InvalidOption on wrong shapes."""
         position_only, given = (asked.position_only, asked.given) if asked is not None else (False, True)
         made = self.resolve(robot, position_only)
         if made.units not in UNITS:
@@ -228,7 +229,7 @@ class StateSpace(NamedTuple):
 
 
 def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> np.ndarray:
-    """Return `maps` (B or D) as an array (count, rows, 3 or 6), one per start. Raises InvalidOption on a wrong shape."""
+    """Return the matrices B or D as an array (count, rows, 3 or 6), one per start. Raises InvalidOption on a wrong shape."""
     array = np.asarray(maps, dtype=float)
     if array.ndim not in (2, 3) or array.shape[-2] != rows or array.shape[-1] not in (3, 6):
         raise InvalidOption(f"state-space: {name} must have the shape ({rows}, 3) or ({rows}, 6), not {array.shape}")
@@ -258,7 +259,7 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
     feature = T[:, :3, 3] / chain.scale
     J = J[:, : 3 if position_only else 6] * np.minimum(width, 2.0 * chain.unit)
     J[:, :3] /= chain.scale
-    if not position_only:  # The orientation has the weight that it has in the kernel's own table of starts.
+    if not position_only:  # The orientation has the same weight as in the search's own table of starts.
         feature = np.concatenate([feature, np.sqrt(0.05) * T[:, :3, :3].reshape(len(Q), 9)], axis=1)
     centre = feature[:count].copy()
     cell = np.zeros(len(Q), dtype=int)
@@ -284,7 +285,7 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
 
 
 def _rank(values: np.ndarray) -> int:
-    """Return the rank of the task, which is the number of singular values (N, r) that are not zero everywhere."""
+    """Return the rank of the task: the number of singular values (N, r) that are nonzero at any configuration."""
     return max(1, int((values.max(axis=0) > 1e-9 * values.max()).sum()))
 
 
@@ -350,7 +351,7 @@ def _plain(rule: StateSpace, n: int) -> tuple[float, np.ndarray]:
 
 
 def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
-    """Return the space of starts to tune; a start's map is the damped inverse of the Jacobian averaged around it, times kappa."""
+    """Return the starts as what is tuned; a start's matrix D is kappa times a damped inverse of the mean Jacobian around it."""
     starts = spread_starts(robot, position_only, maps)
 
     def make(values: dict[str, Any]) -> StateSpace:
