@@ -57,9 +57,8 @@ def open_points(found: Any, placed: bool, pairs: int, given: bool) -> list[str]:
         if abs(x) > 3.0 * s and one.group != "base"
     ]
     if far:
-        said.append(
-            f"larger than assumed (look at units, labels and rows of the data; give prior= if such errors are true): {', '.join(far[:6])}"
-        )
+        remedy = "look at units, labels and rows of the data, or give a larger prior="
+        said.append(f"larger than assumed ({remedy}): {', '.join(far[:6])}")
     count = kept * WHAT[found.what]
     if count < FEW * found.rank:
         said.append(f"only {count} numbers for {found.rank} errors: outliers and intervals are uncertain; measure more")

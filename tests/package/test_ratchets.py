@@ -8,7 +8,7 @@ from sources import PACKAGE, imports, modules, parsed, statements
 
 CEILINGS = {
     "files outside folders that grow": 272,
-    "public names defined in two files or more": 16,
+    "public names defined in two files or more": 15,
     "file names used twice": 4,
     "functions of more than 9 parameters": 20,
     "constants of the most laden file of kernel and servo": 24,

@@ -94,7 +94,7 @@ def newton(p, old, opt, T, q, fixed, steps, most):
 
 
 @inner
-def listed(table, count, q):
+def near_a_row(table, count, q):
     """Return whether one of the first rows of the table of `list_branches` is nearer to q (n,) than DISTINCT in every joint."""
     for row in range(count):
         apart = 0.0
@@ -132,7 +132,7 @@ def list_branches(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, tab
         if not (position < o.tol_p and rotation < o.tol_r):
             continue
         if border:
-            if listed(table, kept, q):
+            if near_a_row(table, kept, q):
                 continue
             legal += 1
         distance = 0.0
