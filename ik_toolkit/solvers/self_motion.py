@@ -158,20 +158,10 @@ def turning_point(p, box, q, t, h, i, x, u):
 def follow(rows, ends, opt, T, seeds, seen, first, out):
     """Follow the curve through seed number `first`, without limits, and mark the seeds on it in `seen`.
 
-    Every point where a joint reverses is added, so that each joint moves monotonically from point to point.
-
-    Args:
-        rows: geometry of the chain.
-        ends: `records.Ends` of the chain.
-        opt: option array, see `records.Orders`.
-        T: (4, 4) target [m].
-        seeds: (S, 7) solutions [rad].
-        seen: (S,) 1 for those on a curve.
-        first: index of the seed to begin at.
-        out: (2, points, 7) receives the curve forwards and backwards, each from the seed on.
-
-    Returns:
-        The numbers of points (2,), and why the curve ends in each direction (2,), see `MotionEnd`.
+    Every point where a joint reverses is added, so that each joint moves monotonically from point to point. rows, ends, opt:
+    the arrays of a plan; T (4, 4): target [m]; seeds (S, 7): solutions [rad]; seen (S,): 1 for those on a curve; out (2, points, 7)
+    receives the curve forwards and backwards, each from the seed on. Returns the numbers of points (2,), and why the curve ends in
+    each direction (2,), see `MotionEnd`.
     """
     p = make_serial(rows, ends, opt[HEAD:], N, read(Orders, opt))
     aim(p.ends, T, p.goal)
@@ -281,11 +271,13 @@ def arcs(points: np.ndarray, stops: list[int], limits: np.ndarray, crossing: Any
         points = points - TAU * turns
         return SelfMotion(points, points.min(axis=0), points.max(axis=0), ends)
 
-    rows = [points[0]]
-    for a, b in pairwise(points):  # A joint may pass all that lies beyond its limits within a step: that gets a point.
-        passed = np.flatnonzero((half < np.pi) & (np.abs(off(b) - off(a)) > np.pi))
-        beyond = [crossing(a, b, int(i), a[i] - off(a)[i] + np.copysign(np.pi, off(a)[i])) for i in passed]
-        rows += [*(y for _, y in sorted(beyond, key=lambda one: one[0])), b]
+    # A joint may pass within one step through all that lies beyond its limits: that gets two points.
+    rows, outer = [points[0]], 0.5 * (half + np.pi)
+    for a, b in pairwise(points):
+        passed = np.flatnonzero((half < np.pi) & (np.abs(off(b) - off(a)) > np.pi)).tolist()
+        both = [(i, c[i] - off(c)[i] + np.copysign(outer[i], off(c)[i])) for i in passed for c in (a, b)]
+        beyond = sorted((crossing(a, b, i, value) for i, value in both), key=lambda one: one[0])
+        rows += [*(y for _, y in beyond), b]
     points = np.array(rows)
     if stops[0] == END.closed:
         wrong = np.flatnonzero((np.abs(off(points)) > half).any(axis=1))

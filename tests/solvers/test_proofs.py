@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import robots
+import serial_arms
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -86,3 +87,32 @@ def test_all_turns_are_listed_within_limits():
     assert len(few) == 1 and not few.complete and few.distance[0] == every.distance[0]
     with pytest.raises(InvalidOption, match="full turns inside the limits"):
         ik.solve_all(robot, T, all_turns=True, limits=False)
+
+
+def test_a_solution_on_a_limit_where_two_merge_is_listed():
+    """The straight elbow is a limit: rounding puts the two solutions that merge there on either side of it."""
+    joints = [
+        ("revolute", xyz, (0, 0, 0), axis, -2.9, 0.0 if k == 2 else 2.9)
+        for k, (xyz, axis) in enumerate(
+            [((0, 0, 0.1), (0, 0, 1)), ((0, 0.1, 0), (0, 1, 0)), ((0.4, 0, 0), (0, 1, 0)), ((0.4, 0, 0), (0, 1, 0)),
+             ((0, 0.1, 0), (0, 0, 1)), ((0, 0, 0.1), (0, 1, 0))]
+        )
+    ]  # fmt: skip
+    robot = ik.Robot.load(serial_arms.urdf(joints, ((0, 0.1, 0), (0, 0, 0))), tip="tip")
+    rng, complete = np.random.default_rng(30), 0
+    for _ in range(60):
+        q = robot.random_q(rng)
+        q[2] = 0.0
+        found = ik.solve_all(robot, robot.fk(q))
+        if found.complete:
+            complete += 1
+            assert len(found) and np.abs(found.q - q).max(axis=1).min() < 1e-3
+    assert complete > 20
+
+
+def test_loose_tolerances_prove_nothing():
+    robot = robots.load("hydrolek_7w")
+    T = mixed(robot, 40, seed=31)
+    tight, loose = (ik.solve_batch(robot, T, tolerance=x) for x in (1e-6, 2e-3))
+    assert tight.proven.sum() > 10
+    assert not (loose.proven & (loose.status != ik.Status.UNREACHABLE)).any()

@@ -116,3 +116,23 @@ def test_joints_that_reach_every_angle_end_no_curve(tmp_path):
     robot, rng = seven(tmp_path, limits=[(-7.0, 7.0)] * 7), np.random.default_rng(6)
     curves = self_motions(ik.Solver(robot).plan, robot.fk(rng.uniform(-3, 3, 7)).homogeneous)
     assert curves and all(curve.ends[0][0] == END.closed for curve in curves)
+
+
+def test_joints_at_their_limits_may_leave_no_curve(tmp_path):
+    robot, rng = seven(tmp_path), np.random.default_rng(8)
+    for _ in range(12):
+        q = robot.random_q(rng)
+        held = rng.permutation(7)[:3]
+        q[held] = np.where(rng.random(3) < 0.5, robot.lower[held], robot.upper[held])
+        found = ik.solve_all(robot, robot.fk(q), count=40)
+        assert not found.complete and all(family.upper > family.lower for family in found.families)
+
+
+def test_a_gap_that_is_thinner_than_a_step_ends_a_curve(tmp_path):
+    robot, rng, ends = seven(tmp_path, reach=3.13), np.random.default_rng(9), 0
+    plan = ik.Solver(robot).plan
+    for _ in range(6):
+        for curve in self_motions(plan, robot.fk(robot.random_q(rng)).homogeneous):
+            assert (curve.points >= robot.lower - 1e-9).all() and (curve.points <= robot.upper + 1e-9).all()
+            ends += sum(kind == END.limit for kind, _ in curve.ends)
+    assert ends > 5
