@@ -158,7 +158,7 @@ def whole(value: Any, what: str, least: int = 1) -> int:
 
     Raises InvalidOption, "WHAT must be ..., not VALUE", if it is no whole number or less than `least`.
     """
-    if type(value) is int and value >= least:
+    if type(value) is int and least <= value < 2**53:  # as exact as a float
         return value
     what = f"{what} must be a whole number of at least {least}"
     number = floats(value, what, InvalidOption)

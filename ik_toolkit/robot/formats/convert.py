@@ -122,7 +122,7 @@ def _move(joint: ET.Element, C: np.ndarray) -> None:
 
 
 def _plain(
-    name: str, urdf: str, path: Path | None, package_dirs: Iterable[str | Path], folder: str | Path | None
+    robot_name: str, urdf: str, path: Path | None, package_dirs: Iterable[str | Path], folder: str | Path | None
 ) -> Converted:
     """Make the plain URDF of a description read from `path`, to be saved in `folder`."""
     home = None if folder is None else Path(folder).expanduser().resolve()
@@ -149,4 +149,4 @@ def _plain(
     for mesh, name in zip(elements, names, strict=True):
         mesh.set("filename", meshes.get(name, name))
     text = '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, "unicode") + "\n"
-    return Converted(name, text, meshes, lost)
+    return Converted(robot_name, text, meshes, lost)
