@@ -86,6 +86,7 @@ def test_none_among_boxes_where_steps_are_refused():
     assert chatter(np.array(Q), robot.velocity_limits) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
 def test_none_before_a_box_where_the_clock_waits():
     robot, model, q0, begin, end = before_a_box(9)

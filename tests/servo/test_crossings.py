@@ -62,10 +62,10 @@ def feasible():
         ("ur5", 1, 30),  # through singular poses
         ("ur5", 7, 22),
         ("panda", 3, 39),
-        ("panda", 12, 45),  # by a singular pose, unless the clock is slower there
+        pytest.param("panda", 12, 45, marks=pytest.mark.slow),  # by a singular pose, unless the clock is slower there
         ("inspection_7dof", 3, 30),  # too fast for a step of the second order
         ("inspection_7dof", 1, 32),  # into two limits, unless the joints keep another posture
-        ("inspection_7dof", 6, 50),
+        pytest.param("inspection_7dof", 6, 50, marks=pytest.mark.slow),
         ("panda", 13, 49),  # elbow to its limit, unless it is led across its straight pose
         ("panda", 16, 13),
         ("panda", 76, 13),  # only where it crosses when it is planned to
