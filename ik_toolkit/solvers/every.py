@@ -73,6 +73,9 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int, all_tur
             found._put(
                 message=f"{found.message}; {len(good) - good.sum()} do not keep the constraints of the description and are left out"
             )
+    if len(found) > count:
+        found = found.keep(np.arange(len(found)) < count)
+        found._put(complete=False)
     if not len(found):
         failed = solver(target, q0)
         if not failed.success:

@@ -262,6 +262,9 @@ def test_a_family_of_three_parallel_axes_ends_where_the_elbow_does():
     robot = robots.load("ur5")
     q = np.array([0.4, -1.2, 1.9, -0.6, 0.0, 0.8])
     T = robot.fk(q)
+    narrow = robot.narrowed({robot.joint_names[5]: (0.0, 5.5)})
+    listed = [one for one in ik.solve_all(narrow, T, q0=q).families if one.joints[0] == robot.joint_names[5]]
+    assert {one.lower for one in listed} >= {0.0} and {one.upper for one in listed} >= {5.5}  # one arc, on two turns
     found = ik.solve_all(robot, T, q0=q, limits=False)
     ranges = [(one.lower, one.upper) for one in found.families if one.joints[0] == robot.joint_names[5]]
     assert found.certificate.status == "FAMILY" and ranges

@@ -154,3 +154,10 @@ def test_nothing_found_has_no_families():
     robot = robots.load("planar_2r")
     found = ik.solve_all(robot, np.array([9.0, 0.0, 0.0]))
     assert len(found) == 0 and found.families == ()
+
+
+def test_no_more_than_asked_for_are_listed():
+    robot, rng = ik.Robot.load("planar_3r"), np.random.default_rng(12)
+    for _ in range(5):
+        found = ik.solve_all(robot, robot.fk(robot.random_q(rng)), count=1)
+        assert len(found) == 1 and not found.complete

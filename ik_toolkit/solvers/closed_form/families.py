@@ -43,9 +43,15 @@ def families_of(
     elif split.parallel and place == 0:
         found.append((Family(names, None, None, "all joints move, and the tip stays"), q))
     else:
-        at = q[lead] + TAU * round((box[2, lead] - q[lead]) / TAU)
-        a, b = (max(at - half, box[0, lead]), min(at + half, box[1, lead])) if half < math.pi else (low, high)
-        if a <= b:
+        arcs = [(low, high)]
+        if half < math.pi and not np.isfinite(box[:2, lead]).all():
+            at = q[lead] + TAU * round((box[2, lead] - q[lead]) / TAU)
+            arcs = [(max(at - half, box[0, lead]), min(at + half, box[1, lead]))]
+        elif half < math.pi:
+            least, most = math.ceil((low - half - q[lead]) / TAU), math.floor((high + half - q[lead]) / TAU)
+            turned = [q[lead] + TAU * turn for turn in range(least, most + 1)]
+            arcs = [(max(at - half, low), min(at + half, high)) for at in turned]
+        for a, b in arcs:
             text = f"{names[0]} turns from {a:.4f} to {b:.4f} rad, and {', '.join(names[1:])} follow, limits of theirs not counted"
             found.append((Family(names, float(a), float(b), text), q))
     return found
