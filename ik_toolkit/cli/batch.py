@@ -51,7 +51,7 @@ class CsvWriter(Writer):
     """Appends parts to a CSV file, numbers written so that they read back the same."""
 
     def add(self, part: BatchResult) -> None:
-        """Append a part, whole or not at all."""
+        """Append the results of some targets to the file, all of them or none."""
         columns = _columns(part, self.names)
         lines = io.StringIO()
         writer = csv.writer(lines)
@@ -87,7 +87,7 @@ class ParquetWriter(Writer):
         self.arrow = pyarrow
 
     def add(self, part: BatchResult) -> None:
-        """Append a part."""
+        """Append the results of some targets to the file."""
         table = self.arrow.table(_columns(part, self.names))
         if self.table is None:
             self.table = self.arrow.parquet.ParquetWriter(self.file.stream, table.schema)
@@ -119,7 +119,7 @@ class Solutions:
             raise
 
     def add(self, part: BatchResult) -> None:
-        """Append a part."""
+        """Append the results of some targets to the file, and count them."""
         with self.file.named():  # errors of numpy and pyarrow do not name the file
             self.writer.add(part)
         self.count += len(part)

@@ -32,9 +32,9 @@ from .starts import nearest_seeds, rnd
 
 @compiled
 class Look(NamedTuple):
-    """Errors of one tip at a configuration; lengths are over the reach.
+    """Errors of one tip at a configuration, with lengths divided by the arm's reach.
 
-    The axes are the first joint's, or the task's if only a part of the error counts.
+    They are expressed in the frame of the first joint, or in that of the mask if only a part of the error counts.
     """
 
     point: V3  # position of the tip

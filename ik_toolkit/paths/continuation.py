@@ -140,7 +140,7 @@ def carry_along(rows, ends, T, orders, limits, most, deviation, seeds, at, colum
 
 @inline
 def carry_on_views(rows, ends, orders, path, tracks, block):
-    """Do the work of `carry_along` on views; tracks: its arguments seeds, at, columns, Q and span; block: scratch memory."""
+    """Follow each solution from pose to pose, as `carry_along` does, on arrays given as views; block: scratch memory."""
     seeds, at, columns, Q, span = tracks
     n, N = seeds.shape[1], path.T.shape[0]
     o = read(Orders, orders)

@@ -136,7 +136,7 @@ STEPS = 40  # largest number of Gauss-Newton steps; ten usually suffice
 QUADRATIC_BELOW = 0.5
 # Weight of squared second differences against joint steps; its square root is the number of poses that round off a corner.
 SMOOTHNESS = 10.0
-ROUNDS = 6  # largest number of rounds of smoothing; each also keeps the poses near a contact of the previous round
+ROUNDS = 6  # largest number of rounds of smoothing; each leaves the rows near contacts of earlier rounds unsmoothed
 WINDOW = 4  # number of poses kept unchanged on either side of a pose in contact, doubled in each further round
 
 

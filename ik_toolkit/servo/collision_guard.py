@@ -79,7 +79,7 @@ class Guard:
         self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
-        self.late = 0.0  # [s] longest later step, for which the brake must be proven
+        self.late = 0.0  # [s] longest step that may follow: the arm must be able to brake before a contact also after such a step
         self._bind()
         self._get_ready()
 

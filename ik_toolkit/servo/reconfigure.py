@@ -145,7 +145,7 @@ BARRED = 5  # number of postures remembered as blocked by a collision
 # [s] Joints at full speed should need this time from a posture to their position limits; what is missing adds to the move's cost.
 HEADROOM = 0.5
 ARRIVED = 0.05  # [s] A move ends, and the tracker takes over, when this time is left at full joint speed.
-# [s] A move to a standing target ends only when this time is left, as the target can no longer hinder it.
+# [s] The same for a target that stands still: it cannot move away meanwhile, so the move goes on nearly to its end.
 CLOSE = 1e-3
 FAR = 0.3  # [rad or arm reaches] postures that differ by more in some joint count as different
 STANDING = 0.3  # If the target stands still, a move is made once the error has cost this share of the move's cost.

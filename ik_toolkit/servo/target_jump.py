@@ -69,7 +69,8 @@ class Choice(NamedTuple):
 class Leap:
     """Leads a tracker to a target that jumped.
 
-    goal (n,): joint values [rad or arm reaches] to which the present move leads, or None; why: straight line or joint move.
+    goal (n,): joint values [rad or arm reaches] at which the move under way ends, or None; why: which way it goes (straight line or
+    joint move), and why that was chosen.
     """
 
     def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:

@@ -296,7 +296,7 @@ class _Study:
                     found += self.solve(rows, Reach.FEW, self.q[rows - stride], restarts=0)
 
     def audit(self, count: int, seed: int) -> Audit:
-        """Try a random sample of the unproven noes again."""
+        """Search again for a random sample of the targets that were not reached but not proven unreachable; correct those found."""
         left = np.flatnonzero((self.states == Reach.FEW) | (self.states == Reach.MANY))
         rows = np.sort(np.random.default_rng(seed).permutation(left)[:count])
         found = 0

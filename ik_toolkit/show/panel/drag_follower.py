@@ -17,7 +17,11 @@ REST = 25
 
 
 class Followed(NamedTuple):
-    """State of an arm that follows a target: q (n,), whether it is at the target, whether at rest, errors by tip, a sentence."""
+    """State of an arm that follows a dragged target.
+
+    q (n,); whether the target is reached, and whether the joints are at rest; by tip the position error [m] and rotation error
+    [rad] that are left; and a status message for the user.
+    """
 
     q: np.ndarray
     success: bool
