@@ -70,7 +70,7 @@ class Leap:
     """Leads a tracker to a target that jumped.
 
     goal (n,): joint values [rad or arm reaches] at which the move under way ends, or None; why: which way it goes (straight line or
-    joint move), and why that was chosen.
+    joint move), and the ratio of both durations (Choice).
     """
 
     def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:
