@@ -264,6 +264,16 @@ PIECES = [
 ]
 
 
+def test_links_in_a_circle_with_a_mimic_joint_are_refused():
+    """Following such a circle to its root once took all memory."""
+    joint = '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/><axis xyz="0 0 1"/>{3}</joint>'
+    text = '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
+    text += joint.format("one", "a", "b", "") + joint.format("two", "b", "a", '<mimic joint="three"/>')
+    text += joint.format("three", "b", "c", "") + "</robot>"
+    with pytest.raises(ModelError):
+        require_loadable(text)
+
+
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(
     st.lists(st.tuples(st.integers(0, len(SEED)), st.integers(0, 12), st.sampled_from(PIECES)), min_size=1, max_size=3)

@@ -169,7 +169,8 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
 
     def path(joint: str) -> list[str]:
         walk = [joint]
-        while ends[walk[-1]][0] in above:
+        # Links may be joined in a circle, which is reported elsewhere.
+        while ends[walk[-1]][0] in above and above[ends[walk[-1]][0]] not in walk:
             walk.append(above[ends[walk[-1]][0]])
         return walk[::-1]
 
