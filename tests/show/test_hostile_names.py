@@ -49,9 +49,11 @@ def test_every_class_with_html_of_its_own_is_looked_at_here():
     from ik_toolkit.solvers.batch.result import BatchResult
     from ik_toolkit.solvers.solutions import Solutions
     from ik_toolkit.study.benchmark import Benchmark
+    from ik_toolkit.study.place import Placements
     from ik_toolkit.study.workspace import Workspace
 
     results = {BatchResult, Solutions, Benchmark, Workspace, ik.PathResult, ik.Trajectory}
+    results |= {ik.Calibration, ik.ReachabilityMap, Placements}
     public = {c for c in vars(ik).values() if isinstance(c, type)} | {Joints, Result, Scene} | results
     assert {c for c in public if "_repr_html_" in vars(c)} == {Joints, Result} | results
 
@@ -73,6 +75,17 @@ def test_tables_of_results(robot):
         check(result._repr_html_(), tags=["b"], says=says)
     for study in (ik.benchmark(robot, "lm", targets=3), ik.workspace(robot, targets=20)):
         check(study._repr_html_(), tags=["b"], says=EVIL[:1])
+
+
+def test_tables_of_maps_places_and_calibrations(robot):
+    robot.name = EVIL[0]
+    T = np.tile(robot.fk(robot.home).homogeneous, (3, 1, 1))
+    box = (T[0, :3, 3] - 0.05, T[0, :3, 3] + 0.05)
+    check(ik.reachability(robot, box, resolution=0.05, audit=0)._repr_html_(), tags=["b"], says=EVIL[:1])
+    check(ik.place(robot, T, count=1)._repr_html_(), tags=["b"], says=EVIL[:1])
+    Q = robot.random_q(np.random.default_rng(4), 12)
+    measured = robot.chain.forward(Q)[0][:, :3, 3]
+    check(ik.calibrate(robot, Q, measured, parameters=("joints",))._repr_html_(), tags=["b"])
 
 
 def test_scenes(robot, tmp_path):
