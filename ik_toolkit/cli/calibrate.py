@@ -1,9 +1,9 @@
 """`ik calibrate`: the errors of an arm from a file of measurements, and the poses to measure."""
 
+import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import typer
 
 from ..errors import InvalidOption, InvalidTarget
@@ -110,8 +110,10 @@ def _pair(text: str) -> tuple[tuple[int, int], float]:
     return (int(read[0][0]), int(read[1][0])), read[2][0]
 
 
-def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, np.ndarray, np.ndarray]:
+def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, Any, Any]:
     """Read the file of measurements: return their kind, joint values (N, n) [rad or m] and the measured values."""
+    import numpy as np
+
     from ..robot.pose_arrays import read_named
     from ..robot.pose_files import LENGTHS, read_columns, read_poses
 
@@ -150,6 +152,8 @@ def _read(asked: CalibrateOptions, arm: Any, given: Any) -> tuple[str, np.ndarra
 
 def _suggest(asked: CalibrateOptions, arm: Any, groups: list[str], found: Any, deg: bool, as_json: bool) -> None:
     """Choose configurations, and write or show them."""
+    import numpy as np
+
     from ..study.suggest_poses import suggest_poses
 
     count = asked.suggest or 0
@@ -180,7 +184,9 @@ def _suggest(asked: CalibrateOptions, arm: Any, groups: list[str], found: Any, d
 def _show(found: Any) -> None:
     """Print the result of a calibration."""
     before, after = found.rms
-    noise = length(found.noise[0]) + (f", {figure(np.degrees(found.noise[1]), 2)} deg" if found.what == "pose" else "")
+    noise = length(found.noise[0]) + (
+        f", {figure(math.degrees(found.noise[1]), 2)} deg" if found.what == "pose" else ""
+    )
     lines = {
         "as drawn": f"{length(before)} (root mean square of {len(found.after)} measurements)",
         "corrected": f"{length(after)}; held out {length(found.held_out)}"
@@ -194,7 +200,7 @@ def _show(found: Any) -> None:
     made = table("<error", ">found", ">95 %", "<")
     kinds = {one.name: one.turns for one in found.unknowns}
     for name, (x, half) in found.errors.items():
-        scale, unit = (180.0 / np.pi, "deg") if kinds[name] else (1e3, "mm")
+        scale, unit = (180.0 / math.pi, "deg") if kinds[name] else (1e3, "mm")
         made.add_row(name, f"{scale * x:+.3f}", f"+-{scale * half:.3f}", unit)
     show(made)
     if found.fixed:
