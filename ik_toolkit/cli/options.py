@@ -327,6 +327,16 @@ class FileOptions:
 
         return Convention(self.length_unit or "m", deg, self.euler)
 
+    def poses(self, path: Path, arm: Any, deg: bool) -> Any:
+        """Read a whole file of poses (N, 4, 4), or positions (N, 3) [m], for an arm with one tip."""
+        import numpy as np
+
+        from ..robot.pose_files import read_poses
+
+        return np.concatenate(
+            [some for _, some in read_poses(path, "targets", given=self.convention(deg), base=arm.base)[1]]
+        )
+
 
 @options("Collisions")
 class CollisionOptions:

@@ -1,7 +1,5 @@
 """`ik place`: where a robot should stand so that it reaches the most of given poses."""
 
-import csv
-import io
 import math
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import typer
 
 from ..errors import InvalidOption
-from ..files import write_whole
+from ..files import write_table
 from ..text import length, vector
 from .command import PLOTS, REQUIRED, command, flag, option, options
 from .options import CollisionOptions, FileOptions, JsonOutput, OneTip, ToleranceOptions, given
@@ -52,16 +50,13 @@ def place(
     ik place hydrolek_7w --poses cuts.csv --plot floor.png
     ik place hydrolek_7w --poses cuts.csv --where -2 -2 2 2 --yaw 0 --ordered
     """
-    import numpy as np
-
     arm = robot.load(robot.tip)
-    from ..robot.pose_files import read_poses
     from ..study.place import PlaceInterrupted
     from ..study.place import place as search
 
-    blocks = read_poses(asked.poses, "targets", given=file.convention(robot.deg), base=arm.base)[1]
-    poses = np.concatenate([some for _, some in blocks])
-    where: Any = "floor" if asked.where is None else np.array(vector(asked.where, "--where", 4)).reshape(2, 2)
+    poses = file.poses(asked.poses, arm, robot.deg)
+    corners = None if asked.where is None else vector(asked.where, "--where", 4)
+    where: Any = "floor" if corners is None else (corners[:2], corners[2:])
     turn = math.radians(1.0) if robot.deg else 1.0
     yaw = None if asked.yaw is None else [turn * x for x in _one_or_two(asked.yaw, "--yaw")]
     height, stopped = _one_or_two(asked.height, "--height"), False
@@ -115,12 +110,9 @@ def _one_or_two(text: str, name: str) -> list[float]:
 def _write(found: Any, asked: PlaceOptions) -> None:
     """Write the requested files: places and picture."""
     if asked.output is not None:
-        text = io.StringIO()
-        writer = csv.writer(text)
-        keys = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
-        writer.writerow(keys)
-        writer.writerows([["" if (x := getattr(one, key)) != x else x for key in keys] for one in found])
-        write_whole(asked.output, text.getvalue())
+        from ..study.place import NUMBERS
+
+        write_table(asked.output, [*NUMBERS], [[getattr(one, key) for key in NUMBERS] for one in found])
         notice(f"wrote {asked.output}")
     if asked.plot is not None:
         from ..show.plot import plot

@@ -56,6 +56,7 @@ def reach(
     arm = robot.load(robot.tip)
     from ..study.reachability import MapNotSaved, ReachabilityInterrupted, reachability
     from ..study.reachability_grid import grid_of
+    from ..study.reachability_map import ANSWERS
     from .batch import cluster_of  # it loads the solvers
 
     region, turns = (
@@ -89,17 +90,7 @@ def reach(
     write_json(found.to_dict(), out.as_json)
     if not out.as_json:
         total = max(found.states.size, 1)
-        rows = {
-            "reached": "yes",
-            "proven out of reach": "no",
-            "not found, not proven": "unknown",
-            "not tried": "untried",
-        }
-        words = {
-            name: f"{counts[key]:,} ({figure(100 * counts[key] / total)} %)"
-            for name, key in rows.items()
-            if counts[key]
-        }
+        words = {ANSWERS[key]: f"{count:,} ({figure(100 * count / total)} %)" for key, count in counts.items() if count}
         show(facts(words | {"audit": str(found.audit)}))
     if stopped:
         raise KeyboardInterrupt
@@ -110,12 +101,7 @@ def _region(asked: ReachOptions, file: FileOptions, arm: Any, deg: bool) -> Any:
     if asked.poses is not None:
         if asked.region is not None or asked.resolution is not None or asked.orientations != "any":
             raise InvalidOption("--poses are answered as they are; omit --region, --resolution and --orientations")
-        import numpy as np
-
-        from ..robot.pose_files import read_poses
-
-        blocks = read_poses(asked.poses, "targets", given=file.convention(deg), base=arm.base)[1]
-        poses = np.concatenate([poses for _, poses in blocks])
+        poses = file.poses(asked.poses, arm, deg)
         if poses.ndim != 3:
             raise InvalidOption(
                 f"'{asked.poses}' has positions; loose poses need orientations, and a region has positions"

@@ -119,26 +119,6 @@ def hessian_of_level(p, c, level, bench):
     p.curvature(bench.pull, bench.chosen, bench.hessian)
 
 
-@inline
-def factor_constraint(V, B, A, b, scales, order, r, k, damping):
-    """Factor the constraint's Jacobian V (r, k): its damped Gram matrix into A (Cholesky), V itself by `triangle`; return its rank.
-
-    B (r, k) receives a copy of V, and b (r,) is replaced by the solution of the damped system.
-    """
-    for x in range(r):
-        for i in range(k):
-            B[x, i] = V[x, i]
-        for z in range(x + 1):
-            total = 0.0
-            for i in range(k):
-                total += V[x, i] * V[z, i]
-            A[x, z] = total
-        A[x, x] += damping
-    cholesky(A, r, damping)
-    cholesky_solve(A, r, b)
-    return triangle(V, r, k, scales, order, QUADRATIC.pivot)
-
-
 @inner
 def onto_constraint(s, level, k, value, bench):
     """Write to s.dq the damped step onto level 0, and to bench.basis a basis of its null space; return how many vectors that has.
@@ -160,10 +140,18 @@ def onto_constraint(s, level, k, value, bench):
                 b[r] = s.y[h]
                 r += 1
     damping = QUADRATIC.damping * value + QUADRATIC.least_damping
-    if r == 3:  # Loops whose length is a constant are faster.
-        rank = factor_constraint(V, B, A, b, bench.scales, bench.order, 3, k, damping)
-    else:
-        rank = factor_constraint(V, B, A, b, bench.scales, bench.order, r, k, damping)
+    for x in range(r):
+        for i in range(k):
+            B[x, i] = V[x, i]
+        for z in range(x + 1):
+            total = 0.0
+            for i in range(k):
+                total += V[x, i] * V[z, i]
+            A[x, z] = total
+        A[x, x] += damping
+    cholesky(A, r, damping)
+    cholesky_solve(A, r, b)
+    rank = triangle(V, r, k, bench.scales, bench.order, QUADRATIC.pivot)
     most = 0.0
     for i in range(k):
         total = 0.0

@@ -11,7 +11,7 @@ import numpy as np
 from ..kernel.counted_error import FREE, POSE, POSITION
 from ..motion.reference import interpolate_poses
 from ..solvers.protocol import Asked
-from ..solvers.task import counted_errors, counts_in_part, what_counts
+from ..solvers.task import counted_errors, counts_in_part, free_axis, what_counts
 
 SAMPLES = 8  # number of random configurations whose Jacobians are examined
 # Singular values of the Jacobian (lengths over the reach) below this count as zero: robot descriptions are rounded.
@@ -50,33 +50,28 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
     J = np.array([robot.jacobian(q) for q in Q])[:, :, moving] * robot.chain.unit[moving]
     J = J.reshape(SAMPLES, -1, 3, len(moving))
     J[:, ::2] /= robot.reach
-    counted = J.copy()
-    for f, axis in enumerate(_free_axes(plan, kinds)):
-        if axis is not None:  # A turn about this axis does not count.
-            free = np.array([robot.tip_poses(q)[f].rotation @ axis for q in Q])
-            counted[:, 2 * f + 1] -= free[:, :, None] * np.einsum("si,sij->sj", free, counted[:, 2 * f + 1])[:, None]
-    J, counted = (one[:, [k // 3 for k in blocks]] for one in (J, counted))
+    used = [k // 3 for k in blocks]
 
     def rank(M: np.ndarray) -> int:
         return int(np.linalg.matrix_rank(M, tol=FLAT)) if M.size else 0
 
-    own = max((rank(one.reshape(-1, len(moving))) for one in J), default=0)
-    everywhere = np.moveaxis(J, 0, 2).reshape(len(blocks), 3, -1)
+    def most(J: np.ndarray) -> int:
+        return max((rank(one.reshape(-1, len(moving))) for one in J[:, used]), default=0)
+
+    own = most(J)
+    everywhere = np.moveaxis(J[:, used], 0, 2).reshape(len(blocks), 3, -1)
     # Planar arms, gantries and SCARA arms can move in the same directions everywhere, with uncoupled rotations.
     # Interpolation between two poses of such an arm therefore needs no direction in which the arm cannot move.
     closed = own == rank(everywhere.reshape(-1, everywhere.shape[2])) == sum(rank(block) for block in everywhere)
     rows = Asked(robot, kinds, options=plan.options).rows
-    able = max((rank(one.reshape(-1, len(moving))) for one in counted), default=0)
     if all(kind in (POSE, POSITION, FREE) for kind in kinds) and not counts_in_part(kinds, plan.options):
         return Freedom(min(own, rows), not closed and own < 3 * len(blocks))
-    return Freedom(min(able, rows), not closed and min(able, len(moving)) < rows)
-
-
-def _free_axes(plan: Any, kinds: tuple) -> list[np.ndarray | None]:
-    """Return for each tip the axis (3,) in its own frame about which any turn is allowed, or None."""
-    counts = what_counts(plan.robot, plan.options)
-    axes = [kind[1] if isinstance(kind, tuple) else one.free_turn for kind, one in zip(kinds, counts, strict=True)]
-    return [None if axis is None else np.asarray(axis) / np.linalg.norm(axis) for axis in axes]
+    for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, plan.options), strict=True)):
+        if (axis := free_axis(counts, kind)) is not None:  # A turn about this axis does not count.
+            free = np.array([robot.tip_poses(q)[f].rotation @ axis for q in Q])
+            J[:, 2 * f + 1] -= free[:, :, None] * np.einsum("si,sij->sj", free, J[:, 2 * f + 1])[:, None]
+    able = most(J)
+    return Freedom(min(able, rows), not closed and able < rows)
 
 
 def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:

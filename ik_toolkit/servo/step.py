@@ -13,6 +13,7 @@ from ..motion.reference import log
 from ..text import angle, length
 from . import viability
 from .target_jump import Choice
+from .workspace import samples_of
 
 
 class Standards(NamedTuple):
@@ -74,8 +75,8 @@ class Outcome(NamedTuple):
     code: np.ndarray  # (n,) bits of the limits that were active (POSITION, VELOCITY, ...)
     before: np.ndarray  # (n,) previous command [rad or arm reaches]
     errors: np.ndarray  # (2, m) errors before and after the step [m, rad]
-    targets: np.ndarray  # (2, F, 4, 4) targets before and after the step [m]
-    told: np.ndarray  # (m,) motion of the target during the step as predicted by its twist before the step [m, rad]
+    samples: np.ndarray  # block of `Samples`: the targets before and after the step, as views when they are needed
+    dt: float  # length of the update, of which the step is a part [s]
     h: float  # length of the step [s]
     lost: float  # number of singular directions, in which the tip can hardly move
     down: bool  # whether the step was a damped least-squares step of an arm that is stuck near its target
@@ -186,11 +187,11 @@ class Step:
 
     def _swerve(self) -> float:
         """Return the difference between the target's motion and the one predicted by its twist, which no method can foresee."""
-        T, told = self._outcome.targets, self._outcome.told
+        _, T, V, _ = samples_of(self._outcome.samples)
         turns = [log(after[:3, :3] @ before[:3, :3].T) for before, after in zip(*T, strict=True)]
         turns = np.array(turns) * np.array(self._outcome.by.posed)[:, None]
         moved = np.concatenate([T[1, :, :3, 3] - T[0, :, :3, 3], turns], axis=1)
-        return float(self._size(moved.reshape(1, -1) - told)[0])
+        return float(self._size(moved.reshape(1, -1) - V[:1] * self._outcome.dt)[0])
 
     def _away(self) -> bool:
         """Return whether the remaining error of the first priority level exceeds JUDGE.position or JUDGE.angle."""

@@ -244,7 +244,7 @@ class Tracker(CopiesViews, ReadOnly):
                 self._behind = behind
         now = self._carried.motion * self._units
         out = make_outcome((
-            self._judged, code, before, self._out.E.copy(), stream.samples.T.copy(), stream.samples.V[0] * dt, h, lost,
+            self._judged, code, before, self._out.E.copy(), stream.samples.block.copy(), dt, h, lost,
             self._state[laws.STATE.share] > 0.0, finite, lag, resynced, self._between, self._goes.why if self._goes else None,
         ))  # fmt: skip
         if finite:

@@ -138,7 +138,7 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
         if kind == FREE:
             tasks.append(Task(FREE, 0.0, -1.0, 0.0, *NONE[:3], *NONE))
             continue
-        axis = _free_axis(counts, kind, _at(robot, tip))
+        axis = free_axis(counts, kind, _at(robot, tip))
         weights = counts.mask or ALL
         if kind == POSITION:
             _require_position(counts, _at(robot, tip))
@@ -162,7 +162,7 @@ def _at(robot: Any, tip: str) -> str:
     return f"{tip}: " if len(robot.tips) > 1 else ""
 
 
-def _free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | None:
+def free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | None:
     """Return the tip axis about which rotation is free, from the options or an AxisTarget, or None."""
     if not isinstance(kind, tuple):
         return None if kind == POSITION else counts.free_turn
@@ -272,6 +272,6 @@ def all_errors(
             continue
         posed = one if other < 0 else poses[other] @ one
         target = posed[:3, 3] if kind == POSITION else posed
-        axis = _free_axis(counts, kind)
+        axis = free_axis(counts, kind)
         found.append(errors(pose, target, mask=counts.mask, slack=counts.slack, free_turn=axis, frame=counts.frame))
     return found

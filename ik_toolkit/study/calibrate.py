@@ -83,7 +83,8 @@ def calibrate(
     fit = ArmFit(arm, data, Q, arm.scales(*spread), sigma)
     fit.settle()
     fit, better = _with_last_sign(fit, sigma)
-    before = fit.errors(first_guess(fit.arm, data, Q), data.start(fit.arm.poses(first_guess(fit.arm, data, Q), Q)))
+    drawn = first_guess(fit.arm, data, Q)
+    before = fit.errors(drawn, data.start(fit.arm.poses(drawn, Q)))
     fixed, ranks = _settle_convention(fit)
     names = [joint for joint, one in zip(robot.joint_names, fit.arm.sign, strict=True) if one < 0.0]
     return Calibration.of(fit, before, fixed, ranks, spread, dict.fromkeys(names, share * better))

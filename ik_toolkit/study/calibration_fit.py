@@ -228,7 +228,7 @@ class ArmFit:
 
         if self.given:
             return 1.96
-        return float(stdtrit(max(1.0, self.kept.sum() * self.measured.per - self.taken_up(self.kept) + 0.0), 0.975))
+        return float(stdtrit(max(1.0, self.kept.sum() * self.measured.per - self.taken_up(self.kept)), 0.975))
 
     def spread(self, every: bool = False) -> np.ndarray:
         """Return the covariance (P, P) of the unknowns [m, rad]: zero for fixed ones, or if `every` as if none were fixed."""

@@ -111,8 +111,7 @@ class DrawnArm:
             else:
                 base = C
         model.frames[self._tip].placement = self._tip_place * tool
-        T, before = np.empty((len(Q), 4, 4)), np.empty((len(joints), len(Q), 4, 4))
-        ends = np.empty((2, len(Q), 4, 4))
+        before, ends = np.empty((len(joints), len(Q), 4, 4)), np.empty((2, len(Q), 4, 4))
         full = robot.rest.copy()
         for k, q in enumerate(Q * self.sign):
             pin.forwardKinematics(model, data, robot._fill(full, q))

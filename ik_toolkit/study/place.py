@@ -15,15 +15,18 @@ import numpy as np
 from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
 from ..robot.geometry.collision import CollisionModel
 from ..robot.robot import Robot
+from ..robot.tree import require_one_tip
 from ..solvers.batch.targets import known
 from ..solvers.collision_free import collision_model
 from ..solvers.options import BatchOptions, PathOptions, avoided
-from ..solvers.solve import require_robot
 from ..text import TextTable, angle, figure, length
 from ..validate import number, switch
 from . import place_search
 from .place_search import Candidates, base_poses, in_base, put_together
 from .reachability import quality
+
+# the attributes of a placement that are written to files
+NUMBERS = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +123,7 @@ class Placements(Sequence[Placement]):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain numbers, strings and lists."""
-        keys = ("x", "y", "height", "yaw", "count", "clearance", "margin", "manipulability")
-        rows = [{key: getattr(one, key) for key in keys} | {"reached": one.reached.tolist()} for one in self.found]
+        rows = [{key: getattr(one, key) for key in NUMBERS} | {"reached": one.reached.tolist()} for one in self.found]
         return {"robot": self.robot, "poses": len(self.poses), "placements": rows}
 
 
@@ -168,12 +170,7 @@ def place(
         InvalidOption, InvalidTarget: An argument is wrong.
         PlaceInterrupted: Ctrl-C, as a KeyboardInterrupt; its `result` has the best so far.
     """
-    require_robot(robot)
-    if not isinstance(robot, Robot):
-        arms = ", ".join(robot.tips)
-        raise InvalidOption(
-            f"place is about one tip, and this robot has several ({arms}); give one of its arms, as tree.arms[0]"
-        )
+    require_one_tip(robot, "place")
     if robot.on_base is not None:
         raise InvalidOption("place chooses the pose of the base; load the robot without on_base")
     check_progress(progress, "the number of candidates counted")

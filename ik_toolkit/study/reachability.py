@@ -18,13 +18,15 @@ from ..files import PARTIAL, as_path, require_place
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
 from ..robot.robot import Robot
+from ..robot.rotation import angles_between
+from ..robot.tree import require_one_tip
 from ..solvers.batch.result import BatchResult
 from ..solvers.batch.solve_batch import solve_parts
 from ..solvers.decide import Deciding
 from ..solvers.options import BatchOptions
 from ..solvers.plan import Plan
-from ..solvers.solve import Solver, require_robot
-from ..solvers.status import DECIDED, SEARCHED, Status
+from ..solvers.solve import Solver
+from ..solvers.status import SEARCHED, Status
 from .reachability_grid import EFFORT, Grid, grid_of, require_memory
 from .reachability_map import Audit, Log, Reach, ReachabilityMap
 
@@ -52,11 +54,10 @@ class MapNotSaved(IKError):
 
 def proven_rows(batch: BatchResult) -> np.ndarray:
     """Return which targets (N,) of a batch are proven to be out of reach: by a bound, a closed form or a certificate."""
+    if not batch.plan.row.closed:
+        return batch.proven
     status, excess = batch.table[:, AT.status], batch.table[:, AT.excess]
-    decided = excess == DECIDED
-    if batch.plan.row.closed:
-        decided = decided | (excess != SEARCHED)
-    return (status == Status.UNREACHABLE) | ((status == Status.LIMIT_BLOCKED) & decided)
+    return (status == Status.UNREACHABLE) | ((status == Status.LIMIT_BLOCKED) & (excess != SEARCHED))
 
 
 def decides(plan: Plan) -> bool:
@@ -109,12 +110,7 @@ def reachability(
         MapNotSaved: The file cannot be written, as on a full disk; its `result` is the map.
         BatchCheckFailed: As for `solve_batch`.
     """
-    require_robot(robot)
-    if not isinstance(robot, Robot):
-        arms = ", ".join(robot.tips)
-        raise InvalidOption(
-            f"reachability is about one tip, and this robot has {len(robot.tips)} ({arms}); give one of its arms, as tree.arms[0]"
-        )
+    require_one_tip(robot, "reachability")
     check_progress(progress, "the number of answers tried")
     if "restarts" in options:
         raise InvalidOption("reachability chooses the number of attempts; omit restarts, and see audit=")
@@ -265,9 +261,8 @@ class _Study:
         at = T if T.ndim == 2 else T[:, :3, 3]
         good &= np.linalg.norm(P[:, :3, 3] - at, axis=1) <= o.position_tolerance * (1.0 + 1e-6) + 1e-9
         if T.ndim == 3:
-            # |R - S| (Frobenius) = 2 sqrt(2) sin(angle / 2).
-            chord = np.linalg.norm((P[:, :3, :3] - T[:, :3, :3]).reshape(len(q), 9), axis=1) / np.sqrt(8.0)
-            good &= 2.0 * np.arcsin(np.minimum(chord, 1.0)) <= o.orientation_tolerance * (1.0 + 1e-6) + 1e-8
+            left = angles_between(P[:, :3, :3], T[:, :3, :3])
+            good &= left <= o.orientation_tolerance * (1.0 + 1e-6) + 1e-8
         return good
 
     def flood(self, tried: np.ndarray) -> None:

@@ -29,6 +29,15 @@ class Reach(IntEnum):
     MANY = 4  # nothing found by all attempts, nothing proven
 
 
+# the answers that `ReachabilityMap.counts` counts, in words
+ANSWERS = {
+    "yes": "reached",
+    "no": "proven out of reach",
+    "unknown": "not found, not proven",
+    "untried": "not tried",
+}
+
+
 class Audit(NamedTuple):
     """Check of the unproven noes: a random sample of them is tried again with many more attempts."""
 
@@ -178,13 +187,7 @@ class ReachabilityMap:
     def table(self) -> TextTable:
         """Return what was found as a table."""
         counts, total = self.counts(), max(self.states.size, 1)
-        words = {
-            "yes": "reached",
-            "no": "proven out of reach",
-            "unknown": "not found, not proven",
-            "untried": "not tried",
-        }
-        rows = [(words[key], count, f"{100.0 * count / total:.2f} %") for key, count in counts.items() if count]
+        rows = [(ANSWERS[key], count, f"{100.0 * count / total:.2f} %") for key, count in counts.items() if count]
         if self.grid.poses is not None:
             what = f"loose poses with {self.tip}"
         else:

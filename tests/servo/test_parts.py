@@ -10,6 +10,7 @@ from ik_toolkit.servo import viability
 from ik_toolkit.servo.step import Judged, Step, StepStatus, make_outcome
 from ik_toolkit.servo.target_jump import Route, timed
 from ik_toolkit.servo.target_stream import Stream
+from ik_toolkit.servo.workspace import new_samples
 
 UNITS = np.array([1.0, 2.0])
 
@@ -19,10 +20,11 @@ def step(
 ):
     """A step of two joints, the second a slide of 2 m a unit, with these errors of two tips."""
     robot = SimpleNamespace(joint_names=("turn", "slide"), chain=SimpleNamespace(unit=UNITS), reach=1.0)
-    left = np.concatenate(errors)
+    left, still = np.concatenate(errors), new_samples(2, 2)
+    still.T[:] = np.eye(4)
     out = (
         Judged(robot, lambda h: {}, (True, True), np.ones((2, 2)), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before),
-        np.array([left, left]), np.tile(np.eye(4), (2, 2, 1, 1)), np.zeros(12), 0.01, lost, down, True, 0.0, False, None, None,
+        np.array([left, left]), still.block, 0.01, 0.01, lost, down, True, 0.0, False, None, None,
     )  # fmt: skip
     return Step(np.array(q), np.array(rate), make_outcome(out))
 

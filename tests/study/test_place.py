@@ -138,8 +138,6 @@ def test_mistakes_are_named(hydrolek):
             ik.place(hydrolek, poses, **arguments)
     with pytest.raises(InvalidOption, match="on_base"):
         ik.place(ik.Robot.load("hydrolek_7w", on_base="planar", base_limits=(-1, 1)), W)
-    with pytest.raises(InvalidOption, match=r"arms\[0\]"):
-        ik.place(ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"]), W)
 
 
 def test_the_command(hydrolek, tmp_path, monkeypatch, capsys):

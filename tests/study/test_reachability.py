@@ -278,8 +278,6 @@ def test_mistakes_are_named():
     ):
         with pytest.raises(InvalidOption, match=words):
             ik.reachability(robot, **arguments)
-    with pytest.raises(InvalidOption, match=r"several|arms\[0\]"):
-        ik.reachability(ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"]))
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):
