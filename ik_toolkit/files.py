@@ -35,6 +35,15 @@ def as_path(value: Any, what: str = "it") -> Path:
     return Path(value)
 
 
+def as_output(value: Any, what: str, *suffixes: str) -> Path:
+    """Return the path of a file to write. Raises InvalidOption, "WHAT is written as .a or .b, not .c", for another suffix."""
+    file = as_path(value, "file")
+    if file.suffix.lower() not in suffixes:
+        named = " or ".join(filter(None, (", ".join(suffixes[:-1]), *suffixes[-1:])))
+        raise InvalidOption(f"{what} is written as {named}, not '{file.name}'")
+    return file
+
+
 def require_place(path: str | Path) -> None:
     """Raise InvalidOption if no file can be written at a path, because its folder is missing or not writable."""
     file, place = Path(path), Path(os.path.realpath(path))

@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption
-from ..files import as_path, write_whole
+from ..files import as_output, write_whole
 from .access import below, new_token, refused_request
 from .body import DrawnShape
 from .feed import ROOT, Feed, meshcat_module, scene_command
@@ -172,9 +171,7 @@ def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
 
     Raises InvalidOption if the name does not end in .html.
     """
-    file = as_path(path, "path")
-    if file.suffix.lower() not in (".html", ".htm"):
-        raise InvalidOption(f"{what} is written as .html, not '{file.suffix or file.name}'")
+    file = as_output(path, what, ".html", ".htm")
     write_whole(file, html())
     return file
 

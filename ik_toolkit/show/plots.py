@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
-from ..files import as_path, whole_file
+from ..files import as_output, whole_file
 from ..robot.joints import Joints
 from ..servo.result import TrackResult
 from ..style import COLOURS, DASHES, GREY, PALE, STYLE
@@ -51,9 +51,7 @@ def literal_text(text: str) -> str:
 
 def save(figure: Any, path: str | Path) -> Path:
     """Write a figure to a .png, .pdf or .svg file. Raises InvalidOption for another suffix."""
-    file = as_path(path, "file")
-    if file.suffix.lower() not in SUFFIXES:
-        raise InvalidOption(f"a plot is written as .png, .pdf or .svg, not '{file.suffix or file.name}'")
+    file = as_output(path, "a plot", *SUFFIXES)
     with whole_file(file) as stream:
         figure.savefig(stream, format=file.suffix[1:].lower(), dpi=160)
     return file

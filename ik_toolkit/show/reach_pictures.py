@@ -13,6 +13,8 @@ from ..style import COLOURS, GREY, PALE
 from .plots import drawing, literal_text
 from .scene_state import css
 
+SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))  # corners of a box's sides
+
 
 def plot_map(found: ReachabilityMap) -> Any:
     """Draw the planes through the middle of a map's reached cells, coloured by share of orientations or by manipulability.
@@ -61,6 +63,9 @@ def _planes(plt: Any, found: ReachabilityMap) -> Any:
         axis.grid(False)
         flat = f"{across} = {at:.3g} m" if grid.size[k] > 0.0 else f"{across} = {grid.low[k]:.3g} m"
         axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=f"{side}, {flat}", aspect="equal")
+    for colour, label in (("0.925", "not found, not proven"), ("white", "proven out of reach")):
+        axes[0, 0].fill([], [], facecolor=colour, edgecolor="0.6", lw=0.5, label=label)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     label = "share of orientations reached" if what == "share" else "manipulability"
     figure.colorbar(image, ax=axes, label=label, shrink=0.7, aspect=25, pad=0.02)
     return figure
@@ -160,14 +165,14 @@ def ramp(values: np.ndarray) -> np.ndarray:
 
 
 def plot_places(found: Placements) -> Any:
-    """Draw the floor from above: for each square the largest share of poses reached from it (grey: none), and the places."""
+    """Draw the floor from above: for each square the largest share of poses reached from it (grey: none), obstacles and places."""
     bases, shares = found.candidates, found.shares
     at = found.poses if found.poses.ndim == 2 else found.poses[:, :3, 3]
     low, high = bases[:, :2].min(axis=0), bases[:, :2].max(axis=0)
     wide = max(float((high - low).max()) / 32.0, 1e-6)
-    sides = np.floor((high - low) / wide).astype(int) + 1
+    sides = np.maximum(np.ceil((high - low) / wide - 1e-9).astype(int), 1)
     best = np.full(sides, np.nan)
-    cell = np.floor((bases[:, :2] - low) / wide).astype(int)
+    cell = np.minimum(((bases[:, :2] - low) / wide).astype(int), sides - 1)
     np.fmax.at(best, (cell[:, 0], cell[:, 1]), shares)
     with drawing() as plt:
         figure, axis = plt.subplots(figsize=(6.6, 5.2), layout="constrained")
@@ -175,6 +180,9 @@ def plot_places(found: Placements) -> Any:
         box = {"origin": "lower", "extent": extent, "interpolation": "nearest"}
         axis.imshow(np.where(best > 0.0, np.nan, best).T, cmap="Greys", vmin=-0.17, vmax=1.0, **box)
         image = axis.imshow(np.where(best > 0.0, best, np.nan).T, cmap="viridis", vmin=0.0, **box)
+        for k, corners in enumerate(found.obstacles[..., :2]):
+            for j, side in enumerate(SIDES):  # The sides of a box, seen from above, together cover its outline.
+                axis.fill(*corners[list(side)].T, color=COLOURS[3], lw=0, label=None if k + j else "obstacles")
         axis.plot(at[:, 0], at[:, 1], ".", color=COLOURS[1], ms=2.5, label="poses")
         for k, one in enumerate(found):
             end = 0.06 * float((high - low).max()) * np.array([np.cos(one.yaw), np.sin(one.yaw)])
@@ -186,7 +194,8 @@ def plot_places(found: Placements) -> Any:
             )
         axis.grid(False)
         axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-        axis.legend(loc="upper left", frameon=True)
+        axis.fill([], [], color="0.925", label="none reached")
+        figure.legend(loc="outside lower center", ncols=4, frameon=False)
         figure.colorbar(image, ax=axis, label="best share of the poses counted", shrink=0.8)
         if len(found):
             one = found[0]

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidConfiguration, floats
-from ..files import as_path, write_whole
+from ..files import as_output, write_whole
 from ..robot.formats.convert import corrected_robot
 from ..robot.robot import Robot
 from ..text import TextTable, length
@@ -256,7 +256,7 @@ class Calibration:
 
     def save(self, path: str | Path) -> Path:
         """Write a self-contained HTML page: residuals before and after, errors, and what the data do not determine."""
-        file = as_path(path, "path")
+        file = as_output(path, "a report", ".html", ".htm")
         write_whole(file, page(self))
         return file
 

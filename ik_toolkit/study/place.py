@@ -76,6 +76,7 @@ class Placements(Sequence[Placement]):
         found: The placements.
         candidates: Bases (M, 4) that were examined: x, y, yaw, height [m, rad].
         shares: Share of the poses that is reached from each (M,), estimated from some of the poses.
+        obstacles: Corners (K, 8, 3) [m] of boxes around the obstacles.
     """
 
     robot: str
@@ -83,6 +84,7 @@ class Placements(Sequence[Placement]):
     found: tuple[Placement, ...]
     candidates: np.ndarray
     shares: np.ndarray
+    obstacles: np.ndarray
 
     def __len__(self) -> int:
         """Return the number of placements."""
@@ -106,11 +108,10 @@ class Placements(Sequence[Placement]):
                 f"{one.count} of {len(one.reached)}",
                 None if np.isnan(one.clearance) else length(one.clearance),
                 figure(one.margin),
-                figure(one.manipulability),
             )
             for k, one in enumerate(self.found)
         ]
-        head = ("", "x, y, z of the base [m]", "yaw", "reached", "clearance", "margin", "manipulability")
+        head = ("", "base x, y, z [m]", "yaw", "reached", "clearance", "margin")
         return TextTable(self.robot, f"{len(rows)} places to stand", head, rows, "ik.plot(placements) draws the floor.")
 
     def _repr_html_(self) -> str:
@@ -212,6 +213,8 @@ def _region(robot: Robot, W: np.ndarray, where: Any, yaw: Any, height: Any) -> t
                 f"where must be 'floor' or two corners ((x, y), (x, y)) [m], lower first, not {where!r:.60}"
             )
     turns = (-np.pi, np.pi) if yaw is None else _ends(yaw, "yaw [rad]")
+    if max(abs(x) for x in turns) > 2.0 * np.pi + 1e-9:
+        raise InvalidOption(f"yaw [rad] must be within a turn, not {yaw!r:.60}; convert degrees by np.radians")
     heights = _ends(height, "height [m]")
     ends = np.array([[*xy[0], turns[0], heights[0]], [*xy[1], turns[1], heights[1]]])
     return ends[0], ends[1]
@@ -260,7 +263,7 @@ def _result(study: Candidates, bases: np.ndarray, count: int, ordered: bool) -> 
         ]
         found = sorted(found, key=lambda one: one.rank, reverse=True)
     bases, shares = put_together(study.tried)
-    return Placements(study.robot.name, study.W, tuple(found), bases, shares)
+    return Placements(study.robot.name, study.W, tuple(found), bases, shares, study.boxes)
 
 
 def _placement(study: Candidates, base: np.ndarray, measure: Any) -> Placement:

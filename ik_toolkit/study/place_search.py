@@ -71,7 +71,9 @@ class Candidates:
     ) -> None:
         self.robot, self.W, (self.low, self.high) = robot, W, ends
         self.scene, self.options, self.progress = scene, options, progress
-        self.shapes = [] if scene is None else [(name, T.copy()) for name, _, T in scene.placed()]
+        placed = [] if scene is None else scene.placed()
+        self.shapes = [(name, T.copy()) for name, _, T in placed]
+        self.boxes = np.array([shape.corners() @ T[:3, :3].T + T[:3, 3] for _, shape, T in placed]).reshape(-1, 8, 3)
         self.rng = np.random.default_rng(options["seed"])
         self.tried: list[tuple[np.ndarray, np.ndarray]] = []
         self.full: list[tuple[np.ndarray, np.ndarray]] = []

@@ -14,7 +14,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..errors import IKError, InvalidOption, Portable, check_progress, whole
-from ..files import PARTIAL, as_path, require_place
+from ..files import PARTIAL, as_output, require_place
 from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
 from ..robot.robot import Robot
@@ -136,9 +136,7 @@ def reachability(
     said = json.dumps(asked, sort_keys=True)
     log = None
     if file is not None:
-        file = as_path(file, "file")
-        if file.suffix.lower() != ".npz":
-            raise InvalidOption(f"a map is written as .npz, not '{file.name}'")
+        file = as_output(file, "a map", ".npz")
         require_place(file)
         log = Log(file.with_name(file.name + PARTIAL), _question(robot, grid, said))
     work = {"threads": threads, "executor": executor, "check": check, **options}

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, floats
-from ..files import as_path, check_arrays, whole_file
+from ..files import as_output, as_path, check_arrays, whole_file
 from ..robot.pose import check_target
 from ..text import TextTable, figure, length
 from ..validate import number, one_of
@@ -192,8 +192,12 @@ class ReachabilityMap:
             what = f"loose poses with {self.tip}"
         else:
             sides = " x ".join(str(k) for k in self.grid.shape)
-            kind = "poses" if not self.grid.free else "tool axes"
-            of = f" x {self.grid.turns} {kind}" if self.grid.rotations is not None else ", any orientation"
+            kinds = ("pose", "poses") if not self.grid.free else ("tool axis", "tool axes")
+            of = (
+                f" x {self.grid.turns} {kinds[self.grid.turns > 1]}"
+                if self.grid.rotations is not None
+                else ", any orientation"
+            )
             what = f"{sides} cells of {length(float(self.grid.size.max()))}{of}, with {self.tip}"
         return TextTable(self.robot, what, ("answer", "number", "share"), rows, f"{self.audit}. ik.plot(map) draws it.")
 
@@ -215,9 +219,7 @@ class ReachabilityMap:
     # ------------------------------------------------------------------------------------------------------- file
     def save(self, path: str | Path) -> Path:
         """Write the map to an NPZ file, completely or not at all; the guide lists its arrays. Raises InvalidOption, OSError."""
-        path = as_path(path)
-        if path.suffix.lower() != ".npz":
-            raise InvalidOption(f"a map is written as .npz, not '{path.name}'")
+        path = as_output(path, "a map", ".npz")
         about = {"format": 1, "robot": self.robot, "tip": self.tip, "base": self.base, "free": self.grid.free}
         about |= {"axis": list(self.grid.axis), "options": self.options}
         empty, grid = np.empty((0, 3, 3)), self.grid
@@ -266,7 +268,13 @@ class ReachabilityMap:
                 "margin": (cells,),
                 "q": (cells, len(names)),
             }
-            if about["format"] != 1 or any(a[name].shape != shape for name, shape in wanted.items()):
+            yes = (a["states"] == Reach.YES).any(axis=1)
+            if (
+                about["format"] != 1
+                or any(a[name].shape != shape for name, shape in wanted.items())
+                or not np.isin(a["states"], list(Reach)).all()
+                or not all(np.isfinite(one).all() for one in (a["manipulability"], a["margin"], a["q"][yes]))
+            ):
                 raise ValueError
         except OSError:
             raise

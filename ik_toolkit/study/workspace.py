@@ -13,7 +13,7 @@ import numpy as np
 
 from ..compile.jit import compile_time
 from ..errors import InvalidOption, Portable, check_progress, whole
-from ..files import PARTIAL, WholeFile, as_path, inert
+from ..files import PARTIAL, WholeFile, as_output, inert
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch.solve_batch import solve_parts
@@ -187,7 +187,7 @@ def workspace(
         raise InvalidOption("workspace needs at least one solver")
     seed = whole(seed, "seed", 0)
     check_progress(progress, "the number of targets done")
-    file = None if file is None else as_path(file, "file")
+    file = None if file is None else as_output(file, "a table of targets", ".csv")
     tally = _Tally(robot, tip, list(named))
     table = _Table(file, list(named))
     interrupted = finished = False
@@ -310,8 +310,6 @@ class _Table:
     def __init__(self, file: Path | None, names: list[str]) -> None:
         self.out, self.head = None, []
         if file is not None:
-            if file.suffix.lower() != ".csv":
-                raise InvalidOption(f"targets are written as .csv, not '{file.name}'")
             self.out = WholeFile(file)
             self.head = ["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)]
 

@@ -16,7 +16,7 @@ def test_what_is_refused(tmp_path, capsys):
     from ik_toolkit.cli import main
 
     scene = ik.view(load("planar_2r"))
-    with pytest.raises(InvalidOption, match=r"a live page is written as \.html, not '\.png'"):
+    with pytest.raises(InvalidOption, match=r"a live page is written as \.html or \.htm, not 'page\.png'"):
         scene.page(tmp_path / "page.png")
     assert main(["view", "planar_2r", "--page", str(tmp_path / "page.html")]) == 0
     assert "opens without a network" in capsys.readouterr().err

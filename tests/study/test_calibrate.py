@@ -349,6 +349,9 @@ def test_several_tips_and_no_urdf(arm, good, tmp_path):
 # --------------------------------------------------------------------------------------------------- text, page, command
 def test_page_and_chart(good, tmp_path):
     found = good[0]
+    for write, name in ((found.save, "page.txt"), (found.write, "arm.json")):
+        with pytest.raises(InvalidOption, match=f"written as .*, not '{name}'"):
+            write(tmp_path / name)
     page = found.save(tmp_path / "page.html").read_text()
     assert page.count("<circle") == 60 and "http" not in page and "cannot tell" in page and found.fixed[0].fixed in page
     assert "elbow_pitch.offset" in str(found) and "<table>" in found._repr_html_()

@@ -91,10 +91,10 @@ def test_obstacles_of_the_scene_count(hydrolek):
     where, asked = ((-0.6, -0.6), (0.6, 0.6)), {"yaw": (-0.5, 0.5), "count": 1}
     scene = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), W[7, :3, 3] - (0.35, 0.0, 0.0), name="wall")
     before = [T.copy() for _, _, T in scene.placed()]
-    free, beside = (
-        ik.place(hydrolek, W, where, **asked)[0],
-        ik.place(hydrolek, W, where, avoid_collisions=scene, **asked)[0],
-    )
+    among = ik.place(hydrolek, W, where, avoid_collisions=scene, **asked)
+    free, beside = ik.place(hydrolek, W, where, **asked)[0], among[0]
+    local = (among.obstacles - before[0][:3, 3]) @ before[0][:3, :3]
+    assert np.allclose(np.abs(local), 0.5 * np.array([0.15, 0.6, 0.4])) and ik.plot(among).axes
     assert 0 < beside.count <= free.count and beside.clearance > 0.0
     judge = ik.CollisionModel(hydrolek).add_box((0.15, 0.6, 0.4), np.linalg.inv(beside.T_world_base) @ before[0])
     assert not any(judge.collides(q) for q in beside.q[beside.reached])
@@ -129,6 +129,7 @@ def test_mistakes_are_named(hydrolek):
         (InvalidOption, "floor", W, {"where": "roof"}),
         (InvalidOption, "lower first", W, {"where": ((1, 1), (0, 0))}),
         (InvalidOption, "yaw", W, {"yaw": np.nan}),
+        (InvalidOption, "convert degrees", W, {"yaw": 90}),
         (InvalidOption, "height", W, {"height": (2, 1)}),
         (InvalidOption, "count", W, {"count": 0}),
         (InvalidOption, "restarts", W, {"restarts": 5}),

@@ -3,6 +3,7 @@
 import pickle
 import resource
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -164,7 +165,10 @@ def test_a_file_reads_back_and_a_damaged_one_says_so(dense, tmp_path):
         (tmp_path / "bad.npz").write_bytes(bad)
         with pytest.raises(InvalidOption, match=r"bad\.npz"):
             ik.ReachabilityMap.load(tmp_path / "bad.npz")
-    with pytest.raises(InvalidOption, match="npz"):
+    for damaged in (replace(found, states=np.full_like(found.states, 9)), replace(found, margin=found.margin * np.nan)):
+        with pytest.raises(InvalidOption, match=r"bad\.npz"):
+            ik.ReachabilityMap.load(damaged.save(tmp_path / "bad.npz"))
+    with pytest.raises(InvalidOption, match=r"a map is written as \.npz, not 'map\.json'"):
         found.save(tmp_path / "map.json")
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import ModelError
-from ...files import as_path, write_whole
+from ...files import as_output, write_whole
 from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
 from ..load import read_source
 from ..rotation import rpy_matrix
@@ -54,7 +54,7 @@ def write_urdf(robot: Any, path: str | Path) -> Path:
     Changes of base, tip and limits, and joints locked since loading, are not written. Raises ModelError if the robot was made
     without a URDF, InvalidOption, OSError.
     """
-    file = as_path(path, "path")
+    file = as_output(path, "a robot", ".urdf", ".xml")
     made = _plain(robot.name, _text_of(robot), robot.path, robot.package_dirs, file.parent)
     write_whole(file, made.text)
     return file

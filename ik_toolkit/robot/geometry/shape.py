@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,13 @@ class Shape:
         if mesh.refused:
             raise InvalidConfiguration(f"the mesh file '{path}' {mesh.refused}")
         return surface(mesh, np.full(3, scale))
+
+    def corners(self) -> np.ndarray:
+        """Return the corners (8, 3) [m] of the box around the shape, along its own axes; x is the slowest to change."""
+        form = self.form()
+        form.computeLocalAABB()
+        box = form.aabb_local
+        return np.array(list(product(*zip(box.min_, box.max_, strict=True))))
 
 
 PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "capsule": coal.Capsule}
