@@ -6,7 +6,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.papers.burrell_2016 import gains, paper, solutions, speed, stability, swarm
+from ik_toolkit.papers.burrell_2016 import design, gains, paper, solutions, speed, stability
 from ik_toolkit.papers.burrell_2016.gains import least_distance
 from ik_toolkit.papers.burrell_2016.published import PAPER_OPTIONS, TO_PAPER
 from ik_toolkit.papers.burrell_2016.uncompiled import Interpreted, PlainPinv
@@ -112,16 +112,26 @@ def test_the_edge_of_a_workspace_is_measured():
     assert far.max() > gains.EDGE[0] and gains.edge_distance(arm, stretched)[0] <= 0.1
 
 
-def test_the_swarm_searches_all_90_entries(hydrolek, monkeypatch):
+def test_gains_by_theory_and_by_search(hydrolek, monkeypatch):
     published = ik.StateSpace.preset("burrell-2016")
-    space = swarm.all_entries(published)
+    q0 = hydrolek.home
+    designed = design.theory(hydrolek, published, q0)
+    here = ik.analyse(hydrolek, designed, q0)
+    assert np.allclose(here.loop_gain, 1.5 * design.LOOP) and here.stable.all() and here.gain_bound == 1.5
+    targets = paper.goals(hydrolek, 300, 30)
+    solved = [
+        ik.solve_batch(hydrolek, targets, rule, q0=q0, **PAPER_OPTIONS).success.mean() for rule in (designed, published)
+    ]
+    assert solved[0] > 0.9 > solved[1]
+    assert 0.005 < design.margin_gain(hydrolek) < 0.02
+    space = design.all_entries(published)
     assert space.size == 90
     start = space.build(space.start)
     assert all(np.allclose(getattr(start, key), getattr(published, key)) for key in "ABC")
     for name, value in (("GENERATIONS", 2), ("PARTICLES", 6), ("GOALS", 60)):
-        monkeypatch.setattr(swarm, name, value)
-    rule, evaluations = swarm.search(hydrolek, space, hydrolek.home)
-    assert evaluations == 12 and np.shape(rule.A) == (6, 6) and np.shape(rule.C) == (6, 6)
+        monkeypatch.setattr(design, name, value)
+    for rule in (design.search(hydrolek, space, q0, design.Swarm), design.search_theory(hydrolek, published, q0, 3)):
+        assert np.shape(rule.A) == (6, 6) and np.shape(rule.B) == (6, 3)
 
 
 # ------------------------------------------------------------------------------------------------------ Patko, eqs. 1-4
