@@ -16,7 +16,7 @@ from .limits import hold
 from .linalg import row_product
 from .null_space import REFERENCE, make_bounds, move
 from .problem import BEST_OF_ALL
-from .records import ANSWER, AT, HEAD, TASK, Ends, Orders, copy, read
+from .records import ANSWER, AT, HEAD, MISS, TASK, Ends, Orders, copy, read
 
 
 class Descent(NamedTuple):
@@ -27,6 +27,7 @@ class Descent(NamedTuple):
     most: float = 1e9  # largest multiple; the method ends if even the short step it leads to does not lower the error
     lowered: float = 0.3  # factor on the multiple after a step that lowers the error
     raised: float = 4.0  # factor on the multiple after a step that does not lower the error
+    evaluations: int = 500  # largest number of evaluations (0.3 us each)
     smallest: float = 1e-7  # the method ends when a step moves every joint by less [rad, or length over the reach]
 
 
@@ -141,10 +142,10 @@ def descend_on_views(rows, ends, T, row, orders, n, length, steps, block):
 
 
 @cached
-def approach_targets(rows, ends, T, out, orders, n, length, steps, left):
+def approach_targets(rows, ends, T, out, orders, n, length, allowed, left):
     """Lower the errors of failed searches; q, errors and number of evaluations in their result rows `out` are replaced.
 
-    If a minimisation reaches its target, the row's status becomes CONVERGED.
+    If a minimisation reaches its target, the row's status becomes CONVERGED. Rows that are CONVERGED stay as they are.
 
     Args:
         rows: (L, 10) geometry of the chain or tree.
@@ -154,13 +155,17 @@ def approach_targets(rows, ends, T, out, orders, n, length, steps, left):
         orders: Options and tasks, see `search.entry`.
         n: Number of coordinates.
         length: Position error [m] that counts as much as a rotation error of one radian.
-        steps: (N,) highest numbers of evaluations; a row with less than 2 stays as it is, and so does its `left`.
-        left: (N,) receives the squared error at each new q, with position errors divided by `length`.
+        allowed: Highest number of evaluations of a row together with its search; a row with less than 2 left stays as it is.
+        left: (N,) receives the squared error at each new q, with position errors divided by `length`; infinity where none is new.
     """
     block = np.empty(space(n, 6 * (ends.size // ends.shape[-1]), rows.shape[0], 0))
     for k in range(T.shape[0]):
-        if steps[k] >= 2:
+        steps, left[k] = int(min(DOWN.evaluations, allowed - out[k, AT.evaluations])), np.inf
+        if steps >= 2 and out[k, AT.status] != CONVERGED:
+            before = out[k].copy()
             left[k] = descend_on_views(
-                view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps[k], view(block)
+                view(rows), view(ends), view(T[k]), view(out[k]), view(orders), n, length, steps, view(block)
             )
+            for j in range(ANSWER + n + 2, out.shape[1], MISS):
+                out[k, j] = before[j]  # By how much a tip's target is proven out of reach does not change.
     keep(block)

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.elimination.binding import answers
 from ..kernel.elimination.terms import CERTAIN
 from ..kernel.kinematics import TAU
 from ..solvers.closed_form.geometry import Screws, read_screws
-from ..solvers.decide import elimination_plan, said_of
+from ..solvers.decide import arm_of, elimination_plan
 
 PARALLEL = 1e-6  # largest sine between parallel axes, and largest distance between intersecting axes over the reach
 # Two solutions merge, or infinitely many exist, if a cosine is this close to 1 or a length [m] this close to 0.
@@ -33,7 +34,7 @@ def every_solution(plan: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | 
     exact = elimination_plan(plan) if found is None else None
     if exact is None:
         return found
-    said = said_of(exact, T)
+    said = answers(*arm_of(exact), np.ascontiguousarray(T))
     count = said[:, 0, 0].astype(int)
     Q = said[:, 1 : 1 + max(1, int(count.max(initial=0))), :6].copy()
     Q[np.arange(Q.shape[1]) >= count[:, None]] = np.nan

@@ -70,10 +70,11 @@ class Listed(NamedTuple):
 
 def elimination_plan(plan: Plan) -> Plan | None:
     """Return the elimination with the options of a search's plan, or None if it cannot do what is asked."""
-    robot, o = plan.robot, replace(plan.options, closest=False)
+    robot = plan.robot
     if robot.n != 6 or robot.pose_shape != (4, 4):
         return None
     if "elimination" not in plan.memo:
+        o = replace(plan.options, closest=False)
         row = find_row("elimination")
         form = row.load()()
         fits = not misfit(row, form, robot) and not refusal(row, form, Asked(robot, POSES, options=o))
@@ -116,7 +117,7 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
 
     A solution within the limits, or near them and moved onto them by Newton steps, solves a target. There is none if the list of
     solutions is certified, none of them is near a limit or nearly real, and no pose beyond the limits is within the tolerances.
-    Other targets stay undecided, and their rows as they are.
+    Other targets stay undecided, and their rows as they are. Returns whether the whole search is to go on for some target.
 
     Args:
         rows: (L, 10) geometry of the chain.
@@ -177,12 +178,17 @@ def decide_rows(rows, ends, T, found, box, Q0, orders, terms, out):
             if (made[AT.position] / length) ** 2 + made[AT.rotation] ** 2 < now:
                 _take(made, row)
         row[0], row[AT.excess] = LIMIT_BLOCKED if count > 0 else UNREACHABLE, DECIDED
+    enough, unsure = NEAREST if same > 0.0 else DECIDED, False
+    for t in range(T.shape[0]):
+        excess = out[t, AT.excess]
+        unsure |= excess != enough and (excess != DECIDED or out[t, AT.status] == CONVERGED)
+    return unsure
 
 
-def said_of(exact: Plan, T: np.ndarray, within: float = 0.0) -> np.ndarray:
-    """Return the elimination's answers for targets T (N, 4, 4), see `kernel.elimination.binding.answers`."""
+def arm_of(exact: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """Return the elimination's orderings of the loop and its array of the arm: the first arguments of `binding.answers`."""
     p = exact.orders(POSES, True)[WEIGHTS + N :].copy()
-    return answers(forms_of(p.tobytes()), p, np.ascontiguousarray(T), within)
+    return forms_of(p.tobytes()), p
 
 
 class Deciding(Plan):
@@ -192,6 +198,11 @@ class Deciding(Plan):
     def first(self) -> Plan:
         """The short search that comes first."""
         return self.varied(restarts=MARGINS.attempts - 1, closest=False)
+
+    @functools.cached_property
+    def open(self) -> tuple[int, ...]:
+        """The statuses of the short search that leave something to decide."""
+        return (*OPEN, CONVERGED) if self.options.closest else OPEN
 
     @functools.cached_property
     def exact(self) -> Plan:
@@ -220,35 +231,34 @@ class Deciding(Plan):
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
         """Return the result row (width,) of one target T (1, 4, 4)."""
         row = self.first.solve(T, kinds, start, given)
-        if row[AT.status] in OPEN or self.options.closest:
-            self.decide(T, kinds, start, given, row[None])
+        if row[AT.status] in self.open:
+            self._decide(T, kinds, start, given, row[None])
         return row
 
     def decide(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
-        """Let the elimination decide on the targets T (N, 4, 4) that the short search left unsolved; out (N, width): result rows.
+        """Let the elimination decide on those targets T (N, 4, 4) that the short search left unsolved in `out` (N, width)."""
+        (left,) = np.nonzero((out[:, AT.status, None] == self.open).any(axis=1))
+        if len(left):
+            made, starts = out[left], np.repeat(start, len(out) // len(start), axis=0)[left]
+            self._decide(T[left], kinds, starts, given, made)
+            out[left] = made
 
-        Where the elimination is not certain, the whole search goes on.
-        """
-        wanted = (*OPEN, CONVERGED) if self.options.closest else OPEN
-        (left,) = np.nonzero((out[:, AT.status, None] == wanted).any(axis=1))
-        if not len(left):
+    def _decide(self, T: np.ndarray, kinds: tuple, starts: np.ndarray, given: bool, made: np.ndarray) -> None:
+        """Let the elimination decide on result rows `made` (N, width); where it is not certain, the whole search goes on."""
+        rows, ends, box, orders, terms, (forms, arm) = self._fixed(given)
+        found = answers(forms, arm, np.ascontiguousarray(T), self.within)
+        if not decide_rows(rows, ends, T, found, box, starts, orders, terms, made):
             return
-        o, at, made = self.options, T[left], out[left]
-        starts = np.repeat(start, len(out) // len(start), axis=0)[left]
-        rows, ends, box, orders, terms = self._fixed(given)
-        decide_rows(rows, ends, at, said_of(self.exact, at, self.within), box, starts, orders, terms, made)
-        unsure = made[:, AT.excess] != (NEAREST if o.closest else DECIDED)
+        unsure = made[:, AT.excess] != (NEAREST if self.options.closest else DECIDED)
         (still,) = np.nonzero(unsure & ((made[:, AT.excess] != DECIDED) | (made[:, AT.status] == CONVERGED)))
-        if len(still):
-            rest = np.zeros((len(still), made.shape[1]))
-            self.run(at[still], kinds, starts[still], given, rest)
-            far = [np.linalg.norm(rows[:, ANSWER : ANSWER + N] - starts[still], axis=1) for rows in (rest, made[still])]
-            taken = (made[still, AT.status] != CONVERGED) | (rest[:, AT.status] == CONVERGED) & (far[0] < far[1])
-            made[still[taken]] = rest[taken]
-        out[left] = made
+        rest, starts = np.zeros((len(still), made.shape[1])), starts[still]
+        self.run(T[still], kinds, starts, given, rest)
+        far = [np.linalg.norm(rows[:, ANSWER : ANSWER + N] - starts, axis=1) for rows in (rest, made[still])]
+        taken = (made[still, AT.status] != CONVERGED) | (rest[:, AT.status] == CONVERGED) & (far[0] < far[1])
+        made[still[taken]] = rest[taken]
 
-    def _fixed(self, given: bool) -> tuple[np.ndarray, ...]:
-        """Return those arguments of `decide_rows` that do not depend on the targets: rows, ends, box, orders and terms."""
+    def _fixed(self, given: bool) -> tuple[Any, ...]:
+        """Return the arguments that do not depend on the targets: rows, ends, box, orders, terms; those of `answers`."""
         if ("fixed", given) not in self.memo:
             exact, free, o = self.exact, self.exact_free, self.options
             terms = (
@@ -258,7 +268,8 @@ class Deciding(Plan):
                 MARGINS.same * o.closest,
             )
             ends, orders = (exact.chain[1], free.chain[1]), (exact.orders(POSES, given), free.orders(POSES, given))
-            self.memo["fixed", given] = (exact.chain[0], *map(np.array, (ends, self.box, orders, terms)))
+            fixed = map(np.array, (ends, self.box, orders, terms))
+            self.memo["fixed", given] = (exact.chain[0], *fixed, arm_of(exact))
         return self.memo["fixed", given]
 
     @functools.cached_property

@@ -6,28 +6,29 @@ objective), in single calls and in batches. `plan.steps` are all steps of a sing
 and the test of the robot description's constraints.
 """
 
+import functools
 from collections.abc import Callable
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, TOO_FAR, UNREACHABLE
-from ..kernel.records import ANSWER, AT, MISS, PAST
+from ..kernel.checks import CHECK_FAILED, CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
+from ..kernel.records import ANSWER, AT, PAST
 from ..robot.pose import check_target
 from .options import OBJECTIVES
 from .status import DECIDED, Status, constraints_of
 from .task import POSE, counted_errors, group_levels
 
 Step = Callable[[Any], Any]
+ENDED = (STALLED, LIMIT_BLOCKED, UNREACHABLE)  # statuses of failures whose q is moved to the closest configuration
 
 
 class Limits(NamedTuple):
     """Limits on the work of finishing an answer."""
 
     improving: int = 200  # largest number of steps in the null space that improve an answer
-    descending: int = 500  # largest number of evaluations (0.3 us each) to minimise the error after a failure
-    # number of random configurations from which that minimisation also starts if a length_scale is given
+    # number of random configurations from which the error is minimised after a failure if a length_scale is given
     begins: int = 20
     # Each run of a timed search is this many times as long as the last and repeats it, which costs at most a third more.
     growth: int = 4
@@ -57,8 +58,10 @@ def finish_failure(outcome: Any) -> Any:
     """Finish the answer of a search that has not converged, see `finish_failures`."""
     if outcome.plan.options.timeout is not None:
         outcome = extend(outcome)
-    if outcome.row[AT.status] != TOO_FAR:  # TOO_FAR may occur in every cycle of a control loop; nothing is finished.
-        finish_failures(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
+    if (
+        outcome.row[AT.status] in ENDED
+    ):  # TOO_FAR, which may occur in every cycle of a control loop, is not among these.
+        _finish(outcome.plan, outcome.T, outcome.kinds, outcome.start, outcome.given, outcome.row[None])
     return outcome
 
 
@@ -69,57 +72,66 @@ def finish_failures(
     start: np.ndarray,
     given: bool,
     rows: np.ndarray,
-    ended: tuple[int, ...] = (STALLED, LIMIT_BLOCKED, UNREACHABLE),
+    ended: tuple[int, ...] = ENDED,
 ) -> None:
-    """Finish, in place, those of the result rows (m, width) of targets T whose status is one of `ended`.
+    """Finish, in place, those of the result rows (m, width) of targets T whose status is one of `ended` (see `_finish`)."""
+    these = np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1))
+    if len(these):
+        start, made = np.repeat(start, len(rows) // len(start), axis=0)[these], rows[these]
+        _finish(plan, T[these], kinds, start, given, made)
+        rows[these] = made
+
+
+def _finish(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
+    """Finish, in place, the result rows (m, width) of failed searches for targets T from starts (m, n).
 
     LIMIT_BLOCKED becomes STALLED where a short search without limits does not reach the target either. Then, if the solver asks for
     it (`plan.descends`), the row's q is moved to the configuration nearby that is closest to the target.
     """
-    these = np.flatnonzero((rows[:, AT.status, None] == ended).any(axis=1))
-    if not len(these):
-        return
-    start = np.repeat(start, len(rows) // len(start), axis=0)
-    for k in these:
-        row = rows[k]
+    for k, row in enumerate(rows):
         if row[AT.status] == LIMIT_BLOCKED and plan.options.limits and row[AT.excess] != DECIDED:
             if plan.unlimited.solve(T[k : k + 1], kinds, start[k : k + 1], given)[AT.status] != CONVERGED:
                 row[AT.status] = STALLED
     if plan.descends:
-        rows[these] = _descended(plan, T[these], kinds, start[these], given, rows[these])
+        _descend(plan, T, kinds, start, given, rows)
+    for row in rows:
+        if row[AT.status] == LIMIT_BLOCKED and row[AT.excess] != DECIDED and plan.descends:
+            if not plan.robot.at_limits(row[ANSWER : ANSWER + plan.robot.n]):
+                row[AT.status] = STALLED
 
 
-def _descended(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> np.ndarray:
-    """Return rows (m, width) with their configurations moved to a local minimum of the error.
+def _descend(plan: Any, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, rows: np.ndarray) -> None:
+    """Move, in place, the configurations of rows (m, width) to a local minimum of the error.
 
     The search compares its attempts by errors whose lengths are divided by about the reach. If the option length_scale is given,
     another attempt may be the best one, so the minimisation also begins at the start and at random configurations.
     """
+    o, robot, m = plan.options, plan.robot, len(rows)
+    targets, orders, least = T.reshape(m, -1, 4, 4), plan.orders(kinds, given), np.empty(m)
+    allowed = float(o.max_evaluations or np.inf)
+
+    def lower(made: np.ndarray, left: np.ndarray) -> None:
+        arrays = *plan.chain[:2], targets, made, orders
+        _approach()(*arrays, robot.n, o.length_scale or robot.reach, allowed, left)
+
+    lower(rows, least)
+    if o.length_scale is None or len(plan.held):
+        return
+    for q in (start, *robot.random_q(np.random.default_rng(o.seed), MOST.begins)):
+        made, left, before = rows.copy(), np.empty(m), rows[:, AT.status] != CONVERGED
+        made[:, ANSWER : ANSWER + robot.n] = q
+        lower(made, left)
+        rows[:, AT.evaluations] = made[:, AT.evaluations]
+        better = before & ((left < least) | (made[:, AT.status] == CONVERGED))
+        least[better], rows[better] = left[better], made[better]
+
+
+@functools.cache
+def _approach() -> Any:
+    """Return `kernel.closest.approach_targets`, imported only at the first failure; an import statement costs 5 us each time."""
     from ..kernel.closest import approach_targets
 
-    o, robot = plan.options, plan.robot
-    here = slice(ANSWER, ANSWER + robot.n)
-    beyond = slice(ANSWER + robot.n + 2, None, MISS)  # by how much targets are proven out of reach does not change
-    begins = [rows[:, here].copy()]
-    if o.length_scale is not None and not len(plan.held):
-        begins += [start, *robot.random_q(np.random.default_rng(o.seed), MOST.begins)]
-    m = len(rows)
-    targets, orders = np.ascontiguousarray(T).reshape(m, -1, 4, 4), plan.orders(kinds, given)
-    least, rows = np.full(m, np.inf), rows.copy()
-    for q in begins:
-        steps = np.minimum(MOST.descending, (o.max_evaluations or np.inf) - rows[:, AT.evaluations]).astype(np.int64)
-        steps[rows[:, AT.status] == CONVERGED] = 0
-        made, left = rows.copy(), np.full(m, np.inf)
-        made[:, here] = q
-        approach_targets(*plan.chain[:2], targets, made, orders, robot.n, o.length_scale or robot.reach, steps, left)
-        made[:, beyond] = rows[:, beyond]
-        rows[:, AT.evaluations] = made[:, AT.evaluations]
-        better = (left < least) | (made[:, AT.status] == CONVERGED) & (steps > 0)
-        least[better], rows[better] = left[better], made[better]
-    for row in rows:
-        if row[AT.status] == LIMIT_BLOCKED and row[AT.excess] != DECIDED and not robot.at_limits(row[here]):
-            row[AT.status] = STALLED
-    return rows
+    return approach_targets
 
 
 def extend(outcome: Any) -> Any:

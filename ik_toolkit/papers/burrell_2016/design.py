@@ -58,17 +58,18 @@ def design(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray])
     report.table("design", head, [[name, count, said, str(one)] for (name, said, count), one in found.items()])
     report.number("design_scores", {name: one.to_dict() for (name, _, _), one in found.items()})
     report.text(
-        f"""An evaluation is a run of {GOALS} training goals; the counts are of {len(sets)} other sets of 1000. **Theory**, A and C
-        as published: B from J S = {LOOP:g} I at one configuration, with the static gain S = C (I - A)^-1 B (of 0.2, 0.4 and 0.6
-        the training goals prefer {LOOP:g}); 'best of' keeps the configuration that solves the most training goals.
+        f"""An evaluation is a run of {GOALS} training goals; the counts are of {len(sets)} other sets of 1000. **Theory**, A
+        and C as published: B from J S = {LOOP:g} I at one configuration, with the static gain S = C (I - A)^-1 B (of 0.2, 0.4
+        and 0.6 the training goals prefer {LOOP:g}); 'best of' keeps the configuration that solves the most training goals.
         **Swarm**: {PARTICLES} particles, {GENERATIONS} generations, inertia 0.729, both accelerations 1.494 (Clerc and Kennedy
-        2002); CMA-ES (Hansen 2016) has the same population and budget; both start at the published matrices. Neither the paper's settings nor its start configuration are known, so no run can be
-        expected to give 993. **IK-PID**: {SAFETY:g} of the gain margin that all but {WEAKEST:g} % of {CONFIGURATIONS} random
-        configurations have, without a single run. **What is tuned where:** the searches change every entry of A, B and C, and no
-        start. In the presets of the toolkit A is a I with one number a, C is fixed at -0.05 I, and B and the starts are free:
-        (A, B, C) and (T A T^-1, T B, C T^-1) are the same solver for every invertible T, so C can be fixed without loss and 54
-        of the 90 numbers are left; that A may be a I is our restriction. What is reached depends on the slice of joint space
-        through the start, which B decides; A sets the pace."""
+        2002); CMA-ES (Hansen 2016) has the same population and budget; both start at the published matrices. Neither the
+        paper's settings nor its start configuration are known, so no run can be expected to give 993. **IK-PID**: {SAFETY:g} of
+        the gain margin that all but {WEAKEST:g} % of {CONFIGURATIONS} random configurations have, without a single run. **What
+        is tuned where:** the searches change every entry of A, B and C, and no start. In the presets of the toolkit A is a I
+        with one number a, C is fixed at -0.05 I, and B and the starts are free: (A, B, C) and (T A T^-1, T B, C T^-1) are the
+        same solver for every invertible T, so C can be fixed without loss and 54 of the 90 numbers are left; that A may be a I
+        is our restriction. What is reached depends on the slice of joint space through the start, which B decides; A sets the
+        pace."""
     )
 
 
