@@ -14,7 +14,6 @@ from ...validate import switch
 from ..protocol import Asked, rule
 
 FLOOR = 1e-12  # least damping, needed because J J' of a planar arm has no inverse
-HALVINGS = 40  # highest number of trials of a line search; the last step is 1e-12 of the first
 
 
 def negative(name: str, value: Any) -> str:
@@ -150,26 +149,16 @@ class Transpose(NamedTuple):
 class Inverse(NamedTuple):
     """The compiled step of Newton-Raphson."""
 
-    least: float  # a row of the Jacobian whose entries are all below this is left out of the task
     trials: float  # highest number of trials of the line search; 0 takes the whole step without a trial
 
     def step(self, p, e):
         s = p.desk
-        n = s.dq.shape[0]
+        n, m = s.J.shape
         p.stack(e)
-        m = 0
-        for k in range(s.J.shape[1]):
-            size = 0.0
-            for i in range(n):
-                size = max(size, abs(s.J[i, k]))
-            if size > self.least:
-                if m == n:
-                    return SINGULAR_STEP
-                for i in range(n):
-                    s.A[m, i] = s.J[i, k]
-                s.y[m] = s.y[k]
-                m += 1
-        if m < n or not lu_solve(s.A, s.y, n):
+        for k in range(m):
+            for i in range(min(n, m)):
+                s.A[k, i] = s.J[i, k]
+        if n > m or not lu_solve(s.A, s.y, n, m):
             return SINGULAR_STEP
         for i in range(n):
             s.dq[i] = s.y[i]
@@ -219,4 +208,4 @@ class Newton(NamedTuple):
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
         """Return the compiled step as a NamedTuple."""
-        return Inverse(1e-12, float(HALVINGS * self.line_search))
+        return Inverse(40.0 if self.line_search else 0.0)  # The last trial is 1e-12 of the step.

@@ -1,8 +1,9 @@
-"""Newton with a line search: it falls in every iteration, counts what it evaluates and solves what the whole step loses."""
+"""Newton: any square task, whatever its axes; with a line search its error falls in every iteration."""
 
 import numpy as np
 import pytest
 import robots
+from serial_arms import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -46,3 +47,15 @@ def test_the_error_falls_in_every_iteration_within_the_limits(name, pose):
 def test_it_is_a_switch():
     with pytest.raises(InvalidOption, match="line_search is True or False"):
         ik.solve(robots.load("planar_2r"), (1.0, 0.5, 0.0), ik.Newton(line_search="no"))
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.9)])
+@pytest.mark.parametrize("slide", [(1, 0, 0), (1.0, 0.5, 0.0)])
+def test_a_plane_need_not_be_along_the_axes(tilt, slide):
+    """Two joints move the tip in a plane: two independent errors, though all three components change."""
+    joints = [("prismatic", (0, 0, 0), tilt, slide, -3, 3), ("revolute", (1, 0, 0), (0, 0, 0), (0, 0, 1), -3, 3)]
+    robot = ik.Robot.load(urdf(joints, ((0.7, 0, 0), (0, 0, 0))), tip="tip")
+    run = ik.solve(robot, robot.fk([0.3, 1.0]).translation, "newton", q0=[0.1, 1.1], tolerance=1e-10)
+    assert run.success and np.abs(run.q - [0.3, 1.0]).max() < 1e-8
+    with pytest.raises(InvalidOption, match="has 3 and the path 2"):
+        ik.solve(robot, robot.fk([0.3, 1.0]), "newton")
