@@ -41,12 +41,9 @@ class Allowances(NamedTuple):
     """Numbers that keep rounding out of what is proven."""
 
     share: float = 1e-9  # beta, eta, L and r are raised by this share of themselves, and R is lowered
-    condition: float = (
-        1e5  # Nothing is claimed if F'(q0) is conditioned worse: rounding of the inverse is then above `share`.
-    )
-    kinematics: float = (
-        1e-13  # rounding of the tip's pose [rad, or lengths over the scale] for angles up to 1, added to e
-    )
+    condition: float = 1e5  # Nothing is claimed if F'(q0) is conditioned worse, as its inverse may be off by `share`.
+    kinematics: float = 1e-12  # rounding of the pose [rad, or lengths over the scale], added to the error e
+    widest: float = 1e3  # largest coordinate [rad, or lengths over the scale], which rounds to 1e-13
     flat: float = 1e-9  # distance [rad, or lengths over the scale] of a target from the arm's plane that is rounding
     parallel: float = 1e-12  # sine of the angle between axes that count as parallel; `share` covers the difference
     turned: float = 3.1  # largest |phi| [rad] for which something is claimed, because log is not smooth at half a turn
@@ -62,8 +59,7 @@ class NewtonCertificate:
 
     Attributes:
         robot: The robot.
-        T_base_tip: (4, 4) the target; only its position counts if `position_only`.
-        position_only: Whether the target is a position.
+        target: The target as given.
         q0: (..., n) the starts [rad or m].
         limits: Whether the solver keeps the joint limits.
         beta: (..., 2) norms of the position [1/m] and rotation columns of F'(q0)^-1; 0 where it is singular.
@@ -76,8 +72,7 @@ class NewtonCertificate:
     """
 
     robot: Robot
-    T_base_tip: np.ndarray
-    position_only: bool
+    target: Any
     q0: np.ndarray
     limits: bool
     beta: np.ndarray
@@ -127,9 +122,7 @@ class NewtonCertificate:
     def __str__(self) -> str:
         """Return what is proven in one sentence, or for several starts in a count."""
         if self.h.ndim:
-            return (
-                f"Newton on {self.robot.name}: proven to converge from {int(self.proven.sum())} of {self.h.size} starts"
-            )
+            return f"Newton is proven to converge from {int(self.proven.sum())} of {self.h.size} starts"
         if self.proven:
             return (
                 f"Newton converges from here (proven, h = {self.h:.3g}): to one solution, which is within "
@@ -142,7 +135,7 @@ class NewtonCertificate:
 
 
 def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = True) -> NewtonCertificate:
-    """Prove beforehand that the solver `newton` converges from a start, to which solution, and how far it is at most.
+    """Prove beforehand that the solver `newton` converges from a start, to which solution, and how far away that is at most.
 
     What is proven holds for `ik.solve(robot, target, "newton", q0=q0)` with `limits` as here: whole steps converge as fast as
     `NewtonCertificate.bound` says, until the tolerance is met. Newton may converge from other starts as well: the test is
@@ -176,11 +169,10 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     Q, T = q0.reshape(-1, robot.n), T[0]
     to_norm, turning = _link_turns(robot.chain.rows)
     A, e, angle, known = _linearised(robot, asked, T, Q, to_norm)
-    beta = (1.0 + ALLOW.share) * np.stack(
-        [np.linalg.norm(part, 2, axis=(1, 2)) for part in (A[..., :3], A[..., 3:])], axis=-1
-    )
+    blocks = A.reshape(len(Q), -1, 2, 3).swapaxes(1, 2)
+    beta = (1.0 + ALLOW.share) * np.linalg.norm(blocks, 2, axis=(2, 3))
     eta = (1.0 + ALLOW.share) * np.linalg.norm(np.einsum("nij,nj->ni", A, e), axis=1)
-    eta += ALLOW.kinematics * np.maximum(1.0, np.abs(Q).max(axis=1)) * (beta @ (robot.chain.scale, 1.0))
+    eta += ALLOW.kinematics * beta @ (robot.chain.scale, 1.0)
     slides, runs = (robot.chain.rows[:, 9] == 0.0).any(), int(turning[-1].sum())
     L = np.zeros_like(beta)
     L[:, 0] = _position_constant(robot, Q, 2.0 * eta, turning)
@@ -201,7 +193,7 @@ def newton_certificate(robot: Robot, target: Any, q0: Any, *, limits: bool = Tru
     inside = ((Q - each >= lower) & (Q + each <= upper)).all(axis=1)
     parts = (beta, L, eta, h, radius, np.where(holds, (1.0 - ALLOW.share) * far, 0.0), inside)
     shaped = (part.reshape(q0.shape[:-1] + part.shape[1:]) for part in parts)
-    return NewtonCertificate(robot, T, kinds[0] == POSITION, q0, limits, *shaped, to_norm / robot.chain.unit)
+    return NewtonCertificate(robot, target, q0, limits, *shaped, _to_norm=to_norm / robot.chain.unit)
 
 
 def _link_turns(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -225,7 +217,7 @@ def _linearised(
     """Return J^-1 (N, n, 6) to the norm's y [1/m, 1], errors (N, 6) [m, rad] and the angle |phi| (N,) [rad] at starts Q (N, n).
 
     Errors that the joints cannot change are left out. The last part (N,) says where J^-1 is well conditioned, the target in the
-    arm's plane, and phi smooth; J^-1 is 0 elsewhere.
+    arm's plane, phi smooth and q not too large; J^-1 is 0 elsewhere.
     """
     P, J = robot.chain.forward(Q, jacobian=True)
     span = asked.span
@@ -240,6 +232,7 @@ def _linearised(
     J = span.T @ (J * robot.chain.unit / lengths[:, None])
     values = np.linalg.svd(J, compute_uv=False)
     good = (values[:, -1] * ALLOW.condition > values[:, 0]) & (angle < ALLOW.turned)
+    good &= (np.abs(Q / robot.chain.unit) <= ALLOW.widest).all(axis=1)
     good &= np.linalg.norm(e / lengths - e / lengths @ span @ span.T, axis=1) <= ALLOW.flat
     A = to_norm @ np.linalg.inv(np.where(good[:, None, None], J, np.eye(robot.n))) @ span.T
     return A * good[:, None, None] / lengths, e, angle * good, good
