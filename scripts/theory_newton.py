@@ -30,6 +30,7 @@ ARMS = {
     "spatial 2R and slide, position": ("rrp", "any", False),
     "spatial slide and 2R, position": ("prr", "any", False),
     "three slides, position": ("ppp", "any", False),
+    "wrist 3R, pose": ("rrr", "wrist", True),  # All axes meet at the tip.
     "spatial 6R, pose": ("rrrrrr", "any", True),
     "spatial 6R with parallel axes, pose": ("rrrrrr", "zyyxyx", True),
     "spatial 5R and slide, pose": ("rrprrr", "any", True),
@@ -43,12 +44,14 @@ def arm(rng, joints, axes):
     """A random arm as URDF text."""
     planar, parts, parent = axes in ("x", "z"), ['<robot name="random"><link name="base"/>'], "base"
 
-    def vector(size=1.0):
-        v = size * rng.uniform(-1.0, 1.0, 3) * ((1.0, 1.0, 0.0) if planar else 1.0)
-        return " ".join(repr(float(x)) for x in v)
+    def vector():
+        return " ".join(repr(float(x)) for x in rng.uniform(-1.0, 1.0, 3) * ((1.0, 1.0, 0.0) if planar else 1.0))
+
+    def place():
+        return "0 0 0" if axes == "wrist" else vector()
 
     for k, kind in enumerate(joints):
-        axis = vector() if axes == "any" else NAMED[axes[min(k, len(axes) - 1)]]
+        axis = vector() if axes in ("any", "wrist") else NAMED[axes[min(k, len(axes) - 1)]]
         if kind == "p" and planar:
             axis = vector() if axes == "z" else NAMED["x"]
         elif axes == "z" and rng.random() < 0.3:
@@ -57,13 +60,13 @@ def arm(rng, joints, axes):
         low, high = -rng.uniform(0.3, 3.5), rng.uniform(0.3, 3.5)
         parts.append(
             f'<link name="l{k}"/><joint name="j{k}" type="{"prismatic" if kind == "p" else "revolute"}">'
-            f'<parent link="{parent}"/><child link="l{k}"/><origin xyz="{vector()}"/><axis xyz="{axis}"/>'
+            f'<parent link="{parent}"/><child link="l{k}"/><origin xyz="{place()}"/><axis xyz="{axis}"/>'
             f'<limit lower="{low!r}" upper="{high!r}" effort="1" velocity="1"/></joint>'
         )
         parent = f"l{k}"
     parts.append(
         f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
-        f'<origin xyz="{vector()}"/></joint></robot>'
+        f'<origin xyz="{place()}"/></joint></robot>'
     )
     return "".join(parts)
 

@@ -7,10 +7,16 @@ import pinocchio as pin
 import pytest
 import robots
 from folders import SCRIPTS
+from serial_arms import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.papers.chinyai import formulas
+
+# Three axes that meet at the tip, so that only the rotation changes.
+WRIST = urdf(
+    [("revolute", (0, 0, 0), (0, 0, 0), axis, -3, 3) for axis in ((0, 0, 1), (0, 1, 0), (1, 0, 0))], ((0,) * 3,) * 2
+)
 
 
 def test_no_counterexample_in_300_random_cases(monkeypatch):
@@ -56,14 +62,15 @@ def test_every_proven_start_of_a_grid_leads_where_it_says():
     assert 0.015 < good.mean() < 0.04  # most starts that converge are not proven
 
 
-@pytest.mark.parametrize(("name", "pose"), [("ur5", True), ("planar_3r", True), ("scara", True), ("hydrolek_7w", True)])
-def test_second_derivatives_stay_below_the_bound(name, pose):
+@pytest.mark.parametrize("name", ["ur5", "planar_3r", "scara", "hydrolek_7w", "wrist"])
+def test_second_derivatives_stay_below_the_bound(name):
     """|F'(q0)^-1 (F'(a) - F'(b))| <= omega |a - b| in the norm, for a and b within 2 eta of q0."""
-    robot, rng, worst = robots.load(name), np.random.default_rng(3), 0.0
+    rng, worst = np.random.default_rng(3), 0.0
+    robot = ik.Robot.load(WRIST, tip="tip") if name == "wrist" else robots.load(name)
     for _ in range(20):
         q = robot.random_q(rng)
         T = robot.fk(q)
-        q0 = q + 10.0 ** rng.uniform(-3.0, -1.0) * rng.normal(size=robot.n) * robot.chain.unit
+        q0 = q + 10.0 ** rng.uniform(-3.0, -0.3) * rng.normal(size=robot.n) * robot.chain.unit
         made = ik.newton_certificate(robot, T, q0, limits=False)
         M = made._to_norm
         if not np.isfinite(made.h):
@@ -82,7 +89,7 @@ def test_second_derivatives_stay_below_the_bound(name, pose):
             a, b = q0 + np.linalg.solve(M, ends.T).T
             change = np.linalg.norm(inverse @ (jacobian(a) - jacobian(b)) @ np.linalg.inv(M), 2)
             worst = max(worst, change / (made.beta @ made.lipschitz * made.norm(a - b)))
-    assert 0.1 < worst <= 1.0
+    assert (0.4 if name == "wrist" else 0.1) < worst <= 1.0
 
 
 def test_limits_count_where_they_are_kept():
