@@ -53,6 +53,7 @@ from .study.analyse import analyse as analyse
 from .study.benchmark import benchmark as benchmark
 from .study.calibrate import calibrate as calibrate
 from .study.calibration import Calibration as Calibration
+from .study.newton_certificate import newton_certificate as newton_certificate
 from .study.place import place as place
 from .study.reachability import reachability as reachability
 from .study.reachability_map import ReachabilityMap as ReachabilityMap

@@ -224,13 +224,16 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
 
 
 @inner
-def lu_solve(A, b, m):
-    """Replace b by the solution x of A x = b (the leading m x m part), and overwrite A; return False if A is singular (FLAT)."""
+def lu_solve(A, b, n, m):
+    """Replace b (n,) by the solution x of A x = b (the leading m x n part, m >= n), and overwrite A.
+
+    Further equations must follow from the n that are used, those with the largest pivots. Return False if A is singular (FLAT).
+    """
     top = 0.0
     for i in range(m):
-        for j in range(m):
+        for j in range(n):
             top = max(top, abs(A[i, j]))
-    for k in range(m):
+    for k in range(n):
         pivot = k
         for i in range(k + 1, m):
             if abs(A[i, k]) > abs(A[pivot, k]):
@@ -238,17 +241,17 @@ def lu_solve(A, b, m):
         if not abs(A[pivot, k]) > FLAT * top:
             return False
         if pivot != k:
-            for j in range(m):
+            for j in range(n):
                 A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
             b[k], b[pivot] = b[pivot], b[k]
         for i in range(k + 1, m):
             f = A[i, k] / A[k, k]
-            for j in range(k, m):
+            for j in range(k, n):
                 A[i, j] -= f * A[k, j]
             b[i] -= f * b[k]
-    for k in range(m - 1, -1, -1):
+    for k in range(n - 1, -1, -1):
         s = b[k]
-        for j in range(k + 1, m):
+        for j in range(k + 1, n):
             s -= A[k, j] * b[j]
         b[k] = s / A[k, k]
     return True

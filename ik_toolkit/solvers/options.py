@@ -156,6 +156,7 @@ class BatchOptions(PathOptions, total=False):
     units: str
     tuned: Any
     lift: float | str
+    line_search: bool
 
 
 class AllOptions(BatchOptions, total=False):

@@ -46,13 +46,23 @@ class Asked:
         return all(kind == POSITION for kind in self.kinds)
 
     @property
-    def rows(self) -> int:
-        """How many rows of the task the joints can influence at all (a planar arm's position has two, not three)."""
+    def span(self) -> np.ndarray:
+        """Orthonormal basis (6 F, r) of the errors that the joints can change at all, lengths over the scale.
+
+        A planar arm's position has two, not three.
+        """
         rng = np.random.default_rng(0)
         Q = np.array([self.robot.random_q(rng) for _ in range(4)])
-        J = self.robot.chain.forward(Q, jacobian=True)[1]
-        rows = np.abs(J).max(axis=(0, 2)) > 1e-9 * np.abs(J).max()
-        return int((rows & counted_rows(self.robot, self.kinds, self.options)).sum())
+        J = np.concatenate(list(self.robot.chain.forward(Q, jacobian=True)[1] * self.robot.chain.unit), axis=1)
+        J[np.arange(len(J)) % 6 < 3] /= self.robot.chain.scale
+        J[~counted_rows(self.robot, self.kinds, self.options)] = 0.0
+        U, size, _ = np.linalg.svd(J, full_matrices=False)
+        return U[:, size > 1e-9 * size[0]]
+
+    @property
+    def rows(self) -> int:
+        """How many independent errors the joints can change at all."""
+        return self.span.shape[1]
 
 
 class Rule(Protocol):

@@ -135,7 +135,7 @@ ROWS: tuple[Row, ...] = (
     Row(
         "newton",
         _RULES + "jacobian:Newton",
-        "Plain Newton-Raphson; stops where the Jacobian has no inverse",
+        "Newton-Raphson, plain or with a line search; stops where the Jacobian has no inverse",
         "square tasks only: as many task rows as joints",
         "Chinyai eq. 6-9",
         search=Length(100),

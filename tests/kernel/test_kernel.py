@@ -108,7 +108,7 @@ def test_pseudo_inverse_step_equals_numpy(n):
 
 @cached
 def _lu(A, b):
-    return linalg.lu_solve(A, b, b.shape[0])
+    return linalg.lu_solve(A, b, A.shape[1], A.shape[0])
 
 
 def test_lu_solve_equals_numpy_and_refuses_singular_systems():
@@ -118,6 +118,11 @@ def test_lu_solve_equals_numpy_and_refuses_singular_systems():
         x = b.copy()
         assert _lu(A.copy(), x)
         assert np.allclose(x, np.linalg.solve(A, b), atol=1e-10)
+        more = rng.normal(size=(6, n))  # Further equations that follow from the others change nothing.
+        x = more @ A @ np.linalg.solve(A, b)
+        assert _lu(more @ A, x)
+        assert np.allclose(x[:n], np.linalg.solve(A, b), atol=1e-10)
+    assert not _lu(np.ones((6, 3)), np.ones(6))
     assert not _lu(np.ones((3, 3)), np.ones(3))
     assert not _lu(np.zeros((2, 2)), np.ones(2))
 

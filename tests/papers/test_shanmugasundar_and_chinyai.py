@@ -140,9 +140,15 @@ def test_printed_formulas(planar_report):
     assert reached["(4), (5), lower signs, sin(theta_2) with its sign"] < 1.0
 
 
+def test_what_is_proven_of_newton_is_true_and_not_much_beforehand(planar_report):
+    rows = np.array(planar_report.data["certified"]["rows"])
+    assert 2.0 < rows[0, 2] < 4.0 and (np.diff(rows[:, 2]) > 0.0).all() and 90.0 < rows[-1, 2] < 97.0
+    assert planar_report.data["certified_exceptions"] == rows[:, 3].sum() == 0
+
+
 def test_report_writes_markdown_json_and_pictures(planar_report, tmp_path):
     files = planar_report.write(tmp_path / "out")
-    assert {file.name for file in files} == {"report.md", "report.json", "targets.png", "starts.png"}
+    assert {file.name for file in files} == {"report.md", "report.json", "targets.png", "starts.png", "proven.png"}
     assert all(file.stat().st_size > 1000 for file in files)
     text = (tmp_path / "out" / "report.md").read_text()
     assert "targets.png" in text and "| implementation | published |" in text and "nan" not in text

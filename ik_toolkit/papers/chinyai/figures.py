@@ -8,11 +8,12 @@ import numpy as np
 
 from ...style import COLOURS
 from ..report import cell
+from .formulas import closed_form
 
 KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # variants of Newton's step: full, line search, LM, limited
 
 
-def _outcome(rows: np.ndarray) -> np.ndarray:
+def outcomes(rows: np.ndarray) -> np.ndarray:
     """Return the outcomes of rows of `newton_all` as floats: 0 for theta_2 >= 0, 1 for theta_2 < 0, NaN without convergence."""
     return np.where(rows[:, 2] < 0, np.nan, np.where(np.sin(rows[:, 1]) >= 0, 0.0, 1.0))
 
@@ -21,6 +22,24 @@ def _legend(figure: Any, plt: Any) -> None:
     patches = [plt.Rectangle((0, 0), 1, 1, fc=c, ec="0.6", lw=0.5) for c in (COLOURS[0], COLOURS[4], "white")]
     names = ("solution with theta_2 > 0", "solution with theta_2 < 0", "no convergence in 50 steps")
     figure.legend(patches, names, loc="outside lower center", ncols=3, fontsize=8)
+
+
+def _image(axis: Any, plt: Any, picture: np.ndarray, half: float) -> None:
+    """Show outcomes over a square of -half to half: 0 and 1 in the colours of the two solutions, 2 and 3 in pale ones."""
+    colours = [plt.matplotlib.colors.to_rgb(COLOURS[k]) for k in (0, 4)]
+    pale = [tuple(0.72 + 0.28 * x for x in colour) for colour in colours]
+    axis.imshow(
+        picture, origin="lower", extent=(-half, half, -half, half), vmin=0, vmax=3, interpolation="nearest",
+        cmap=plt.matplotlib.colors.ListedColormap(colours + pale),
+    )  # fmt: skip
+    ticks = (-0.5 * half, 0.0, 0.5 * half)
+    axis.set(xticks=ticks, yticks=ticks, aspect="equal")
+
+
+def grid(count: int) -> np.ndarray:
+    """Return starting angles (count^2, 2) [rad] all over the square of -180 to 180 degrees."""
+    side = np.radians(np.linspace(-180.0, 180.0, count))
+    return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
 
 
 def target_basins(converge: Callable, limit: float, shares: dict[str, float]) -> Any:
@@ -35,7 +54,6 @@ def target_basins(converge: Callable, limit: float, shares: dict[str, float]) ->
         X = np.column_stack([x.ravel(), y.ravel()])
         inside = np.hypot(*X.T) <= 2.0
         start = np.radians((45.0, 90.0))
-        colours = plt.matplotlib.colors.ListedColormap([COLOURS[0], COLOURS[4]])
         panels = [
             ("plain Newton", "plain", "plain", 1e9),
             ("steps of at most 0.5 rad", "step", "step", 1e9),
@@ -46,22 +64,14 @@ def target_basins(converge: Callable, limit: float, shares: dict[str, float]) ->
         for axis, (title, column, kind, clip) in zip(axes, panels, strict=True):
             picture = np.full(len(X), np.nan)
             rows = converge(X[inside], 1.0, 1.0, start, KINDS[kind], clip)
-            picture[inside] = _outcome(rows)
-            axis.imshow(
-                picture.reshape(x.shape),
-                origin="lower",
-                extent=(-2, 2, -2, 2),
-                cmap=colours,
-                vmin=0,
-                vmax=1,
-                interpolation="nearest",
-            )
+            picture[inside] = outcomes(rows)
+            _image(axis, plt, picture.reshape(x.shape), 2.0)
             axis.add_patch(plt.Circle((0, 0), 2.0, fill=False, ec="0.3", lw=0.8))
             elbow = (math.cos(start[0]), math.sin(start[0]))
             hand = (elbow[0] + math.cos(start.sum()), elbow[1] + math.sin(start.sum()))
             axis.plot(*np.array([(0, 0), elbow, hand]).T, color="black", lw=2.2, marker="o", ms=3.5, mfc="white")
             axis.set_title(f"{title}:\n{cell(shares[column])} %")
-            axis.set(xlabel="x (m)", xticks=(-2, 0, 2), yticks=(-2, 0, 2), aspect="equal")
+            axis.set(xlabel="x (m)")
         axes[0].set_ylabel("y (m)")
         _legend(figure, plt)
         return figure
@@ -71,45 +81,34 @@ def target_basins(converge: Callable, limit: float, shares: dict[str, float]) ->
 
 def start_basins(converge: Callable, target: tuple[float, float]) -> Any:
     """Draw the outcome for one target from all starting angles."""
+    kinds = (("plain Newton", "plain"), ("with step halving", "search"), ("Levenberg-Marquardt", "LM"))
 
     def draw(plt: Any) -> Any:
-        side = np.radians(np.linspace(-180.0, 180.0, 481))
-        a, b = np.meshgrid(side, side)
-        starts = np.column_stack([a.ravel(), b.ravel()])
-        X = np.tile(np.array(target), (len(starts), 1))
-        colours = plt.matplotlib.colors.ListedColormap([COLOURS[0], COLOURS[4]])
-        figure, axes = plt.subplots(1, 3, figsize=(10.5, 4.1), layout="constrained", sharey=True)
-        for axis, (title, kind) in zip(
-            axes,
-            (("plain Newton", "plain"), ("with step halving", "search"), ("Levenberg-Marquardt", "LM")),
-            strict=True,
-        ):
-            rows = converge(X, 1.0, 1.0, starts, KINDS[kind])
-            axis.imshow(
-                _outcome(rows).reshape(a.shape),
-                origin="lower",
-                extent=(-180, 180, -180, 180),
-                cmap=colours,
-                vmin=0,
-                vmax=1,
-                interpolation="nearest",
-            )
-            c2 = (target[0] ** 2 + target[1] ** 2 - 2.0) / 2.0
-            for sign, shape in ((1, "o"), (-1, "s")):
-                t2 = sign * math.acos(c2)
-                t1 = math.atan2(target[1], target[0]) - math.atan2(math.sin(t2), 1 + math.cos(t2))
-                axis.plot(math.degrees(t1), math.degrees(t2), shape, color="white", mec="black", ms=6)
-            axis.set_title(
-                f"{title}:\n{cell(100 * np.mean(rows[:, 2] >= 0))} %, mean {rows[rows[:, 2] >= 0, 2].mean():.1f} steps"
-            )
-            axis.set(
-                xlabel="start theta_1 (deg)",
-                xticks=(-180, -90, 0, 90, 180),
-                yticks=(-180, -90, 0, 90, 180),
-                aspect="equal",
-            )
-        axes[0].set_ylabel("start theta_2 (deg)")
-        _legend(figure, plt)
-        return figure
+        starts = grid(481)
+        panels = {}
+        for title, kind in kinds:
+            rows = converge(np.tile(target, (len(starts), 1)), 1.0, 1.0, starts, KINDS[kind])
+            good = rows[:, 2] >= 0
+            panels[f"{title}:\n{cell(100 * np.mean(good))} %, mean {rows[good, 2].mean():.1f} steps"] = outcomes(rows)
+        return _over_starts(plt, panels, target)
 
     return draw
+
+
+def proven_basins(panels: dict[str, np.ndarray], target: tuple[float, float]) -> Any:
+    """Draw what is proven over all starting angles: panels has outcomes by title, as `outcomes` returns, plus 2 if unproven."""
+    return lambda plt: _over_starts(plt, panels, target)
+
+
+def _over_starts(plt: Any, panels: dict[str, np.ndarray], target: tuple[float, float]) -> Any:
+    """Draw pictures of the starting angles, flat arrays of `_image` by title, with both solutions of a target marked."""
+    figure, axes = plt.subplots(1, len(panels), figsize=(10.5, 4.1), layout="constrained", sharey=True)
+    for axis, (title, picture) in zip(axes, panels.items(), strict=True):
+        _image(axis, plt, picture.reshape(math.isqrt(len(picture)), -1), 180.0)
+        t1, t2, u1, u2 = np.degrees(closed_form(*target, 1.0, 1.0))
+        axis.plot(t1, t2, "o", u1, u2, "s", color="white", mec="black", ms=6)
+        axis.set_title(title)
+        axis.set(xlabel="start theta_1 (deg)")
+    axes[0].set_ylabel("start theta_2 (deg)")
+    _legend(figure, plt)
+    return figure

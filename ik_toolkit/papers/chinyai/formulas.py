@@ -91,12 +91,12 @@ def closed_form_all(X, l1, l2, out):
 
 
 @cached
-def newton_all(X, l1, l2, Q0, kind, clip, out):
+def newton_all(X, l1, l2, Q0, kind, clip, iterations, out):
     """Solve targets X (N, 2) from Q0 (1 or N, 2) by `newton`; out (N, 4) receives angles, number of steps and |error|."""
     tolerance = TOLERANCE * (l1 + l2)
     for i in range(X.shape[0]):
         q = Q0[i if Q0.shape[0] > 1 else 0]
-        t1, t2, k, e = newton(X[i, 0], X[i, 1], l1, l2, q[0], q[1], kind, clip, tolerance, ITERATIONS)
+        t1, t2, k, e = newton(X[i, 0], X[i, 1], l1, l2, q[0], q[1], kind, clip, tolerance, iterations)
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = t1, t2, k, e
 
 
@@ -131,8 +131,10 @@ def targets(rng: np.random.Generator, count: int, l1: float, l2: float) -> np.nd
     return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
 
 
-def converge(X: np.ndarray, l1: float, l2: float, start: Any, kind: int, clip: float = NO_CLIP) -> np.ndarray:
+def converge(
+    X: np.ndarray, l1: float, l2: float, start: Any, kind: int, clip: float = NO_CLIP, iterations: int = ITERATIONS
+) -> np.ndarray:
     """Return the rows (N, 4) of `newton_all` from one start (2,), or from one for each target (N, 2)."""
     out = np.empty((len(X), 4))
-    newton_all(X, l1, l2, np.atleast_2d(np.asarray(start, dtype=float)), kind, clip, out)
+    newton_all(X, l1, l2, np.atleast_2d(np.asarray(start, dtype=float)), kind, clip, iterations, out)
     return out

@@ -12,11 +12,12 @@ import numpy as np
 
 from ...robot.robot import Robot
 from ...solvers.solve import Solver
+from ...study.newton_certificate import newton_certificate
 from ...text import angle as in_words
 from ...text import figure
 from ..report import Report, cell
 from ..timing import Work, rounds, spread
-from .figures import start_basins, target_basins
+from .figures import grid, outcomes, proven_basins, start_basins, target_basins
 from .formulas import (
     ITERATIONS,
     LEVENBERG,
@@ -54,6 +55,7 @@ def reproduce(count: int = 20_000, seed: int = 0) -> Report:
         ratio = _speed(report, rng)
         _convergence(report, rng, count)
         _failures(report, rng)
+        _certified(report, rng, (1.1, 0.6))
         report.heading("Verdict")
         slower = min(values.min() for values in ratio.values()) > 1.0
         words = {name: spread(values) for name, values in ratio.items()}
@@ -168,7 +170,10 @@ def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str,
     }
     counts: dict[str, tuple[float, float]] = {}
     for name, start in starts.items():
-        works[f"compiled, {name}"] = (lambda start=start: newton_all(X, l1, l2, start, PLAIN, NO_CLIP, out), n)
+        works[f"compiled, {name}"] = (
+            lambda start=start: newton_all(X, l1, l2, start, PLAIN, NO_CLIP, ITERATIONS, out),
+            n,
+        )
         works[f"python, {name}"] = (loop(python_newton, start, *extra), few)
         works[f"numpy, {name}"] = (loop(newton_numpy, start), few)
         row = converge(X, l1, l2, start, PLAIN)
@@ -325,6 +330,52 @@ def _failures(report: Report, rng: np.random.Generator) -> None:
     ]
     report.table("failures", ["case", "what happens"], rows)
     report.number("lm_unreachable_median_error", float(np.median(lost[LEVENBERG][:, 3])))
+
+
+def _proven(target: Any, count: int, steps: int) -> tuple[np.ndarray, np.ndarray, list[Any]]:
+    """Return outcomes as sampled on a grid of starts, those proven after some steps (NaN: not), and a row of the table."""
+    starts = grid(count)
+    X = np.tile(target, (len(starts), 1))
+    ends = outcomes(converge(X, 1.0, 1.0, starts, PLAIN))
+    at = converge(X, 1.0, 1.0, starts, PLAIN, iterations=steps)[:, :2]
+    made = newton_certificate(Robot.load("planar_2r"), (*target, 0.0), at, limits=False)
+    index = made.leads_to(np.reshape(closed_form(*target, 1.0, 1.0), (2, 2)))
+    shares = [100.0 * float(made.proven.mean()), 100.0 * float(made.proven.sum() / np.isfinite(ends).sum())]
+    return ends, np.where(index < 0, np.nan, index), [steps, *shares, int((made.proven & (index != ends)).sum())]
+
+
+def _certified(report: Report, rng: np.random.Generator, target: tuple[float, float]) -> None:
+    report.heading("Beyond the paper: Newton that knows")
+    panels, rows = {}, []
+    for steps in (0, 1, 2, 3, 4, 6, 8):
+        ends, known, row = _proven(target, 241, steps)
+        rows.append(row)
+        if steps in (0, 3):
+            panels[f"sampled:\n{100 * np.isfinite(ends).mean():.1f} % converge"] = ends
+            when = "beforehand" if steps == 0 else f"after {steps} steps"
+            panels[f"proven {when}:\n{row[2]:.1f} % of these"] = np.where(np.isfinite(known), known, ends + 2.0)
+    head = ["steps before the test", "starts proven (%)", "of those that converge (%)", "exceptions"]
+    report.table("certified", head, rows)
+    others = [_proven(x, 121, 0)[2] for x in targets(rng, 20, 1.0, 1.0)]
+    shares = report.number("certified_other_targets_percent", [row[2] for row in others])
+    wrong = report.number("certified_exceptions", sum(row[3] for row in rows + others))
+    report.text(
+        f"""`ik.newton_certificate` applies the theorem of Newton and Kantorovich before any step is taken. With eta, the length of
+        the first step, beta = |F'(q0)^-1| and a Lipschitz constant L of F', which follows from the link lengths alone,
+        h = beta eta L of at most 1/2 proves that whole steps converge, to which of the two solutions, within what radius, and
+        within what second radius there is no other. The table and the picture test it for the target {target} on {241**2}
+        starts. For 20 other targets it proves {spread(np.array(shares))} % of the starts that converge (median [min-max];
+        {121**2} starts each). Exceptions, which end elsewhere than proven: {wrong} in all. What is proven is true, but most of
+        what is true is not proven beforehand: one bound serves for the whole arm and all directions. Each step shortens the
+        next, so the same test soon passes on the way, and tells a run that has come close enough from one that still wanders.
+        `python scripts/theory_newton.py` looks for counterexamples among random arms of one to six joints."""
+    )
+    report.figure(
+        "proven.png",
+        f"Links 1 and 1, target {target}: basins as sampled, and the starts from which convergence to a solution (marked) is "
+        "proven beforehand or three steps later. Pale: converges, but not proven.",
+        proven_basins(panels, target),
+    )
 
 
 def _misprints(report: Report) -> None:

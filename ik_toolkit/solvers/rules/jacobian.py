@@ -7,8 +7,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ...compile.jit import compiled
+from ...kernel.limits import integrate
 from ...kernel.linalg import lu_solve
-from ...kernel.search import SINGULAR_STEP
+from ...kernel.search import SINGULAR_STEP, WAITING
+from ...validate import switch
 from ..protocol import Asked, rule
 
 FLOOR = 1e-12  # least damping, needed because J J' of a planar arm has no inverse
@@ -145,42 +147,60 @@ class Transpose(NamedTuple):
 
 @compiled
 class Inverse(NamedTuple):
-    """The compiled step of Newton-Raphson; it has a field because numba passes no NamedTuple without one."""
+    """The compiled step of Newton-Raphson."""
 
-    least: float  # a row of the Jacobian whose entries are all below this is left out of the task
+    trials: float  # highest number of trials of the line search; 0 takes the whole step without a trial
 
     def step(self, p, e):
         s = p.desk
-        n = s.dq.shape[0]
+        n, m = s.J.shape
         p.stack(e)
-        m = 0
-        for k in range(s.J.shape[1]):
-            size = 0.0
-            for i in range(n):
-                size = max(size, abs(s.J[i, k]))
-            if size > self.least:
-                if m == n:
-                    return SINGULAR_STEP
-                for i in range(n):
-                    s.A[m, i] = s.J[i, k]
-                s.y[m] = s.y[k]
-                m += 1
-        if m < n or not lu_solve(s.A, s.y, n):
+        for k in range(m):
+            for i in range(min(n, m)):
+                s.A[k, i] = s.J[i, k]
+        if n > m or not lu_solve(s.A, s.y, n, m):
             return SINGULAR_STEP
         for i in range(n):
             s.dq[i] = s.y[i]
-        return 0
+        return self.shorten(p, e) if self.trials > 0.0 else 0
+
+    def shorten(self, p, e):
+        """Halve the step s.dq until e.ee falls where it leads inside the limits; without such a step s.dq becomes 0."""
+        s = p.desk
+        for i in range(s.q.shape[0]):
+            s.x[i] = s.q[i]
+        done, cut = False, False
+        for _ in range(int(self.trials)):
+            cut = not s.affords(1)
+            if done or cut:
+                break
+            integrate(s.q, s.dq, p.boxed, p.bounds_of_step())
+            done = p.try_out(s.q).ee < e.ee
+            for i in range(s.q.shape[0]):
+                s.q[i] = s.x[i]
+                s.dq[i] *= 1.0 if done else 0.5
+        if not done:
+            for i in range(s.q.shape[0]):
+                s.dq[i] = 0.0
+        return WAITING if cut and not done else 0
 
 
 @rule(step=Inverse)
 class Newton(NamedTuple):
     """Newton-Raphson: dq = J^-1 e, for tasks with as many rows as joints; it ends as SINGULAR where J has no inverse.
 
-    Source: Chinyai, eqs. (6)-(9), planar 2R. There the error is f(q) - x with a minus sign, here it is target - actual.
+    Source: Chinyai, eqs. (6)-(9), planar 2R. There the error is f(q) - x with a minus sign, here it is target - actual. Where the
+    whole step provably converges is said by `newton_certificate`.
+
+    Args:
+        line_search: Whether the step is halved until the squared error falls. Each trial is an evaluation.
     """
+
+    line_search: bool = False
 
     def refuses(self, asked: Asked) -> str:
         """Return why the rule cannot solve what is asked, or '' if it can."""
+        switch(self.line_search, "line_search")
         n = asked.robot.n
         if asked.rows == n:
             return ""
@@ -188,4 +208,4 @@ class Newton(NamedTuple):
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
         """Return the compiled step as a NamedTuple."""
-        return Inverse(1e-12)
+        return Inverse(40.0 if self.line_search else 0.0)  # The last trial is 1e-12 of the step.

@@ -217,7 +217,7 @@ def test_linear_systems_with_and_without_an_answer():
         A, b = rng.normal(size=(7, 7)), rng.normal(size=7)
         A[0, 0] = 0.0 if n > 1 else 1.0
         x = b.copy()
-        assert linalg.lu_solve(A.copy(), x, n)
+        assert linalg.lu_solve(A.copy(), x, n, n)
         np.testing.assert_allclose(x, [*np.linalg.solve(A[:n, :n], b[:n]), *b[n:]], rtol=1e-9)
     for small, fine in ((1.5e-10, True), (0.7e-10, False)):
-        assert linalg.lu_solve(np.diag([1.0, small, -2.0 / 2.0]), np.ones(3), 3) == fine
+        assert linalg.lu_solve(np.diag([1.0, small, -2.0 / 2.0]), np.ones(3), 3, 3) == fine
